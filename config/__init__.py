@@ -1,0 +1,1 @@
+"""What a site and a robot may set: models, bounds, presets, loading."""

@@ -1,0 +1,1 @@
+"""Everything that crosses the bus, and what both sides share."""

@@ -1,0 +1,1 @@
+"""The runtime that decides whether a robot may start to cut."""

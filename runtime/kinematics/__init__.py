@@ -1,0 +1,1 @@
+"""Kinematics of the arm: rigid transforms, great circles, joints from poses."""

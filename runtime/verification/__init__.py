@@ -1,0 +1,1 @@
+"""Decides for every point of a path whether it keeps its deadbands."""

@@ -1,0 +1,90 @@
+"""What a verifier answers. Boundaries are in mm or deg, as they are shown to people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Unit = Literal["mm", "deg"]
+
+ARM_BOUNDARIES = ("inner", "outer", "left", "right", "top", "bottom")
+"""Distances of the wrist centre, mm."""
+
+WRIST_BOUNDARIES = ("roll_min", "roll_max", "pitch_min", "pitch_max", "wrist_singularity")
+"""Angles, deg."""
+
+BOUNDARIES = ARM_BOUNDARIES + WRIST_BOUNDARIES
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """The joint branch of the whole path: ``q = wrap(q) + 360 deg * turns`` at the first pose."""
+
+    elbow: Literal["right", "left"]
+    q0_turns: int
+    roll_turns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluations:
+    """How many times a distance was evaluated for the arm and for the wrist; the bound for the arm."""
+
+    arm: int
+    wrist: int
+    worst_case: int
+
+
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """The worst place of one boundary.
+
+    Attributes:
+        name: one of `BOUNDARIES`.
+        unit: of all values here.
+        clearance: smallest value found, attained at ``segment``, ``fraction``; None if undefined.
+        certified: proven lower bound for the whole path; None if undefined.
+        segment: index of the segment of the worst place.
+        fraction: place in the segment, 0..1.
+        tip_length_mm: arc length along the tip path to the worst place.
+        deadband: what must be kept, residuals and tolerances included.
+        violated: not (certified >= deadband).
+    """
+
+    name: str
+    unit: Unit
+    clearance: float | None
+    certified: float | None
+    segment: int | None
+    fraction: float | None
+    tip_length_mm: float | None
+    deadband: float
+    violated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLine:
+    """Largest joint speed at the planned feed, rad/s or mm/s; ``peak`` None if unbounded."""
+
+    joint: int
+    limit: float
+    peak: float | None
+    segment: int | None
+    ok: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The whole answer; ``reasons`` says in sentences what keeps the path from being admitted."""
+
+    method: Literal["certified", "stocco"]
+    admissible: bool
+    tip_length_mm: float
+    wrist_length_mm: float
+    axis_angle_rad: float
+    deadband_arm_mm: float
+    deadband_wrist_rad: float
+    branch: Branch | None
+    evaluations: Evaluations
+    boundaries: dict[str, Boundary]
+    speed: tuple[SpeedLine, ...]
+    reasons: tuple[str, ...]

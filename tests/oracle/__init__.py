@@ -1,0 +1,1 @@
+"""Independent reference mathematics: imports nothing of the packages under test."""

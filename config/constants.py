@@ -1,0 +1,99 @@
+"""Every constant of the program in one table: default, bounds, unit and meaning.
+
+A site may change a constant within its bounds (``site.toml``); nothing else may. Constants marked
+``exchanged`` travel in the OPEN record, and the controller refuses one outside its own bounds.
+``python -m config.constants`` prints the table as Markdown.
+"""
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """One constant: its value lies in ``low <= value <= high``, in ``unit``."""
+
+    name: str
+    unit: str
+    default: float
+    low: float
+    high: float
+    exchanged: bool
+    meaning: str
+
+    def holds(self, value: float) -> bool:
+        """Whether the value lies inside the bounds; NaN does not."""
+        return self.low <= value <= self.high
+
+    @property
+    def bound(self) -> str:
+        """The bounds in words, with the unit."""
+        return f"{_number(self.low)} to {_number(self.high)} {self.unit}".rstrip()
+
+
+TIMEOUT_HEARTBEATS: Final = 3
+"""The heartbeat time-out is at least this many heartbeat periods."""
+
+TABLE: Final[tuple[Constant, ...]] = (
+    # name, unit, default, low, high, exchanged, meaning
+    Constant("heartbeat_ms", "ms", 20, 5, 100, True, "period of both sides' heartbeats"),
+    Constant(
+        "timeout_ms", "ms", 100, 15, 1000, True,
+        "without a fresh heartbeat for this long the gate closes; at least 3 heartbeat periods",
+    ),
+    Constant("permit_lifetime_s", "s", 120, 10, 600, True, "from the permit's nonce to START, on the controller's clock"),
+    Constant("start_lifetime_ms", "ms", 2000, 500, 5000, True, "from the start's nonce to START, on the controller's clock"),
+    Constant("start_tolerance_mm", "mm", 0.5, 0.05, 2, True, "measured slide and wrist centre to the first pose, at START"),
+    Constant("start_tolerance_deg", "deg", 0.2, 0.02, 1, True, "measured rotary joints to the first pose, at START"),
+    Constant("transfer_timeout_s", "s", 20, 1, 120, True, "one whole bulk transfer (limits, calibration, tool, path)"),
+    Constant("counter_step", "frames", 3, 1, 15, True, "largest accepted counter step; a larger gap inhibits"),
+    Constant("crc_failures", "frames", 2, 0, 10, True, "corrupt frames tolerated in one crc_window_ms; one more inhibits"),
+    Constant("crc_window_ms", "ms", 1000, 100, 10_000, True, "window in which corrupt frames are counted"),
+    Constant("reply_timeout_ms", "ms", 2000, 200, 10_000, False, "the controller's answer to one control request"),
+    Constant("announce_ms", "ms", 200, 50, 1000, False, "period of the controller's announcement while no session is open"),
+    Constant("announce_wait_s", "s", 30, 1, 600, False, "how long the runtime waits for a controller to announce itself"),
+    Constant("verify_timeout_s", "s", 60, 1, 3600, False, "one verification in the worker process"),
+    Constant("operator_wait_s", "s", 300, 1, 3600, False, "how long the runtime waits for the operator's next word"),
+    Constant("stop_confirm_ms", "ms", 1000, 100, 5000, False, "a stop's confirmation by the controller"),
+    Constant("commit_deadline_ms", "ms", 1000, 100, 5000, False, "durable record of an enabling decision; later is an audit failure"),
+    Constant(
+        "checkpoint_deadline_ms", "ms", 5000, 1000, 30_000, False,
+        "durable record while cutting; longer, because a slow disk must not stop a half-cut bone",
+    ),
+    Constant("chunk_period_ms", "ms", 1000, 100, 1000, False, "oldest unwritten record of the log"),
+    Constant("file_size_limit_mb", "MB", 64, 1, 1024, False, "largest input file that is read (1 MB = 1 000 000 bytes)"),
+    Constant("pose_limit", "poses", 2_000_000, 2, 10_000_000, False, "longest path that is read"),
+)  # fmt: skip
+
+CONSTANTS: Final = MappingProxyType({constant.name: constant for constant in TABLE})
+"""The table by name."""
+
+
+def _number(value: float) -> str:
+    """A bound without a needless decimal point, digits in groups of three."""
+    return f"{value:,.0f}".replace(",", " ") if float(value).is_integer() else f"{value:g}"
+
+
+def markdown() -> str:
+    """The table as a Markdown page (docs/constants.md)."""
+    lines = [
+        "# Constants",
+        "",
+        "Generated from `config/constants.py` by `python -m config.constants`; change it there.",
+        "A site sets them in `site.toml` ([files.md](files.md)). *Exchanged* ones are sent to the controller,",
+        "which refuses a value outside its own bounds.",
+        "",
+        "| constant | unit | default | bounds | exchanged | meaning |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{c.name}` | {c.unit} | {_number(c.default)} | {_number(c.low)} to {_number(c.high)} "
+        f"| {'yes' if c.exchanged else 'no'} | {c.meaning} |"
+        for c in TABLE
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")  # noqa: T201 - printing is what this entry is for

@@ -1,0 +1,308 @@
+"""Reading input files: once, bounded, and refused with file, key, value, bound and remedy.
+
+Everything that reads a file a person wrote raises ``InputError`` and nothing else; the command line turns it
+into exit code 2. A file is read once: parsing, digest and the log's attachment all use those same bytes.
+"""
+
+import hashlib
+import json
+import math
+import os
+import stat
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from config.constants import CONSTANTS
+from config.model import RULE, Robot, Site
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+
+BYTES_PER_MB: Final = 1_000_000
+DEFAULT_LIMIT: Final = int(CONSTANTS["file_size_limit_mb"].default) * BYTES_PER_MB
+MAX_SHOWN: Final = 20
+_VALUE_CHARACTERS: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing wrong with one file. ``key`` is a dotted key or ``line N``; empty when it is the whole file."""
+
+    file: str
+    key: str
+    value: str
+    bound: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """One line: file, key, value, bound, remedy; absent parts are left out."""
+        place = f"{self.file}: {self.key}" if self.key else self.file
+        found = f" is {self.value}" if self.value else ""
+        rule = f", must be {self.bound}" if self.value else f": {self.bound}"
+        return f"{place}{found}{rule}" + (f"; {self.remedy}" if self.remedy else "")
+
+
+class InputError(Exception):
+    """Refused input: every problem found, one line each.
+
+    Args:
+        file: the file as the user named it.
+        key: dotted key, ``line N`` or empty.
+        value: what was found (shown with ``repr`` unless it is text already); None when nothing was.
+        bound: what would have been accepted.
+        remedy: what to do about it; may be empty.
+        more: further problems of the same input.
+    """
+
+    def __init__(
+        self,
+        file: object,
+        key: str,
+        value: object,
+        bound: str,
+        remedy: str = "",
+        *,
+        more: Sequence[Problem] = (),
+    ) -> None:
+        self.problems = (Problem(str(file), key, shown(value), bound, remedy), *more)
+        super().__init__(str(self))
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem]) -> "InputError":
+        """The error that lists these problems; at least one."""
+        first = problems[0]
+        return cls(first.file, first.key, first.value or None, first.bound, first.remedy, more=problems[1:])
+
+    def __str__(self) -> str:
+        """One line per problem, at most ``MAX_SHOWN``."""
+        lines = [str(problem) for problem in self.problems[:MAX_SHOWN]]
+        if len(self.problems) > MAX_SHOWN:
+            lines.append(f"... and {len(self.problems) - MAX_SHOWN} more")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded(Generic[T]):
+    """A file's content and the very bytes it was parsed from."""
+
+    value: T
+    data: bytes
+    path: Path
+
+    @property
+    def sha256(self) -> bytes:
+        """SHA-256 of the file's bytes, 32 bytes."""
+        return hashlib.sha256(self.data).digest()
+
+
+def shown(value: object) -> str:
+    """A value for a message: on one line, printable, at most 60 characters; empty for None."""
+    if value is None:
+        return ""
+    text = value if isinstance(value, str) else ascii(value)
+    text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+    return text if len(text) <= _VALUE_CHARACTERS else text[: _VALUE_CHARACTERS - 3] + "..."
+
+
+def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> bytes:
+    """The whole file, read once.
+
+    Args:
+        path: a regular file.
+        limit: largest accepted size, bytes.
+
+    Raises:
+        InputError: missing, not a regular file, unreadable, or larger than ``limit``.
+    """
+    try:
+        # Non-blocking, so that a named pipe without a writer is refused instead of waited for.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(path, "", None, "not a regular file", "name a file")
+            data = file.read(limit + 1)
+    except FileNotFoundError:
+        raise InputError(path, "", None, "no such file", "check the name") from None
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise InputError(
+            shown(str(path)), "", None, f"cannot be read ({reason})", "check name and permissions"
+        ) from None
+    if not (len(data) <= limit):
+        raise InputError(
+            path,
+            "size",
+            f"over {limit} bytes",
+            f"<= {limit} bytes",
+            "raise file_size_limit_mb in site.toml or split it",
+        )
+    return data
+
+
+def decode(path: object, data: bytes) -> str:
+    """The file's text.
+
+    Raises:
+        InputError: not UTF-8; names line and byte.
+    """
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            path, f"line {line}", f"byte 0x{data[error.start]:02x}", "UTF-8 text", "save the file as UTF-8"
+        ) from None
+
+
+def parse_toml(path: object, data: bytes) -> dict[str, Any]:
+    """The TOML document.
+
+    Raises:
+        InputError: not UTF-8 or not TOML; names line and column.
+    """
+    try:
+        return tomllib.loads(decode(path, data))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, "", None, f"not valid TOML: {error}", "correct the file") from None
+    except (RecursionError, ValueError) as error:  # nesting without end; an integer of thousands of digits
+        raise InputError(
+            path, "", None, f"not usable TOML: {shown(str(error))}", "correct the file"
+        ) from None
+
+
+def parse_json(path: object, data: bytes) -> Any:
+    """The JSON document; NaN, Infinity, overflowing numbers and duplicate keys are refused.
+
+    Raises:
+        InputError: names line and column, or the key.
+    """
+
+    def constant(text: str) -> Any:
+        raise InputError(path, "", text, "a finite number", "JSON has no NaN and no Infinity")
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            raise InputError(path, "", text, "a finite number", "write a number a double can hold")
+        return value
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        document = dict(pairs)
+        if len(document) < len(pairs):
+            key = next(key for key, times in Counter(key for key, _ in pairs).items() if times > 1)
+            raise InputError(path, shown(key), "given twice", "given once", "remove one of the two")
+        return document
+
+    text = decode(path, data)
+    try:
+        return json.loads(text, parse_constant=constant, parse_float=number, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            path,
+            f"line {error.lineno} column {error.colno}",
+            None,
+            f"not valid JSON: {error.msg}",
+            "correct the file",
+        ) from None
+    except (RecursionError, ValueError) as error:
+        raise InputError(
+            path, "", None, f"not usable JSON: {shown(str(error))}", "correct the file"
+        ) from None
+
+
+def validate(path: object, model: type[M], document: object, schema: str) -> M:
+    """The document as ``model``, which has a ``schema`` key.
+
+    Raises:
+        InputError: lists every problem; a wrong or missing schema alone, because nothing else means much then.
+    """
+    if not isinstance(document, dict):
+        raise InputError(path, "", shown(document), "an object with keys", f'start with schema "{schema}"')
+    if document.get("schema") != schema:
+        found = document.get("schema", "missing")
+        raise InputError(path, "schema", found, f'"{schema}"', "this file is of another kind or version")
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        raise InputError.of([_problem(str(path), item, model) for item in details]) from None
+
+
+def load_robot(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Robot]:
+    """The robot's description (``robot.toml``).
+
+    Raises:
+        InputError: lists every problem of the file.
+    """
+    data = read_bytes(path, limit)
+    return Loaded(validate(path, Robot, parse_toml(path, data), "cutgate.robot/1"), data, Path(path))
+
+
+def load_site(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Site]:
+    """The site's settings (``site.toml``).
+
+    Raises:
+        InputError: lists every problem of the file.
+    """
+    data = read_bytes(path, limit)
+    return Loaded(validate(path, Site, parse_toml(path, data), "cutgate.site/1"), data, Path(path))
+
+
+_COMPARISONS: Final = {"greater_than_equal": (">=", "ge"), "greater_than": (">", "gt"),
+                       "less_than_equal": ("<=", "le"), "less_than": ("<", "lt")}  # fmt: skip
+
+
+def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
+    """One pydantic error in this program's words."""
+    context = item.get("ctx", {})
+    kind = item["type"]
+    key = ".".join(str(part) for part in item["loc"])
+    value = shown(item["input"])
+    if kind in _COMPARISONS:
+        sign, limit = _COMPARISONS[kind]
+        return Problem(file, key, value, f"{sign} {context[limit]}", f"correct {key}")
+    if kind == "missing":
+        return Problem(file, key, "missing", "given", f"add {key}")
+    if kind == "extra_forbidden":
+        known = ", ".join(_known_keys(model, item["loc"][:-1]))
+        return Problem(file, key, value, f"one of the known keys here ({known})", "remove or correct it")
+    if kind == RULE:
+        found = context["found"]
+        return Problem(
+            file, context["key"] or key, shown(found) or value, context["bound"], context["remedy"]
+        )
+    return Problem(file, key, value, _readable(item["msg"]), f"correct {key}")
+
+
+def _readable(message: str) -> str:
+    """Pydantic's message as the end of "must be ..."."""
+    if message.startswith("Input should be a valid dictionary"):
+        return "a table of keys"
+    message = message.replace("valid tuple", "list").replace("Tuple", "List").replace(" after validation", "")
+    subject, should, rest = message.partition(" should ")
+    if not should:
+        return message
+    rest = rest.removeprefix("be ")
+    return (
+        rest
+        if subject == "Input"
+        else f"a {subject.lower()} that should {rest}".replace("should have", "has")
+    )
+
+
+def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """The keys the model accepts at ``place``."""
+    current = model
+    for part in place:
+        annotation = current.model_fields[str(part)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            return []
+        current = annotation
+    return [field.alias or name for name, field in current.model_fields.items()]

@@ -1,0 +1,283 @@
+"""What a site's configuration files hold: the robot (``robot.toml``) and the site (``site.toml``).
+
+Fields, units and frames: ``docs/files.md``. Every value is bounded, unknown keys are refused, nothing is
+converted silently, and non-finite numbers do not exist here.
+"""
+
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
+
+LINK_MM: Final = 10_000.0
+TURNS_DEG: Final = 36_000.0
+"""Stand-in for a joint without limits: 100 turns."""
+FOLD_DEG: Final = 180.0
+
+Real = Annotated[float, Strict(), AllowInfNan(False)]
+Integer = Annotated[int, Strict()]
+Text = Annotated[str, Strict(), Field(min_length=1, max_length=200)]
+Name = Annotated[str, Strict(), Field(min_length=1, max_length=64, pattern=r"^[ -~]+$")]
+
+
+RULE: Final = "rule"
+"""Type of the errors that this program's own validators raise."""
+
+
+def broken(bound: str, remedy: str, *, key: str = "", found: object = None) -> PydanticCustomError:
+    """The error of a rule over several fields; ``config.load`` turns it into the user's line.
+
+    Args:
+        bound: what must hold, to be read after "must be".
+        remedy: what to do.
+        key: dotted key, where the rule is about more than the validated field itself.
+        found: the offending value, where it is not the validated field itself.
+    """
+    return PydanticCustomError(
+        RULE, "{bound}", {"bound": bound, "remedy": remedy, "key": key, "found": found}
+    )
+
+
+class Strictly(BaseModel):
+    """Frozen, and refuses unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Length = Annotated[Real, Field(gt=0, le=LINK_MM)]
+LinkError = Annotated[Real, Field(ge=-100, le=100)]
+Speed = Annotated[Real, Field(gt=0, le=1e6)]
+
+
+class Arm(Strictly):
+    """Link lengths: ``upper_link_mm`` a0 (shoulder to elbow), ``forearm_link_mm`` a1 (elbow to wrist)."""
+
+    upper_link_mm: Length
+    forearm_link_mm: Length
+
+
+class MountedTool(Strictly):
+    """The mounted tool: ``length_mm`` from the wrist centre to the cutter's tip."""
+
+    length_mm: Annotated[Real, Field(ge=0, le=2_000)]
+
+
+Angles = tuple[
+    Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)], Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)]
+]
+Folds = tuple[
+    Annotated[Real, Field(ge=-FOLD_DEG, le=FOLD_DEG)], Annotated[Real, Field(ge=-FOLD_DEG, le=FOLD_DEG)]
+]
+Pitches = tuple[Annotated[Real, Field(ge=0, le=FOLD_DEG)], Annotated[Real, Field(ge=0, le=FOLD_DEG)]]
+Heights = tuple[
+    Annotated[Real, Field(ge=-LINK_MM, le=LINK_MM)], Annotated[Real, Field(ge=-LINK_MM, le=LINK_MM)]
+]
+
+
+class JointLimits(Strictly):
+    """Position limits (lower, upper) and speed limits of joints 0 to 4.
+
+    Rotary joints in degrees, the slide in mm; speeds in rad/s and mm/s, accelerations in rad/s2 and mm/s2.
+    """
+
+    q0_deg: Angles
+    q1_deg: Folds
+    q2_mm: Heights
+    q3_deg: Angles
+    q4_deg: Pitches
+    speed: tuple[Speed, Speed, Speed, Speed, Speed]
+    acceleration: tuple[Speed, Speed, Speed, Speed, Speed] | None = None
+
+    @field_validator("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
+    @classmethod
+    def _ordered(cls, pair: tuple[float, float]) -> tuple[float, float]:
+        if not (pair[0] < pair[1]):
+            raise broken("[lower, upper] with lower < upper", "write the smaller limit first")
+        return pair
+
+
+class CalibrationErrors(Strictly):
+    """What calibration found: true = nominal + error (links), true = reported + offset (joints).
+
+    ``joint_offset_deg`` has the slide's entry in mm; ``slide_tilt_mrad`` leans toward +x and +y.
+    The residuals are what calibration left unexplained; they widen the deadbands.
+    """
+
+    upper_link_error_mm: LinkError = 0.0
+    forearm_link_error_mm: LinkError = 0.0
+    joint_offset_deg: tuple[
+        Annotated[Real, Field(ge=-180, le=180)],
+        Annotated[Real, Field(ge=-180, le=180)],
+        Annotated[Real, Field(ge=-1000, le=1000)],
+        Annotated[Real, Field(ge=-180, le=180)],
+        Annotated[Real, Field(ge=-180, le=180)],
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    slide_tilt_mrad: tuple[Annotated[Real, Field(ge=-20, le=20)], Annotated[Real, Field(ge=-20, le=20)]] = (
+        0.0,
+        0.0,
+    )
+    residual_mm: Annotated[Real, Field(ge=0, le=100)] = 0.0
+    residual_deg: Annotated[Real, Field(ge=0, le=45)] = 0.0
+
+
+class Wrist(Strictly):
+    """What the wrist does while the tool is exactly vertical."""
+
+    hold_roll_when_vertical: Annotated[bool, Strict()] = False
+    hold_roll_deg: Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)] = 0.0
+
+
+class DeadbandSetting(Strictly):
+    """How far every boundary is kept away from; the path tolerances widen it."""
+
+    arm_mm: Annotated[Real, Field(gt=0, le=1000)]
+    wrist_deg: Annotated[Real, Field(gt=0, le=90)]
+    path_tolerance_mm: Annotated[Real, Field(ge=0, le=100)] = 0.0
+    path_tolerance_deg: Annotated[Real, Field(ge=0, le=45)] = 0.0
+
+
+class Robot(Strictly):
+    """``robot.toml``: geometry, limits and deadband of one robot, as the site approved them."""
+
+    schema_: Annotated[Literal["cutgate.robot/1"], Field(alias="schema")] = "cutgate.robot/1"
+    name: Text
+    elbow: Literal["right", "left"]
+    arm: Arm
+    tool: MountedTool
+    limits: JointLimits
+    calibration: CalibrationErrors = CalibrationErrors()
+    wrist: Wrist = Wrist()
+    deadband: DeadbandSetting
+
+    @model_validator(mode="after")
+    def _elbow_agrees(self) -> Self:
+        low, high = self.limits.q1_deg
+        if not (low >= 0 if self.elbow == "right" else high <= 0):
+            bound = f"{'>= 0' if self.elbow == 'right' else '<= 0'} throughout for the {self.elbow} elbow"
+            raise broken(bound, "change elbow or the limits", key="limits.q1_deg", found=[low, high])
+        return self
+
+    @model_validator(mode="after")
+    def _links_stay_positive(self) -> Self:
+        pairs = {
+            "upper_link": (self.arm.upper_link_mm, self.calibration.upper_link_error_mm),
+            "forearm_link": (self.arm.forearm_link_mm, self.calibration.forearm_link_error_mm),
+        }
+        for name, (nominal, error) in pairs.items():
+            if not (nominal + error > 0):
+                raise broken(
+                    f"longer than 0 mm together with calibration.{name}_error_mm",
+                    "correct one of the two",
+                    key=f"arm.{name}_mm",
+                    found=f"{nominal} + {error}",
+                )
+        return self
+
+
+def _constant(name: str) -> Any:
+    """The field of a constant: its default and bounds from the one table."""
+    constant = CONSTANTS[name]
+    whole = all(float(value).is_integer() for value in (constant.default, constant.low, constant.high))
+    default = int(constant.default) if whole else constant.default
+    return Field(default=default, ge=constant.low, le=constant.high, description=constant.meaning)
+
+
+class Bus(Strictly):
+    """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program."""
+
+    interface: Name | None = None
+    channel: Name | None = None
+    bitrate_bit_s: Annotated[int, Strict(), Field(ge=10_000, le=1_000_000)] = 1_000_000
+
+
+class Timing(Strictly):
+    """Periods and time-outs; see ``config.constants``."""
+
+    heartbeat_ms: Integer = _constant("heartbeat_ms")
+    timeout_ms: Integer = _constant("timeout_ms")
+    transfer_timeout_s: Integer = _constant("transfer_timeout_s")
+    reply_timeout_ms: Integer = _constant("reply_timeout_ms")
+    announce_ms: Integer = _constant("announce_ms")
+    announce_wait_s: Integer = _constant("announce_wait_s")
+    verify_timeout_s: Integer = _constant("verify_timeout_s")
+    operator_wait_s: Integer = _constant("operator_wait_s")
+    stop_confirm_ms: Integer = _constant("stop_confirm_ms")
+
+    @model_validator(mode="after")
+    def _three_heartbeats(self) -> Self:
+        if not (self.timeout_ms >= TIMEOUT_HEARTBEATS * self.heartbeat_ms):
+            raise broken(
+                f">= {TIMEOUT_HEARTBEATS} heartbeats of {self.heartbeat_ms} ms",
+                "raise it or shorten heartbeat_ms",
+                key="timing.timeout_ms",
+                found=self.timeout_ms,
+            )
+        return self
+
+
+class Link(Strictly):
+    """Tolerances of the end-to-end protection."""
+
+    counter_step: Integer = _constant("counter_step")
+    crc_failures: Integer = _constant("crc_failures")
+    crc_window_ms: Integer = _constant("crc_window_ms")
+
+
+class Permit(Strictly):
+    """The permit's lifetime."""
+
+    permit_lifetime_s: Integer = _constant("permit_lifetime_s")
+
+
+class Start(Strictly):
+    """The start's lifetime and how near to the first pose the arm must stand."""
+
+    start_lifetime_ms: Integer = _constant("start_lifetime_ms")
+    start_tolerance_mm: Real = _constant("start_tolerance_mm")
+    start_tolerance_deg: Real = _constant("start_tolerance_deg")
+
+
+class Log(Strictly):
+    """Where session logs go and how late their records may be durable."""
+
+    directory: Text = "cutgate-logs"
+    commit_deadline_ms: Integer = _constant("commit_deadline_ms")
+    checkpoint_deadline_ms: Integer = _constant("checkpoint_deadline_ms")
+    chunk_period_ms: Integer = _constant("chunk_period_ms")
+
+
+class Files(Strictly):
+    """How large input files may be."""
+
+    file_size_limit_mb: Integer = _constant("file_size_limit_mb")
+    pose_limit: Integer = _constant("pose_limit")
+
+
+class ExpectedController(Strictly):
+    """The controller this site expects; without ``serial`` any."""
+
+    serial: Name | None = None
+
+
+class Site(Strictly):
+    """``site.toml``: bus, timing, lifetimes, log directory. ``Site()`` is the default site."""
+
+    schema_: Annotated[Literal["cutgate.site/1"], Field(alias="schema")] = "cutgate.site/1"
+    bus: Bus = Bus()
+    timing: Timing = Timing()
+    link: Link = Link()
+    permit: Permit = Permit()
+    start: Start = Start()
+    log: Log = Log()
+    files: Files = Files()
+    controller: ExpectedController = ExpectedController()
+    key_file: Text | None = None
+    registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None
+
+    def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
+        """The value of every constant, or of those sent in OPEN, by name, in the table's order."""
+        tables = (self.timing, self.link, self.permit, self.start, self.log, self.files)
+        values = {name: value for table in tables for name, value in table.model_dump().items()}
+        return {name: values[name] for name, c in CONSTANTS.items() if c.exchanged or not exchanged_only}

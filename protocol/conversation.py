@@ -1,0 +1,302 @@
+"""The records of the conversation: announce, open, upload, nonce, permit, start, reset, replies."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
+
+from protocol.path import TURNS_MAX, ElbowCode
+from protocol.wire import (
+    I16,
+    U8,
+    U16,
+    U32,
+    Ascii16,
+    Block,
+    CauseCode,
+    Channel,
+    Counts5,
+    Digest32,
+    Mac16,
+    Nested,
+    Nonce16,
+    PurposeCode,
+    Record,
+    RecordError,
+    RefusalCode,
+    Side,
+    StateCode,
+    digest,
+)
+
+PROTOCOL_VERSION = 1
+
+NO_MAC = bytes(16)
+"""Stands in a record that is not signed yet."""
+
+
+@dataclass(frozen=True)
+class Announce(Record):
+    """The controller is there: who it is and which boot this is."""
+
+    TYPE: ClassVar[int] = 0x01
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    OUTSIDE_SESSION: ClassVar[bool] = True
+    INSIDE_SESSION: ClassVar[bool] = False
+
+    protocol_version: U16
+    firmware_version: Ascii16
+    serial: Ascii16
+    boot_nonce: Nonce16
+    state: StateCode
+    cause: CauseCode
+
+
+@dataclass(frozen=True)
+class Timing(Block):
+    """The constants both sides must agree on; the controller refuses values outside its own bounds."""
+
+    heartbeat_ms: U16
+    timeout_ms: U16
+    permit_lifetime_s: U16
+    start_lifetime_ms: U16
+    start_tolerance_um: U16
+    start_tolerance_mdeg: U16
+
+
+@dataclass(frozen=True)
+class Open(Record):
+    """The runtime asks for a session."""
+
+    TYPE: ClassVar[int] = 0x02
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    OUTSIDE_SESSION: ClassVar[bool] = True
+    INSIDE_SESSION: ClassVar[bool] = False
+
+    protocol_version: U16
+    boot_nonce: Nonce16
+    runtime_nonce: Nonce16
+    registration_digest: Digest32
+    timing: Annotated[Timing, Nested(Timing)]
+
+
+@dataclass(frozen=True)
+class Opened(Record):
+    """The session is open; sent with its tag. A refusal is a Reply."""
+
+    TYPE: ClassVar[int] = 0x03
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    epoch: U8
+    state: StateCode
+    cause: CauseCode
+
+
+@dataclass(frozen=True)
+class Collect(Record):
+    """Asks for Limits, Calibration and Tool, which come on the bulk channel."""
+
+    TYPE: ClassVar[int] = 0x04
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+
+@dataclass(frozen=True)
+class BlockStored(Record):
+    """The controller has stored this block; the next one may come."""
+
+    TYPE: ClassVar[int] = 0x21
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.BULK
+
+    index: U16
+
+
+@dataclass(frozen=True)
+class PathStored(Record):
+    """The digest of what the controller has stored, or its refusal and the pose that is at fault."""
+
+    TYPE: ClassVar[int] = 0x22
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.BULK
+
+    digest: Digest32
+    refusal: RefusalCode
+    pose: U32
+
+
+@dataclass(frozen=True)
+class NonceRequest(Record):
+    """Asks for a nonce; the new one voids the old."""
+
+    TYPE: ClassVar[int] = 0x05
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    purpose: PurposeCode
+
+
+@dataclass(frozen=True)
+class Nonce(Record):
+    """The controller's nonce, and the epoch in which it is good."""
+
+    TYPE: ClassVar[int] = 0x06
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    purpose: PurposeCode
+    nonce: Nonce16
+    epoch: U8
+
+
+@dataclass(frozen=True)
+class SignedRecord(Record):
+    """A record whose last field is its message authentication code."""
+
+    DOMAIN: ClassVar[bytes]
+
+    def canonical(self) -> bytes:
+        """What is signed: the domain's name, a zero byte, and the body without its code."""
+        return self.DOMAIN + b"\0" + self.body()[: -len(NO_MAC)]
+
+    def with_mac(self, mac: bytes) -> Self:
+        """The same record with this code."""
+        return replace(self, mac=mac)  # type: ignore[call-arg]
+
+
+@dataclass(frozen=True)
+class Branch(Block):
+    """The joint branch in which the whole path stays."""
+
+    elbow: ElbowCode
+    q0_turns: I16
+    roll_turns: I16
+
+    def check(self) -> None:
+        """Refuse turns no joint has."""
+        for name, turns in (("q0_turns", self.q0_turns), ("roll_turns", self.roll_turns)):
+            if not abs(turns) <= TURNS_MAX:
+                raise RecordError(f"Branch.{name} is {turns}, must be within +-{TURNS_MAX}")
+
+
+@dataclass(frozen=True)
+class Permit(SignedRecord):
+    """The permission to enter cutting mode, for exactly what it names. `lifetime_s` runs from the nonce on."""
+
+    TYPE: ClassVar[int] = 0x07
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/permit/1"
+
+    nonce: Nonce16
+    boot_nonce: Nonce16
+    session_digest: Digest32
+    serial: Ascii16
+    protocol_version: U16
+    epoch: U8
+    limits_digest: Digest32
+    calibration_digest: Digest32
+    tool_digest: Digest32
+    path_digest: Digest32
+    registration_digest: Digest32
+    configuration_digest: Digest32
+    verifier_version: Ascii16
+    start_joints_u: Counts5
+    branch: Annotated[Branch, Nested(Branch)]
+    lifetime_s: U16
+    mac: Mac16 = NO_MAC
+
+    @property
+    def digest(self) -> bytes:
+        """SHA-256 of the body with its code: what a Start names."""
+        return digest(self.body())
+
+
+@dataclass(frozen=True)
+class Start(SignedRecord):
+    """The order to cut under a permit."""
+
+    TYPE: ClassVar[int] = 0x08
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/start/1"
+
+    nonce: Nonce16
+    epoch: U8
+    session_digest: Digest32
+    permit_digest: Digest32
+    start_joints_u: Counts5
+    mac: Mac16 = NO_MAC
+
+
+@dataclass(frozen=True)
+class Reset(SignedRecord):
+    """Leaves a latched fault of this cause, after it was acknowledged. Starts nothing."""
+
+    TYPE: ClassVar[int] = 0x09
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/reset/1"
+
+    nonce: Nonce16
+    epoch: U8
+    session_digest: Digest32
+    cause: CauseCode
+    mac: Mac16 = NO_MAC
+
+
+@dataclass(frozen=True)
+class Acknowledge(Record):
+    """The operator has seen this cause."""
+
+    TYPE: ClassVar[int] = 0x0A
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    cause: CauseCode
+
+
+@dataclass(frozen=True)
+class Withdraw(Record):
+    """This registration no longer holds; the controller keeps it on its withdrawn list."""
+
+    TYPE: ClassVar[int] = 0x0B
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    registration_digest: Digest32
+
+
+@dataclass(frozen=True)
+class Reply(Record):
+    """The controller's answer to a request, named by its type and sequence. Session 0 when none is open."""
+
+    TYPE: ClassVar[int] = 0x0C
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    OUTSIDE_SESSION: ClassVar[bool] = True
+
+    request_type: U8
+    request_sequence: U32
+    refusal: RefusalCode
+    cause: CauseCode
+    detail: U32
+
+
+def session_digest(boot_nonce: bytes, runtime_nonce: bytes) -> bytes:
+    """What names a session: SHA-256 over its domain and both sides' nonces, 32 bytes."""
+    for name, nonce in (("boot_nonce", boot_nonce), ("runtime_nonce", runtime_nonce)):
+        if len(nonce) != 16:
+            raise RecordError(f"{name} is {len(nonce)} bytes, must be 16")
+    return digest(b"cutgate/session/1" + boot_nonce + runtime_nonce)
+
+
+def session_tag(boot_nonce: bytes, runtime_nonce: bytes) -> int:
+    """The first four bytes of the session's digest, little endian: virtual bytes of every single frame."""
+    return int.from_bytes(session_digest(boot_nonce, runtime_nonce)[:4], "little")
+
+
+def nonce_serves(boot_nonce: bytes, runtime_nonce: bytes) -> bool:
+    """Whether these nonces may open a session: tag 0 means "no session", so the runtime draws again."""
+    return session_tag(boot_nonce, runtime_nonce) != 0

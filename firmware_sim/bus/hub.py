@@ -1,0 +1,374 @@
+"""The hub of the virtual bus: one process that joins every client of one AF_UNIX socket into a CAN bus.
+
+What it guarantees:
+
+- Each frame reaches every other client, and its sender only if that asked for its own frames.
+- One order for all: any two clients see the frames they both receive in the same order, the order of the log.
+- Nothing is lost silently. Each client has its own bounded queue; a client that does not read neither blocks the
+  others nor makes them lose a frame. When its own queue is full, it is told where and how many frames it lost.
+- The socket has mode 0600 before anybody can connect. A dead hub's socket is replaced, a living hub's never.
+"""
+
+import fcntl
+import os
+import select
+import socket
+import stat
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Self, TextIO
+
+from firmware_sim.bus import candump, wire
+from firmware_sim.bus.wire import Flag, Kind, Record, WireError
+
+QUEUE_FRAMES: Final = 65_536
+MAX_CLIENTS: Final = 64
+MAX_SOCKET_PATH_BYTES: Final = 107
+
+_READS_A_TURN: Final = 64  # a busy client waits for its next turn after so many frames
+_READ: Final = select.POLLIN
+_READ_WRITE: Final = select.POLLIN | select.POLLOUT
+_GONE: Final = select.POLLHUP | select.POLLERR | select.POLLNVAL
+_LOCK_TRIES: Final = 200
+_LOCK_PAUSE_S: Final = 0.01
+
+
+class HubError(Exception):
+    """The hub cannot serve: the socket's place, or the log."""
+
+
+@dataclass(slots=True, eq=False)
+class _Client:
+    """A connected client; it takes part from its HELLO on."""
+
+    sock: socket.socket
+    name: str
+    joined: bool = False
+    fd_frames: bool = False
+    own_frames: bool = False
+    queue: deque[bytes] = field(default_factory=deque)
+    lost: int = 0
+
+
+class Hub:
+    """A hub bound to its socket; `serve` runs it until `stop`.
+
+    Args:
+        path: where the socket is made; its directory must exist.
+        queue_frames: frames that wait for one client before it loses some.
+        report: told about overruns and refused clients, one line each.
+
+    Raises:
+        HubError: a living hub serves there, something else stands there, or the path cannot be a socket's.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        queue_frames: int = QUEUE_FRAMES,
+        report: Callable[[str], None] | None = None,
+    ) -> None:
+        if not queue_frames >= 2:
+            raise HubError(f"queue of {queue_frames} frames: at least 2 are needed")
+        self.path = path
+        self._log: TextIO | None = None
+        self._log_name = "_".join(path.stem.split()) or "cutgate"
+        self._queue_frames = queue_frames
+        self._report = report or _to_stderr
+        self._clients: dict[int, _Client] = {}
+        self._lost_clients: set[int] = set()
+        self._last_ns = 0
+        self._stopped = False
+        self._watched = -1
+        self._born = 0
+        self._listener = _listen(path)
+        self._identity = _identity(path)
+        self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._poll = select.poll()
+        self._poll.register(self._listener, _READ)
+        self._poll.register(self._wake_read, _READ)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def stop(self) -> None:
+        """Make `serve` return; may be called from a signal handler or another thread, and more than once."""
+        os.write(self._wake_write, b"s")
+
+    def log_to(self, log: TextIO) -> None:
+        """Write each frame from now on as a line of `candump -L`."""
+        self._log = log
+
+    def stop_when_closed(self, descriptor: int) -> None:
+        """End as well when the other end of this pipe is closed, so that no hub outlives who started it."""
+        self._watched = descriptor
+        self._poll.register(descriptor, _READ)
+
+    def serve(self) -> None:
+        """Carry frames until stopped.
+
+        Raises:
+            HubError: the log cannot be written; a bus whose log has a gap must not go on.
+        """
+        while not self._stopped:
+            for descriptor, events in self._poll.poll():
+                self._attend(descriptor, events)
+                self._drop_lost_clients()
+            self._flush_log()
+
+    def close(self) -> None:
+        """Close every connection and remove the socket, if it is still this hub's own."""
+        if self._listener.fileno() < 0:
+            return
+        if _identity(self.path) == self._identity:
+            self.path.unlink()
+        for client in self._clients.values():
+            client.sock.close()
+        self._clients.clear()
+        self._listener.close()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def _attend(self, descriptor: int, events: int) -> None:
+        if descriptor == self._wake_read:
+            self._stopped = True
+        elif descriptor == self._watched:
+            self._stopped = self._stopped or not os.read(descriptor, 4096)
+        elif descriptor == self._listener.fileno():
+            self._accept()
+        elif (client := self._clients.get(descriptor)) is not None:
+            if events & select.POLLOUT:
+                self._flush(client)
+            if events & (_READ | _GONE):
+                self._read(client)
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._listener.accept()
+        except (BlockingIOError, ConnectionAbortedError):
+            return  # the client has gone again
+        sock.setblocking(False)
+        self._born += 1
+        client = _Client(sock, f"client {self._born} (process {_peer_process(sock)})")
+        self._clients[sock.fileno()] = client
+        self._poll.register(sock, _READ)
+        if len(self._clients) > MAX_CLIENTS:
+            self._refuse(client, f"the bus has {MAX_CLIENTS} clients already")
+
+    def _read(self, client: _Client) -> None:
+        for _ in range(_READS_A_TURN):
+            try:
+                raw = client.sock.recv(wire.MAX_RECORD + 1)
+            except BlockingIOError:
+                return
+            except OSError:
+                raw = b""
+            if not raw:
+                self._lost_clients.add(client.sock.fileno())
+                return
+            try:
+                self._take(client, wire.parse(raw))
+            except WireError as error:
+                self._refuse(client, str(error))
+                return
+
+    def _take(self, client: _Client, record: Record) -> None:
+        if client.joined and record.kind is Kind.FRAME:
+            self._carry(client, record)
+        elif not client.joined and record.kind is Kind.HELLO and record.data == wire.MAGIC:
+            client.fd_frames = bool(record.flags & Flag.FD)
+            client.own_frames = bool(record.flags & Flag.OWN)
+            self._offer(client, Record(Kind.WELCOME).pack())
+            client.joined = True
+        else:
+            raise WireError(f"{record.kind.name} is out of place")
+
+    def _carry(self, sender: _Client, frame: Record) -> None:
+        """Put one frame on the bus: stamp it, log it, offer it to all who take it."""
+        wire.check_frame(frame)
+        if frame.flags & Flag.OWN:
+            raise WireError("flag OWN is the hub's to set")
+        self._last_ns = max(self._last_ns, time.time_ns())
+        stamped = Record(Kind.FRAME, frame.flags, frame.number, self._last_ns, frame.length, frame.data)
+        raw = stamped.pack()
+        if self._log is not None:
+            self._write_log(stamped)
+        for client in self._clients.values():
+            if not client.joined or (frame.flags & Flag.FD and not client.fd_frames):
+                continue
+            if client is not sender:
+                self._offer(client, raw)
+            elif client.own_frames:
+                own = Record(
+                    Kind.FRAME, frame.flags | Flag.OWN, frame.number, self._last_ns, frame.length, frame.data
+                )
+                self._offer(client, own.pack())
+
+    def _offer(self, client: _Client, raw: bytes) -> None:
+        if client.lost or len(client.queue) >= self._queue_frames:
+            client.lost += 1
+        elif client.queue or not self._send(client, raw):
+            client.queue.append(raw)
+            if len(client.queue) == 1:
+                self._poll.modify(client.sock, _READ_WRITE)
+
+    def _flush(self, client: _Client) -> None:
+        queue = client.queue
+        while queue and self._send(client, queue[0]):
+            queue.popleft()
+        if client.lost and len(queue) <= self._queue_frames // 2:
+            # Only half-way down, so that a client at its limit gets frames in runs, not one here and there.
+            told = Record(Kind.OVERRUN, number=min(client.lost, 0xFFFF_FFFF), time_ns=self._last_ns)
+            queue.append(told.pack())
+            self._report(f"{client.name} lost {client.lost} frames: it reads too slowly")
+            client.lost = 0
+        if not queue:
+            self._poll.modify(client.sock, _READ)
+
+    def _send(self, client: _Client, raw: bytes) -> bool:
+        """Whether the record is dealt with: sent, or its receiver is gone."""
+        try:
+            client.sock.send(raw, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self._lost_clients.add(client.sock.fileno())
+        return True
+
+    def _refuse(self, client: _Client, reason: str) -> None:
+        self._report(f"{client.name} refused: {reason}")
+        self._send(client, wire.refused(reason).pack())
+        self._lost_clients.add(client.sock.fileno())
+
+    def _drop_lost_clients(self) -> None:
+        for descriptor in self._lost_clients:
+            client = self._clients.pop(descriptor, None)
+            if client is not None:
+                self._poll.unregister(descriptor)
+                client.sock.close()
+        self._lost_clients.clear()
+
+    def _write_log(self, frame: Record) -> None:
+        assert self._log is not None  # noqa: S101 - narrowed by the caller
+        try:
+            self._log.write(candump.line(frame, self._log_name))
+        except OSError as error:
+            raise HubError(
+                f"log {self._log.name} cannot be written: {error.strerror}; free some space"
+            ) from error
+
+    def _flush_log(self) -> None:
+        if self._log is None:
+            return
+        try:
+            self._log.flush()
+        except OSError as error:
+            raise HubError(
+                f"log {self._log.name} cannot be written: {error.strerror}; free some space"
+            ) from error
+
+
+def is_served(path: Path) -> bool:
+    """Whether a living hub, or anything else that accepts connections of its kind, listens at `path`.
+
+    Raises:
+        HubError: something that is no hub's socket stands there.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except BlockingIOError:
+            return True  # its queue of new connections is full
+        except OSError as error:
+            raise HubError(f"socket {path}: {error.strerror}; give another path") from error
+    return True
+
+
+def _listen(path: Path) -> socket.socket:
+    """Take the socket's place, one hub at a time.
+
+    Raises:
+        HubError: see `Hub`.
+    """
+    if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
+        raise HubError(
+            f"socket {path}: a path of {len(os.fsencode(path))} bytes, at most {MAX_SOCKET_PATH_BYTES}; "
+            "give a shorter one"
+        )
+    try:
+        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError as error:
+        raise HubError(f"directory {path.parent} of the socket: {error.strerror}; make it first") from error
+    listener = socket.socket(
+        socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC
+    )
+    try:
+        _lock(
+            directory, path
+        )  # two hubs that start at once must not take each other's fresh socket for a dead one
+        _clear_place(path)
+        listener.bind(str(path))
+        path.chmod(0o600)  # before listen(): until then every connection is refused
+        listener.listen(MAX_CLIENTS)
+    except OSError as error:
+        listener.close()
+        raise HubError(f"socket {path}: {error.strerror}; give a path this user can write to") from error
+    except HubError:
+        listener.close()
+        raise
+    finally:
+        os.close(directory)
+    return listener
+
+
+def _lock(directory: int, path: Path) -> None:
+    for _ in range(_LOCK_TRIES):
+        try:
+            fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(_LOCK_PAUSE_S)
+        else:
+            return
+    raise HubError(
+        f"directory {path.parent} of the socket stays locked by another process; give another path"
+    )
+
+
+def _clear_place(path: Path) -> None:
+    """Remove a dead hub's socket; refuse anything else that stands there."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise HubError(f"{path} exists and is not a socket; give another path")
+    if is_served(path):
+        raise HubError(f"a hub is already serving on {path}; use it, end it, or give another path")
+    path.unlink()
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _peer_process(sock: socket.socket) -> int:
+    return int.from_bytes(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 4), sys.byteorder)
+
+
+def _to_stderr(line: str) -> None:
+    print(f"bus: {line}", file=sys.stderr, flush=True)  # noqa: T201 - the hub's terminal

@@ -1,0 +1,1 @@
+"""Fixtures for hardware-in-the-loop tests."""

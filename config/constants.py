@@ -63,7 +63,7 @@ TABLE: Final[tuple[Constant, ...]] = (
     ),
     Constant("chunk_period_ms", "ms", 1000, 100, 1000, False, "oldest unwritten record of the log"),
     Constant("file_size_limit_mb", "MB", 64, 1, 1024, False, "largest input file that is read (1 MB = 1 000 000 bytes)"),
-    Constant("pose_limit", "poses", 2_000_000, 2, 10_000_000, False, "longest path that is read"),
+    Constant("pose_limit", "poses", 1_048_576, 2, 1_048_576, False, "longest path that is read; the wire carries no longer one"),
 )  # fmt: skip
 
 CONSTANTS: Final = MappingProxyType({constant.name: constant for constant in TABLE})

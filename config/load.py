@@ -21,6 +21,8 @@ from pydantic_core import ErrorDetails
 
 from config.constants import CONSTANTS
 from config.model import RULE, Robot, Site
+from config.records import calibration_record, limits_record, tool_record
+from protocol.wire import RecordError
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -106,7 +108,7 @@ def shown(value: object) -> str:
     """A value for a message: on one line, printable, at most 60 characters; empty for None."""
     if value is None:
         return ""
-    text = value if isinstance(value, str) else ascii(value)
+    text = value if isinstance(value, str) and value else ascii(value)
     text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
     return text if len(text) <= _VALUE_CHARACTERS else text[: _VALUE_CHARACTERS - 3] + "..."
 
@@ -242,7 +244,29 @@ def load_robot(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Load
         InputError: lists every problem of the file.
     """
     data = read_bytes(path, limit)
-    return Loaded(validate(path, Robot, parse_toml(path, data), "cutgate.robot/1"), data, Path(path))
+    return Loaded(robot_from_bytes(path, data), data, Path(path))
+
+
+def robot_from_bytes(path: object, data: bytes) -> Robot:
+    """The robot in ``data``; ``path`` serves for messages.
+
+    Raises:
+        InputError: lists every problem, those of the quantised records included.
+    """
+    robot = validate(path, Robot, parse_toml(path, data), "cutgate.robot/1")
+    for key, build in {
+        "limits": limits_record,
+        "calibration": calibration_record,
+        "tool": tool_record,
+    }.items():
+        try:
+            faults = build(robot).problems()
+        except RecordError as error:
+            faults = [str(error)]
+        if faults:
+            bound = "what a controller can report, in steps of 1e-6"
+            raise InputError.of([Problem(str(path), key, fault, bound, "") for fault in faults])
+    return robot
 
 
 def load_site(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Site]:
@@ -252,7 +276,16 @@ def load_site(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loade
         InputError: lists every problem of the file.
     """
     data = read_bytes(path, limit)
-    return Loaded(validate(path, Site, parse_toml(path, data), "cutgate.site/1"), data, Path(path))
+    return Loaded(site_from_bytes(path, data), data, Path(path))
+
+
+def site_from_bytes(path: object, data: bytes) -> Site:
+    """The site in ``data``; ``path`` serves for messages.
+
+    Raises:
+        InputError: lists every problem.
+    """
+    return validate(path, Site, parse_toml(path, data), "cutgate.site/1")
 
 
 _COMPARISONS: Final = {"greater_than_equal": (">=", "ge"), "greater_than": (">", "gt"),

@@ -10,10 +10,8 @@ from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, Strict, field_va
 from pydantic_core import PydanticCustomError
 
 from config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
+from protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
 
-LINK_MM: Final = 10_000.0
-TURNS_DEG: Final = 36_000.0
-"""Stand-in for a joint without limits: 100 turns."""
 FOLD_DEG: Final = 180.0
 
 Real = Annotated[float, Strict(), AllowInfNan(False)]
@@ -46,7 +44,7 @@ class Strictly(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-Length = Annotated[Real, Field(gt=0, le=LINK_MM)]
+Length = Annotated[Real, Field(gt=0, le=LENGTH_MM_MAX)]
 LinkError = Annotated[Real, Field(ge=-100, le=100)]
 Speed = Annotated[Real, Field(gt=0, le=1e6)]
 
@@ -64,16 +62,14 @@ class MountedTool(Strictly):
     length_mm: Annotated[Real, Field(ge=0, le=2_000)]
 
 
-Angles = tuple[
-    Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)], Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)]
-]
-Folds = tuple[
-    Annotated[Real, Field(ge=-FOLD_DEG, le=FOLD_DEG)], Annotated[Real, Field(ge=-FOLD_DEG, le=FOLD_DEG)]
-]
-Pitches = tuple[Annotated[Real, Field(ge=0, le=FOLD_DEG)], Annotated[Real, Field(ge=0, le=FOLD_DEG)]]
-Heights = tuple[
-    Annotated[Real, Field(ge=-LINK_MM, le=LINK_MM)], Annotated[Real, Field(ge=-LINK_MM, le=LINK_MM)]
-]
+Angle = Annotated[Real, Field(ge=-ROTATION_DEG_MAX, le=ROTATION_DEG_MAX)]
+Angles = tuple[Angle, Angle]
+Fold = Annotated[Real, Field(ge=-FOLD_DEG, le=FOLD_DEG)]
+Folds = tuple[Fold, Fold]
+Pitch = Annotated[Real, Field(ge=0, le=FOLD_DEG)]
+Pitches = tuple[Pitch, Pitch]
+Height = Annotated[Real, Field(ge=-SLIDE_MM_MAX, le=SLIDE_MM_MAX)]
+Heights = tuple[Height, Height]
 
 
 class JointLimits(Strictly):
@@ -114,7 +110,10 @@ class CalibrationErrors(Strictly):
         Annotated[Real, Field(ge=-180, le=180)],
         Annotated[Real, Field(ge=-180, le=180)],
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    slide_tilt_mrad: tuple[Annotated[Real, Field(ge=-20, le=20)], Annotated[Real, Field(ge=-20, le=20)]] = (
+    slide_tilt_mrad: tuple[
+        Annotated[Real, Field(ge=-SLIDE_TILT_MRAD_MAX, le=SLIDE_TILT_MRAD_MAX)],
+        Annotated[Real, Field(ge=-SLIDE_TILT_MRAD_MAX, le=SLIDE_TILT_MRAD_MAX)],
+    ] = (
         0.0,
         0.0,
     )
@@ -126,7 +125,7 @@ class Wrist(Strictly):
     """What the wrist does while the tool is exactly vertical."""
 
     hold_roll_when_vertical: Annotated[bool, Strict()] = False
-    hold_roll_deg: Annotated[Real, Field(ge=-TURNS_DEG, le=TURNS_DEG)] = 0.0
+    hold_roll_deg: Annotated[Real, Field(ge=-ROTATION_DEG_MAX, le=ROTATION_DEG_MAX)] = 0.0
 
 
 class DeadbandSetting(Strictly):

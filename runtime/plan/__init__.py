@@ -1,0 +1,1 @@
+"""Input files to poses: plans, tool paths and registrations."""

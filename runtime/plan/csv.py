@@ -1,0 +1,60 @@
+"""Tool paths as CSV: header ``x,y,z,i,j,k``, one pose a line, mm and unit tool axis."""
+
+import re
+from typing import Final
+
+import numpy as np
+
+from config.load import InputError, decode
+from runtime.plan.model import Floats, poses_of
+
+HEADER: Final = "x,y,z,i,j,k"
+_NUMBER: Final = r"[ \t]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[ \t]*"
+_LINE: Final = re.compile(f"{_NUMBER}(?:,{_NUMBER}){{5}}")
+_CELL: Final = re.compile(_NUMBER)
+
+
+def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Floats]:
+    """Tips (n, 3) mm and unit axes (n, 3) of a CSV tool path.
+
+    Strict: this header, six plain decimal numbers in every line, no blank or comment lines; only the last
+    line may be empty. Nothing is skipped and nothing is guessed.
+
+    Raises:
+        InputError: names the line, its value and what was expected.
+    """
+    lines = decode(file, data).split("\n")
+    lines = [line.removesuffix("\r") for line in lines]
+    if lines[-1] == "":
+        lines.pop()
+    header = lines[0] if lines else ""
+    if [name.strip() for name in header.split(",")] != HEADER.split(","):
+        raise InputError(
+            file, "line 1", repr(header[:40]), f"the header {HEADER}", "write it as the first line"
+        )
+    rows = lines[1:]
+    if not (len(rows) <= pose_limit):
+        raise InputError(
+            file, "poses", f"{len(rows)} poses", f"<= {pose_limit} poses", "raise pose_limit in site.toml"
+        )
+    for number, line in enumerate(rows, start=2):
+        if _LINE.fullmatch(line) is None:
+            raise _bad_line(file, number, line)
+    cells = np.fromiter(map(float, ",".join(rows).split(",")), np.float64) if rows else np.empty(0)
+    return poses_of(file, cells.reshape(-1, 6).tolist(), lambda index: f"line {index + 2}")
+
+
+def _bad_line(file: object, number: int, line: str) -> InputError:
+    """What is wrong with a line that is not six numbers."""
+    cells = line.split(",")
+    if len(cells) != 6:
+        found = f"{len(cells)} fields" if line.strip() else "empty"
+        return InputError(
+            file, f"line {number}", found, f"six numbers {HEADER}", "complete or remove the line"
+        )
+    column, cell = next(
+        (name, cell) for name, cell in zip(HEADER.split(","), cells, strict=True) if not _CELL.fullmatch(cell)
+    )
+    return InputError(
+        file, f"line {number} column {column}", repr(cell), "a finite decimal number", "correct it"
+    )

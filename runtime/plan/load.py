@@ -1,0 +1,88 @@
+"""Plan, tool path and registration files, by their extension."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from config.constants import CONSTANTS
+from config.load import DEFAULT_LIMIT, InputError, Loaded, parse_json, read_bytes, validate
+from runtime.plan.csv import parse_csv
+from runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of
+
+PLAN_EXTENSIONS: Final = (".json", ".csv")
+REGISTRATION_EXTENSIONS: Final = (".json",)
+DEFAULT_POSE_LIMIT: Final = int(CONSTANTS["pose_limit"].default)
+
+
+def load_plan(
+    path: str | Path, *, size_limit: int = DEFAULT_LIMIT, pose_limit: int = DEFAULT_POSE_LIMIT
+) -> Loaded[Plan]:
+    """A plan (``.json``) or a bare tool path (``.csv``), read once.
+
+    Raises:
+        InputError: names file, key or line, value and bound.
+    """
+    path = Path(path)
+    _check_extension(path, PLAN_EXTENSIONS, "a plan or tool path")
+    data = read_bytes(path, size_limit)
+    return Loaded(plan_from_bytes(path, data, pose_limit), data, path)
+
+
+def load_registration(path: str | Path, *, size_limit: int = DEFAULT_LIMIT) -> Loaded[Registration]:
+    """A registration (``.json``), read once.
+
+    Raises:
+        InputError: names file, key, value and bound.
+    """
+    path = Path(path)
+    _check_extension(path, REGISTRATION_EXTENSIONS, "a registration")
+    data = read_bytes(path, size_limit)
+    return Loaded(registration_from_bytes(path, data), data, path)
+
+
+def registration_from_bytes(path: Path, data: bytes) -> Registration:
+    """The registration in ``data``; ``path`` serves for messages (and for a replay from a log)."""
+    return validate(path, Registration, parse_json(path, data), "cutgate.registration/1")
+
+
+def plan_from_bytes(path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMIT) -> Plan:
+    """The plan in ``data``; ``path`` decides the format and serves for messages.
+
+    Raises:
+        InputError: names file, key or line, value and bound.
+    """
+    if path.suffix.lower() == ".csv":
+        tips, axes = parse_csv(path, data, pose_limit)
+        return Plan(path.stem, None, None, None, None, _identity(), None, tips, axes)
+    document = validate(path, PlanDocument, parse_json(path, data), "cutgate.plan/1")
+    _check_count(path, document.poses, pose_limit)
+    tips, axes = poses_of(path, document.poses, lambda index: f"poses.{index}")
+    return Plan(
+        id=document.id,
+        implant=document.implant,
+        side=document.side,
+        tool_length_mm=document.tool_length_mm,
+        feed_mm_s=document.feed_mm_s,
+        ct_T_implant=np.array(document.ct_T_implant, dtype=np.float64),
+        ct_id=document.ct_id,
+        tips_mm=tips,
+        axes=axes,
+    )
+
+
+def _identity() -> Floats:
+    return np.eye(4)
+
+
+def _check_count(path: Path, poses: list[Any], pose_limit: int) -> None:
+    if not (len(poses) <= pose_limit):
+        remedy = "raise pose_limit in site.toml"
+        raise InputError(path, "poses", f"{len(poses)} poses", f"<= {pose_limit} poses", remedy)
+
+
+def _check_extension(path: Path, accepted: tuple[str, ...], what: str) -> None:
+    """Refuses an extension that is not read, before the file is touched."""
+    if path.suffix.lower() not in accepted:
+        found = path.suffix or "no extension"
+        raise InputError(path, "extension", found, f"{' or '.join(accepted)} for {what}", "convert the file")

@@ -1,0 +1,175 @@
+"""What plan and registration files hold, and the frames they speak of.
+
+A pose in implant coordinates reaches the robot frame as ``R_p = R_T_CT * CT_T_I * I_p``.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import chain
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, Strict
+
+from config.load import InputError, shown
+from config.model import Real, Strictly, Text, broken
+
+Floats = NDArray[np.float64]
+
+COORDINATE_MM: Final = 10_000.0
+TRANSLATION_MM: Final = 100_000.0
+RIGID: Final = 1e-6
+UNIT_AXIS: Final = 1e-3
+LAST_ROW: Final = (0.0, 0.0, 0.0, 1.0)
+
+
+def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    """Refuses what is not a rigid transform: orthonormal to 1e-6, determinant +1, last row 0 0 0 1."""
+    matrix = np.array(rows, dtype=np.float64)
+    if rows[3] != LAST_ROW:
+        raise broken("0 0 0 1 in the last row", "write the 4x4 matrix row by row", found=list(rows[3]))
+    if not (float(np.abs(matrix[:3, 3]).max()) <= TRANSLATION_MM):
+        raise broken(
+            f"translated by at most {TRANSLATION_MM:g} mm", "lengths are mm", found=matrix[:3, 3].tolist()
+        )
+    if not (float(np.abs(matrix[:3, :3]).max()) <= 2.0):
+        raise broken(
+            "a rotation: no entry beyond 1", "no scaling, no shear", found=float(np.abs(matrix[:3, :3]).max())
+        )
+    error = float(np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max())
+    if not (error <= RIGID):
+        raise broken(f"orthonormal to {RIGID:g}", "no scaling, no shear", found=f"off by {error:.3g}")
+    determinant = float(np.linalg.det(matrix[:3, :3]))
+    if not (determinant > 0):
+        raise broken("of determinant +1", "no mirroring", found=f"determinant {determinant:.6f}")
+    return rows
+
+
+def _list_to_tuple(value: object) -> object:
+    """JSON has lists only; anything else is left for the next validator to refuse."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+Row = Annotated[tuple[Real, Real, Real, Real], BeforeValidator(_list_to_tuple)]
+Transform = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(_list_to_tuple), AfterValidator(_rigid)]
+
+
+def _utc(text: str) -> str:
+    """Refuses what is not an ISO-8601 time in UTC."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise broken("an ISO-8601 time in UTC", "write for example 2026-03-01T08:30:00Z") from None
+    if moment.utcoffset() != timedelta(0):
+        raise broken("an ISO-8601 time in UTC", "end it with Z or +00:00")
+    return text
+
+
+class PlanDocument(Strictly):
+    """``plan.json`` but for its poses, which ``poses_of`` checks faster than a model could."""
+
+    schema_: Annotated[Literal["cutgate.plan/1"], Field(alias="schema")]
+    id: Text
+    implant: Text
+    side: Literal["left", "right"]
+    units: Literal["mm"]
+    tool_length_mm: Annotated[Real, Field(ge=0, le=2000)] | None = None
+    feed_mm_s: Annotated[Real, Field(ge=0.001, le=10_000)]
+    ct_T_implant: Transform  # noqa: N815 - the contract's name: frame CT from frame implant
+    ct_id: Text | None = None
+    poses: Annotated[list[Any], Strict()]
+
+
+class Registration(Strictly):
+    """``registration.json``: where the CT, and with it the bone, stands in the robot frame."""
+
+    schema_: Annotated[Literal["cutgate.registration/1"], Field(alias="schema")]
+    id: Text
+    R_T_CT: Transform
+    residual_rms_mm: Annotated[Real, Field(ge=0, le=100)]
+    created_utc: Annotated[str, Strict(), AfterValidator(_utc)]
+    ct_id: Text | None = None
+
+    @property
+    def matrix(self) -> Floats:
+        """``R_T_CT``, shape (4, 4), mm."""
+        return np.array(self.R_T_CT, dtype=np.float64)
+
+    @property
+    def created(self) -> datetime:
+        """When the registration was made."""
+        return datetime.fromisoformat(self.created_utc).astimezone(UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Poses to cut, in implant coordinates, with what the file says about them.
+
+    Attributes:
+        id: the plan's name; for a bare tool path the file's.
+        implant, side: what is planned; None for a bare tool path.
+        tool_length_mm: the tool the plan was made for, or None.
+        feed_mm_s: planned feed at the tip, or None where the file has none.
+        ct_T_implant: (4, 4), mm.
+        ct_id: which CT, or None.
+        tips_mm: (n, 3).
+        axes: (n, 3), unit, from the tip toward the holder.
+    """
+
+    id: str
+    implant: str | None
+    side: Literal["left", "right"] | None
+    tool_length_mm: float | None
+    feed_mm_s: float | None
+    ct_T_implant: Floats  # noqa: N815 - as above
+    ct_id: str | None
+    tips_mm: Floats
+    axes: Floats
+
+
+def poses_of(file: object, rows: Sequence[Any], place: Callable[[int], str]) -> tuple[Floats, Floats]:
+    """Tips (n, 3) mm and unit axes (n, 3) of rows ``x, y, z, i, j, k``.
+
+    Args:
+        file: for messages.
+        rows: sequences of six numbers.
+        place: where row ``n`` stands in the file, for messages.
+
+    Raises:
+        InputError: fewer than two rows, not six numbers, not finite, too far out, or an axis that is not of
+            length 1 within 1e-3.
+    """
+    if not (len(rows) >= 2):
+        raise InputError(file, "poses", f"{len(rows)} poses", ">= 2 poses", "a path needs two poses or more")
+    for index, row in enumerate(rows):
+        if not (isinstance(row, list | tuple) and len(row) == 6):
+            raise InputError(file, place(index), row, "six numbers x, y, z, i, j, k", "correct this pose")
+    kinds = set(map(type, chain.from_iterable(rows)))
+    if not (kinds <= {int, float}):
+        index = next(n for n, row in enumerate(rows) if not set(map(type, row)) <= {int, float})
+        raise InputError(file, place(index), rows[index], "six numbers x, y, z, i, j, k", "correct this pose")
+    try:
+        table = np.fromiter(chain.from_iterable(rows), dtype=np.float64, count=6 * len(rows)).reshape(-1, 6)
+    except OverflowError:
+        raise InputError(
+            file, "poses", "an integer no double can hold", f"within +-{COORDINATE_MM:g} mm"
+        ) from None
+    inside = np.isfinite(table) & (np.abs(table) <= COORDINATE_MM)
+    bad = np.flatnonzero(~inside.all(axis=1))
+    if bad.size:
+        bound = f"six finite numbers within +-{COORDINATE_MM:g}"
+        raise InputError(file, place(int(bad[0])), _and_more(rows[bad[0]], bad), bound, "lengths are mm")
+    lengths = np.linalg.norm(table[:, 3:], axis=1)
+    bad = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_AXIS))
+    if bad.size:
+        found = _and_more(f"of length {lengths[bad[0]]:.6g}", bad)
+        bound = f"a tool axis i, j, k of length 1 within {UNIT_AXIS:g}"
+        raise InputError(file, place(int(bad[0])), found, bound, "normalise the tool axis")
+    return table[:, :3].copy(), table[:, 3:] / lengths[:, None]
+
+
+def _and_more(found: object, bad: NDArray[np.intp]) -> str:
+    """The first bad row's value, and how many rows more are bad."""
+    return shown(found) + (f" ({bad.size - 1} more like it)" if bad.size > 1 else "")

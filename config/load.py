@@ -11,7 +11,7 @@ import os
 import stat
 import tomllib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
@@ -22,7 +22,7 @@ from pydantic_core import ErrorDetails
 from config.constants import CONSTANTS
 from config.model import RULE, Robot, Site
 from config.records import calibration_record, limits_record, tool_record
-from protocol.wire import RecordError
+from protocol.records import Calibration, Limits, RecordError, Tool
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -254,11 +254,12 @@ def robot_from_bytes(path: object, data: bytes) -> Robot:
         InputError: lists every problem, those of the quantised records included.
     """
     robot = validate(path, Robot, parse_toml(path, data), "cutgate.robot/1")
-    for key, build in {
+    builders: dict[str, Callable[[Robot], Limits | Calibration | Tool]] = {
         "limits": limits_record,
         "calibration": calibration_record,
         "tool": tool_record,
-    }.items():
+    }
+    for key, build in builders.items():
         try:
             faults = build(robot).problems()
         except RecordError as error:

@@ -152,3 +152,4 @@ class Refusal(IntEnum):
     WRONG_ELBOW = 34
     TOOL_LENGTH = 35
     JOINTS_BEYOND_WIRE = 36
+    PERMIT_MISMATCH = 37

@@ -1,0 +1,184 @@
+"""Why the controller refuses: one ordered table of rules per request, first match answers.
+
+Each rule is a predicate that must hold ("inside?"), so that anything undefined denies.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from firmware_sim.state import Controller, DeviceCycle
+from protocol import permit as permits
+from protocol import records
+from protocol.records import digest
+from protocol.states import ControllerState, Purpose, Refusal, StopCause
+
+
+@dataclass(frozen=True)
+class Case:
+    """A request and what it is judged against."""
+
+    controller: Controller
+    request: Any
+    now_s: float
+
+
+Rule = tuple[Refusal, Callable[[Case], bool]]
+
+
+def first_refusal(rules: tuple[Rule, ...], case: Case) -> Refusal:
+    """The first rule that does not hold, else ACCEPTED."""
+    return next((refusal for refusal, holds in rules if not holds(case)), Refusal.ACCEPTED)
+
+
+def _session_digest(case: Case) -> bytes | None:
+    return case.controller.session.digest if case.controller.session else None
+
+
+def _nonce_lifetime_s(case: Case, purpose: Purpose) -> float:
+    session = case.controller.session
+    if session is None:
+        return 0.0
+    return session.permit_lifetime_s if purpose is Purpose.PERMIT else session.start_lifetime_s
+
+
+def _nonce_rules(purpose: Purpose) -> tuple[Rule, ...]:
+    def issued(case: Case) -> bool:
+        return case.controller.issued is not None and case.controller.issued.purpose is purpose
+
+    def matches(case: Case) -> bool:
+        nonce = case.controller.issued
+        return nonce is not None and nonce.nonce == case.request.nonce
+
+    def alive(case: Case) -> bool:
+        nonce = case.controller.issued
+        return nonce is not None and 0.0 <= case.now_s - nonce.at_s <= _nonce_lifetime_s(case, purpose)
+
+    return (
+        (Refusal.NO_NONCE, issued),
+        (Refusal.NONCE_MISMATCH, matches),
+        (Refusal.NONCE_EXPIRED, alive),
+    )
+
+
+def _holds_path(case: Case) -> bool:
+    held = case.controller.holdings.path
+    return held is not None and digest(held) == _permit(case).path_digest
+
+
+def _permit(case: Case) -> records.Permit:
+    """The permit in question: the one asked for, or for a start the one accepted."""
+    if isinstance(case.request, records.Permit):
+        return case.request
+    assert case.controller.permit is not None  # noqa: S101 - NO_PERMIT stands before in the table
+    return case.controller.permit
+
+
+# What is held is hashed anew for every permit and again for every start.
+HELD_RULES: tuple[Rule, ...] = (
+    (Refusal.LIMITS_DIGEST, lambda c: digest(c.controller.holdings.limits) == _permit(c).limits_digest),
+    (
+        Refusal.CALIBRATION_DIGEST,
+        lambda c: digest(c.controller.holdings.calibration) == _permit(c).calibration_digest,
+    ),
+    (Refusal.TOOL_DIGEST, lambda c: digest(c.controller.holdings.tool) == _permit(c).tool_digest),
+    (Refusal.PATH_DIGEST, _holds_path),
+    (Refusal.REGISTRATION_WITHDRAWN, lambda c: _permit(c).registration_digest not in c.controller.withdrawn),
+)
+
+ALIVE_RULES: tuple[Rule, ...] = (
+    (Refusal.HEARTBEAT_STALE, lambda c: c.controller.heartbeat_fresh),
+    (Refusal.EMERGENCY_STOP, lambda c: c.controller.inputs.emergency_stop_clear),
+)
+
+
+def _names_the_sessions_registration(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.registration_digest == session.registration
+
+
+def _same_branch(case: Case) -> bool:
+    held = case.controller.holdings.path
+    if held is None:
+        return False
+    path = records.Path.parse(held)
+    return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
+
+
+def _same_start_joints(case: Case) -> bool:
+    """The runtime's and the controller's kinematics agree on the first pose within the start tolerance."""
+    own, session = case.controller.holdings.start_joints_u, case.controller.session
+    if own is None or session is None:
+        return False
+    tolerances = [session.start_tolerance_deg] * 5
+    tolerances[2] = session.start_tolerance_mm
+    return len(own) == len(case.request.start_joints_u) and all(
+        abs(a - b) <= tolerance * 1e6
+        for a, b, tolerance in zip(own, case.request.start_joints_u, tolerances, strict=True)
+    )
+
+
+def _permit_alive(case: Case) -> bool:
+    session = case.controller.session
+    age_s = case.now_s - case.controller.permit_issued_at_s
+    return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
+
+
+def _at_start(case: Case) -> bool:
+    session = case.controller.session
+    return (
+        session is not None
+        and case.controller.start_offset_mm <= session.start_tolerance_mm
+        and case.controller.start_offset_deg <= session.start_tolerance_deg
+    )
+
+
+PERMIT_RULES: tuple[Rule, ...] = (
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
+    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
+    (Refusal.WRONG_SERIAL, lambda c: c.request.serial == c.controller.identity.serial),
+    (
+        Refusal.PROTOCOL_VERSION,
+        lambda c: c.request.protocol_version == c.controller.identity.protocol_version,
+    ),
+    (Refusal.LATCHED_FAULT, lambda c: c.controller.state is not ControllerState.FAULT),
+    (Refusal.UNACKNOWLEDGED_STOP, lambda c: c.controller.cause is StopCause.NONE),
+    (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.LOADED),
+    *ALIVE_RULES,
+    *_nonce_rules(Purpose.PERMIT),
+    (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
+    *HELD_RULES,
+    (Refusal.REGISTRATION_DIGEST, _names_the_sessions_registration),
+    (Refusal.BRANCH, _same_branch),
+    (Refusal.START_JOINTS, _same_start_joints),
+)
+
+START_RULES: tuple[Rule, ...] = (
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
+    (Refusal.NO_PERMIT, lambda c: c.controller.permit is not None),
+    (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.PERMITTED),
+    *ALIVE_RULES,
+    *_nonce_rules(Purpose.START),
+    (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
+    (Refusal.PERMIT_EXPIRED, _permit_alive),
+    (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == digest(_permit(c).canonical())),
+    *HELD_RULES,
+    (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),
+    (Refusal.NOT_AT_START, _at_start),
+)
+
+RESET_RULES: tuple[Rule, ...] = (
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
+    (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.FAULT),
+    (Refusal.UNACKNOWLEDGED_STOP, lambda c: c.controller.cause is StopCause.NONE),
+    *ALIVE_RULES,
+    *_nonce_rules(Purpose.RESET),
+    (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
+)
+"""A reset leaves a latched fault once its cause was acknowledged. It never starts motion."""

@@ -1,0 +1,401 @@
+"""The simulated controller as one transition table: ``step(state, event, now_s) -> (state, effects)``.
+
+Pure: no bus, no clock, no random number. ``firmware_sim.process`` feeds it events and carries out its effects.
+Everything that enables is judged here against what the controller holds at that moment (``rules``); everything
+that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
+from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES, Case, first_refusal
+from firmware_sim.state import (
+    AbortTransfers,
+    AcknowledgeReceived,
+    BoneMoved,
+    CloseLink,
+    CollectReceived,
+    Controller,
+    DeviceCycle,
+    Effect,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    InputsChanged,
+    Issued,
+    LimitsChanged,
+    NonceRequested,
+    OpenLink,
+    OpenReceived,
+    PathChecked,
+    PathFinished,
+    PermitReceived,
+    Persist,
+    PoseMeasured,
+    ResetReceived,
+    Send,
+    SendFault,
+    Session,
+    StartReceived,
+    StopReceived,
+    Tick,
+)
+from protocol import records
+from protocol.records import digest
+from protocol.states import (
+    LATCHING,
+    ControllerState,
+    FaultCode,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+
+Outcome = tuple[Controller, tuple[Effect, ...]]
+
+
+def step(state: Controller, event: Event, now_s: float) -> Outcome:
+    """One transition. An event that the table does not list for this state changes nothing."""
+    handler = TABLE.get((state.state, type(event))) or EVERYWHERE.get(type(event))
+    return handler(state, event, now_s) if handler else (state, ())
+
+
+# ---------------------------------------------------------------- stopping
+
+
+def stop(state: Controller, cause: StopCause) -> Outcome:
+    """Protective stop: no motion, no cutting mode, nothing outstanding survives, the first cause is kept."""
+    latched = state.state is ControllerState.FAULT or cause in LATCHING
+    stopped = replace(
+        _void(state),
+        state=ControllerState.FAULT if latched else ControllerState.INHIBITED,
+        cause=state.cause if state.cause is not StopCause.NONE else cause,
+    )
+    code = FaultCode.LATCHED if latched else FaultCode.STOPPED
+    return stopped, (SendFault(code, cause), AbortTransfers())
+
+
+def _void(state: Controller) -> Controller:
+    return replace(
+        state,
+        epoch=(state.epoch + 1) % 256,
+        session=replace(state.session, live=False) if state.session else None,
+        issued=None,
+        permit=None,
+        device=DeviceCycle.UNSEEN,
+        cut_ordered=False,
+        holdings=replace(state.holdings, path=None, start_joints_u=None),
+    )
+
+
+def _withdraw(state: Controller) -> tuple[Controller, tuple[Effect, ...]]:
+    """Put the registration this session (or the last one) was opened for on the withdrawn list."""
+    if state.last_registration is None:
+        return state, ()
+    listed = state.withdrawn | {state.last_registration}
+    return replace(state, withdrawn=listed), (Persist(listed),)
+
+
+def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
+    if event.code is StopCode.END and state.state is not ControllerState.CUTTING:
+        return end_session(state)
+    if event.cause is StopCause.REGISTRATION_WITHDRAWN:
+        state, persist = _withdraw(state)
+        stopped, effects = stop(state, event.cause)
+        return stopped, (*effects, *persist)
+    return stop(state, event.cause if event.cause is not StopCause.NONE else StopCause.PROTOCOL_VIOLATION)
+
+
+def end_session(state: Controller) -> Outcome:
+    """The runtime is done. A latched fault stays latched."""
+    resting = ControllerState.FAULT if state.state is ControllerState.FAULT else ControllerState.INHIBITED
+    ended = replace(_void(state), state=resting, session=None, heartbeat_fresh=False)
+    return ended, (AbortTransfers(), CloseLink())
+
+
+def heartbeat_lost(state: Controller, _event: HeartbeatLost, _now_s: float) -> Outcome:
+    if state.session is None:
+        return state, ()
+    if not state.session.live:  # the stop came first; now the peer is gone as well
+        return replace(state, session=None, heartbeat_fresh=False), (CloseLink(),)
+    stopped, effects = stop(state, StopCause.HEARTBEAT_LOST)
+    return replace(stopped, session=None, heartbeat_fresh=False), (*effects, CloseLink())
+
+
+def fault(state: Controller, event: Fault, _now_s: float) -> Outcome:
+    return stop(state, event.cause)
+
+
+def bone_moved(state: Controller, _event: BoneMoved, _now_s: float) -> Outcome:
+    state, persist = _withdraw(state)
+    stopped, effects = stop(state, StopCause.BONE_MOVED)
+    return stopped, (*effects, *persist)
+
+
+def limits_changed(state: Controller, event: LimitsChanged, _now_s: float) -> Outcome:
+    changed = replace(state, holdings=replace(state.holdings, limits=event.limits))
+    return stop(changed, StopCause.LIMITS_CHANGED)
+
+
+def inputs_changed(state: Controller, event: InputsChanged, _now_s: float) -> Outcome:
+    changed = replace(state, inputs=event.inputs, device=_cycle(state.device, event.inputs.device_pressed))
+    if not event.inputs.emergency_stop_clear and state.inputs.emergency_stop_clear:
+        return stop(changed, StopCause.EMERGENCY_STOP)
+    if state.state is ControllerState.CUTTING and not event.inputs.device_pressed:
+        return stop(changed, StopCause.DEVICE_RELEASED)
+    return changed, ()
+
+
+def _cycle(cycle: DeviceCycle, pressed: bool) -> DeviceCycle:
+    if not pressed:
+        return DeviceCycle.RELEASED
+    return DeviceCycle.UNSEEN if cycle is DeviceCycle.UNSEEN else DeviceCycle.PRESSED
+
+
+# ---------------------------------------------------------------- opening and loading
+
+
+def open_session(state: Controller, event: OpenReceived, _now_s: float) -> Outcome:
+    request = event.request
+    refusal = _refuse_open(state, request)
+    if refusal is not Refusal.ACCEPTED:
+        return state, (_reply(state, request, event.sequence, refusal, session=0),)
+    timing, nonces = request.timing, (state.identity.boot_nonce, request.runtime_nonce)
+    session = Session(
+        tag=records.session_tag(*nonces),
+        digest=records.session_digest(*nonces),
+        registration=request.registration_digest,
+        permit_lifetime_s=timing.permit_lifetime_s,
+        start_lifetime_s=timing.start_lifetime_ms / 1000,
+        start_tolerance_mm=timing.start_tolerance_um / 1000,
+        start_tolerance_deg=timing.start_tolerance_mdeg / 1000,
+        heartbeat_s=timing.heartbeat_ms / 1000,
+        timeout_s=timing.timeout_ms / 1000,
+    )
+    latched = state.state is ControllerState.FAULT
+    opened = replace(
+        _void(state),
+        state=ControllerState.FAULT if latched else ControllerState.OPEN,
+        session=session,
+        heartbeat_fresh=False,
+        last_registration=request.registration_digest,
+    )
+    answer = records.Opened(epoch=opened.epoch, state=opened.state, cause=opened.cause)
+    return opened, (AbortTransfers(), OpenLink(session), Send(answer, session.tag))
+
+
+def _refuse_open(state: Controller, request: records.Open) -> Refusal:
+    """The first reason against a session, or ACCEPTED."""
+    reasons = (
+        (Refusal.SESSION_IN_USE, state.session is None),
+        (Refusal.PROTOCOL_VERSION, request.protocol_version == state.identity.protocol_version),
+        (Refusal.WRONG_BOOT, request.boot_nonce == state.identity.boot_nonce),
+        (Refusal.WRONG_SESSION, records.nonce_serves(state.identity.boot_nonce, request.runtime_nonce)),
+        (Refusal.TIMING_OUT_OF_BOUNDS, _timing_within_bounds(request.timing)),
+    )
+    return next((refusal for refusal, holds in reasons if not holds), Refusal.ACCEPTED)
+
+
+def _timing_within_bounds(timing: records.Timing) -> bool:
+    values = {
+        "heartbeat_ms": timing.heartbeat_ms,
+        "timeout_ms": timing.timeout_ms,
+        "permit_lifetime_s": timing.permit_lifetime_s,
+        "start_lifetime_ms": timing.start_lifetime_ms,
+        "start_tolerance_mm": timing.start_tolerance_um / 1000,
+        "start_tolerance_deg": timing.start_tolerance_mdeg / 1000,
+    }
+    return timing.timeout_ms >= TIMEOUT_HEARTBEATS * timing.heartbeat_ms and all(
+        CONSTANTS[name].holds(value) for name, value in values.items()
+    )
+
+
+def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcome:
+    assert state.session is not None  # noqa: S101 - OPEN and LOADED have a session
+    tag, held = state.session.tag, state.holdings
+    return state, (
+        Send(records.Limits.parse(held.limits), tag, bulk=True),
+        Send(records.Calibration.parse(held.calibration), tag, bulk=True),
+        Send(records.Tool.parse(held.tool), tag, bulk=True),
+    )
+
+
+def path_checked(state: Controller, event: PathChecked, _now_s: float) -> Outcome:
+    assert state.session is not None  # noqa: S101 - OPEN and LOADED have a session
+    accepted = event.refusal is Refusal.ACCEPTED
+    loaded = replace(
+        state,
+        state=ControllerState.LOADED if accepted else ControllerState.OPEN,
+        holdings=replace(
+            state.holdings,
+            path=event.path if accepted else None,
+            start_joints_u=event.start_joints_u if accepted else None,
+        ),
+    )
+    answer = records.PathStored(digest=digest(event.path), refusal=event.refusal, pose=event.pose)
+    return loaded, (Send(answer, state.session.tag, bulk=True),)
+
+
+def give_nonce(state: Controller, event: NonceRequested, now_s: float) -> Outcome:
+    if state.session is None or not state.session.live:
+        return state, ()
+    issued = Issued(event.fresh, event.purpose, now_s)
+    answer = records.Nonce(purpose=event.purpose, nonce=event.fresh, epoch=state.epoch)
+    return replace(state, issued=issued), (Send(answer, state.session.tag),)
+
+
+# ---------------------------------------------------------------- enabling
+
+
+def permit_received(state: Controller, event: PermitReceived, now_s: float) -> Outcome:
+    refusal = first_refusal(PERMIT_RULES, Case(state, event.permit, now_s))
+    if refusal is not Refusal.ACCEPTED:
+        return _refuse(state, event.permit, event.sequence, refusal)
+    assert state.issued is not None  # noqa: S101 - NO_NONCE stands in the rules
+    permitted = replace(
+        state,
+        state=ControllerState.PERMITTED,
+        permit=event.permit,
+        permit_issued_at_s=state.issued.at_s,
+        issued=None,
+        device=DeviceCycle.UNSEEN if state.inputs.device_pressed else DeviceCycle.RELEASED,
+    )
+    return permitted, (_reply(permitted, event.permit, event.sequence, Refusal.ACCEPTED),)
+
+
+def start_received(state: Controller, event: StartReceived, now_s: float) -> Outcome:
+    refusal = first_refusal(START_RULES, Case(state, event.start, now_s))
+    if refusal is not Refusal.ACCEPTED:
+        return _refuse(state, event.start, event.sequence, refusal)
+    cutting = replace(
+        state, state=ControllerState.CUTTING, issued=None, cut_ordered=False, started_at_s=now_s
+    )
+    return cutting, (_reply(cutting, event.start, event.sequence, Refusal.ACCEPTED),)
+
+
+def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Outcome:
+    refusal = first_refusal(RESET_RULES, Case(state, event.reset, now_s))
+    if refusal is not Refusal.ACCEPTED:
+        return _refuse(state, event.reset, event.sequence, refusal)
+    reset = replace(state, state=ControllerState.OPEN, issued=None)
+    return reset, (_reply(reset, event.reset, event.sequence, Refusal.ACCEPTED),)
+
+
+def acknowledge_received(state: Controller, event: AcknowledgeReceived, _now_s: float) -> Outcome:
+    """Only the cause that stands is acknowledged; the operator has to have seen it."""
+    known = event.cause is state.cause and (state.session is not None and state.session.live)
+    refusal = Refusal.ACCEPTED if known else Refusal.NOT_IN_STATE
+    acknowledged = replace(state, cause=StopCause.NONE) if known else state
+    request = records.Acknowledge(cause=event.cause)
+    return acknowledged, (_reply(acknowledged, request, event.sequence, refusal),)
+
+
+def _refuse(state: Controller, request: records.Record, sequence: int, refusal: Refusal) -> Outcome:
+    """Refuse with the reason. A wrong authentication code is a masquerade and latches."""
+    answer = _reply(state, request, sequence, refusal)
+    used = replace(state, issued=None)
+    if refusal is not Refusal.MAC_INVALID:
+        return used, (answer,)
+    stopped, effects = stop(used, StopCause.AUTHENTICATION_FAILED)
+    return stopped, (*effects, answer)
+
+
+def _reply(
+    state: Controller, request: records.Record, sequence: int, refusal: Refusal, session: int | None = None
+) -> Send:
+    tag = session if session is not None else state.session.tag if state.session else 0
+    answer = records.Reply(
+        request_type=request.TYPE, request_sequence=sequence, refusal=refusal, cause=state.cause, detail=0
+    )
+    return Send(answer, tag)
+
+
+# ---------------------------------------------------------------- heartbeats and motion
+
+
+def heartbeat(state: Controller, event: HeartbeatReceived, _now_s: float) -> Outcome:
+    """A stop cause is a level in the runtime's heartbeat: it stops even when the stop frame was lost."""
+    if event.cause is not StopCause.NONE and state.session is not None and state.session.live:
+        return stop(state, event.cause)
+    return replace(state, heartbeat_fresh=event.fresh), ()
+
+
+def heartbeat_cutting(state: Controller, event: HeartbeatReceived, _now_s: float) -> Outcome:
+    """CUT with this epoch keeps the arm moving; once given, anything else stops it."""
+    orders_cut = (
+        event.code is RuntimeCode.CUT and event.epoch == state.epoch and event.cause is StopCause.NONE
+    )
+    if state.cut_ordered and not orders_cut:
+        cause = event.cause if event.cause is not StopCause.NONE else StopCause.OPERATOR_STOP
+        return stop(state, cause)
+    return replace(state, cut_ordered=orders_cut and event.fresh, heartbeat_fresh=event.fresh), ()
+
+
+def measured(state: Controller, event: PoseMeasured, _now_s: float) -> Outcome:
+    return replace(state, start_offset_mm=event.distance_mm, start_offset_deg=event.angle_deg), ()
+
+
+def finished(state: Controller, _event: PathFinished, _now_s: float) -> Outcome:
+    """The end of the path: cutting mode off, the permit is spent."""
+    done = replace(
+        state,
+        state=ControllerState.DONE,
+        permit=None,
+        issued=None,
+        cut_ordered=False,
+        device=DeviceCycle.UNSEEN,
+    )
+    return done, ()
+
+
+def permit_ages(state: Controller, _event: Tick, now_s: float) -> Outcome:
+    assert state.session is not None  # noqa: S101 - PERMITTED has a session
+    if 0.0 <= now_s - state.permit_issued_at_s <= state.session.permit_lifetime_s:
+        return state, ()
+    return stop(state, StopCause.PERMIT_EXPIRED)
+
+
+def cut_must_follow(state: Controller, _event: Tick, now_s: float) -> Outcome:
+    """A START whose heartbeat never says CUT is dropped within the time-out."""
+    assert state.session is not None  # noqa: S101 - CUTTING has a session
+    if state.cut_ordered or 0.0 <= now_s - state.started_at_s <= state.session.timeout_s:
+        return state, ()
+    return stop(state, StopCause.HEARTBEAT_LOST)
+
+
+Handler = Callable[[Controller, Any, float], Outcome]
+S = ControllerState
+
+TABLE: dict[tuple[ControllerState, type], Handler] = {
+    (S.OPEN, CollectReceived): collect,
+    (S.LOADED, CollectReceived): collect,
+    (S.OPEN, PathChecked): path_checked,
+    (S.LOADED, PathChecked): path_checked,
+    (S.PERMITTED, Tick): permit_ages,
+    (S.CUTTING, HeartbeatReceived): heartbeat_cutting,
+    (S.CUTTING, PathFinished): finished,
+    (S.CUTTING, Tick): cut_must_follow,
+}
+"""What only one state answers to."""
+
+EVERYWHERE: dict[type, Handler] = {
+    OpenReceived: open_session,
+    NonceRequested: give_nonce,
+    PermitReceived: permit_received,
+    StartReceived: start_received,
+    ResetReceived: reset_received,
+    AcknowledgeReceived: acknowledge_received,
+    HeartbeatReceived: heartbeat,
+    PoseMeasured: measured,
+    StopReceived: stop_received,
+    HeartbeatLost: heartbeat_lost,
+    Fault: fault,
+    BoneMoved: bone_moved,
+    LimitsChanged: limits_changed,
+    InputsChanged: inputs_changed,
+}
+"""What every state answers to: requests are refused with their reason, stops always stop."""

@@ -1,0 +1,1 @@
+"""The interlock: which preconditions must hold, and the one table that decides."""

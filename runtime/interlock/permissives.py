@@ -1,0 +1,386 @@
+"""Every precondition of permit and start, by name, with its value, its bound and what to do.
+
+A permissive is a function of the interlock's state and the time; all are evaluated, so that a person sees every
+reason at once. Comparisons ask "inside?": anything unknown or undefined does not hold.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from protocol import records
+from protocol.states import ControllerState, Refusal, StopCause
+from runtime.interlock.state import DeviceCycle, Interlock
+
+
+@dataclass(frozen=True)
+class Permissive:
+    """One named precondition as it stands now."""
+
+    name: str
+    holds: bool
+    value: float | None
+    text: str | None
+    bound: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """Name, value, bound and, if it fails, the remedy, on one line."""
+        shown = self.text if self.value is None else f"{self.value:g}"
+        tail = "" if self.holds else f": {self.remedy}"
+        return f"{self.name}: {shown} (required: {self.bound}){tail}"
+
+
+Evaluate = Callable[[Interlock, float], Permissive]
+
+
+def _fact(name: str, holds: bool, text: str, bound: str, remedy: str) -> Permissive:
+    return Permissive(name, holds, None, text, bound, remedy)
+
+
+def _at_most(name: str, value: float | None, bound: float, unit: str, remedy: str) -> Permissive:
+    if value is None:
+        return Permissive(name, False, None, "not known", f"<= {bound:g} {unit}", remedy)
+    return Permissive(name, 0.0 <= value <= bound, value, None, f"<= {bound:g} {unit}", remedy)
+
+
+def _short(digest: bytes | None) -> str:
+    return digest.hex()[:16] if digest is not None else "not received"
+
+
+def _digest(data: bytes | None) -> bytes | None:
+    return records.digest(data) if data is not None else None
+
+
+# ---------------------------------------------------------------- identity
+
+
+def protocol_version(state: Interlock, _now_s: float) -> Permissive:
+    version = state.session.protocol_version if state.session else None
+    return _fact(
+        "protocol version",
+        version == records.PROTOCOL_VERSION,
+        str(version) if version is not None else "no controller",
+        str(records.PROTOCOL_VERSION),
+        "use a controller and a runtime of the same protocol version",
+    )
+
+
+def serial_number(state: Interlock, _now_s: float) -> Permissive:
+    serial = state.session.serial if state.session else None
+    return _fact(
+        "controller serial number",
+        serial is not None and state.job.serial in (None, serial),
+        serial or "no controller",
+        state.job.serial or "any (none is configured)",
+        "connect the controller named in site.toml, or correct [controller] serial",
+    )
+
+
+# ---------------------------------------------------------------- what the controller holds
+
+
+def _equals_approved(name: str, received: bytes | None, approved: bytes) -> Permissive:
+    return _fact(
+        f"controller's {name} equal the approved",
+        received is not None and received == approved,
+        _short(_digest(received)),
+        _short(_digest(approved)),
+        f"compare robot.toml with the controller's {name}; approve the right ones",
+    )
+
+
+def limits_approved(state: Interlock, _now_s: float) -> Permissive:
+    return _equals_approved("joint limits", state.collected.limits, state.job.limits)
+
+
+def calibration_approved(state: Interlock, _now_s: float) -> Permissive:
+    return _equals_approved("calibration values", state.collected.calibration, state.job.calibration)
+
+
+def tool_approved(state: Interlock, _now_s: float) -> Permissive:
+    return _equals_approved("tool data", state.collected.tool, state.job.tool)
+
+
+def path_accepted(state: Interlock, _now_s: float) -> Permissive:
+    stored = state.stored
+    accepted = stored is not None and stored.refusal is Refusal.ACCEPTED
+    if stored is None:
+        text = "not uploaded"
+    elif accepted:
+        text = "accepted"
+    else:
+        text = f"{stored.refusal.name} at pose {stored.pose}"
+    return _fact(
+        "controller's own check of the path",
+        accepted,
+        text,
+        "accepted",
+        "move the bone so that every pose lies inside the controller's limits, then register and verify again",
+    )
+
+
+def path_digest(state: Interlock, _now_s: float) -> Permissive:
+    return _fact(
+        "digest of the stored path",
+        state.stored is not None and state.stored.digest == _digest(state.job.path),
+        _short(state.stored.digest if state.stored else None),
+        _short(_digest(state.job.path)),
+        "the controller stored other bytes than were sent: start a new session",
+    )
+
+
+# ---------------------------------------------------------------- the proof
+
+
+def verdict_admissible(state: Interlock, _now_s: float) -> Permissive:
+    verdict = state.verdict
+    return _fact(
+        "verdict",
+        verdict is not None and verdict.admissible,
+        verdict.reason if verdict else "not verified",
+        "admissible",
+        "move the bone as the guidance says, register again, start a new session",
+    )
+
+
+def verdict_current(state: Interlock, _now_s: float) -> Permissive:
+    verdict, collected = state.verdict, state.collected
+    made_for = (verdict.path, verdict.limits, verdict.calibration, verdict.tool) if verdict else None
+    held = (
+        _digest(state.job.path),
+        _digest(collected.limits),
+        _digest(collected.calibration),
+        _digest(collected.tool),
+    )
+    return _fact(
+        "verdict was made for what the controller holds",
+        made_for == held,
+        _short(verdict.path if verdict else None),
+        _short(held[0]),
+        "verify again: start a new session",
+    )
+
+
+# ---------------------------------------------------------------- registration
+
+
+def registration_age(state: Interlock, _now_s: float) -> Permissive:
+    name, remedy = "age of the registration", "register the bone again"
+    bound = state.job.registration_max_age_s
+    if bound is None:
+        return _fact(name, True, f"{state.job.registration_age_s:.0f} s", "no bound is configured", remedy)
+    return _at_most(name, state.job.registration_age_s, bound, "s", remedy)
+
+
+def registration_stands(state: Interlock, _now_s: float) -> Permissive:
+    return _fact(
+        "registration stands",
+        not state.registration_withdrawn,
+        "withdrawn" if state.registration_withdrawn else "not withdrawn",
+        "not withdrawn",
+        "the bone may have moved: register it again",
+    )
+
+
+# ---------------------------------------------------------------- the audit log
+
+
+def log_writable(state: Interlock, _now_s: float) -> Permissive:
+    return _fact(
+        "audit log",
+        state.log.writable,
+        "writable" if state.log.writable else "failed",
+        "writable",
+        "free or replace the disk of the log directory, then start a new session",
+    )
+
+
+def log_space(state: Interlock, _now_s: float) -> Permissive:
+    return Permissive(
+        "space reserved for the audit log",
+        state.log.reserved_bytes >= 2 * state.log.needed_bytes,
+        float(state.log.reserved_bytes),
+        None,
+        f">= {2 * state.log.needed_bytes} bytes",
+        "free space in the log directory, then start a new session",
+    )
+
+
+# ---------------------------------------------------------------- the controller now
+
+
+def heartbeat_fresh(state: Interlock, _now_s: float) -> Permissive:
+    return _fact(
+        "controller's heartbeat",
+        state.heartbeat_fresh,
+        "fresh" if state.heartbeat_fresh else "stale or never seen",
+        f"fresh within {state.job.timing.timeout_ms} ms",
+        "check the bus and the controller",
+    )
+
+
+def no_stop_cause(state: Interlock, _now_s: float) -> Permissive:
+    view = state.controller
+    return _fact(
+        "controller's stop cause",
+        view is not None and view.cause is StopCause.NONE,
+        view.cause.name if view else "not known",
+        "NONE",
+        "remove the cause, then say acknowledge",
+    )
+
+
+def not_latched(state: Interlock, _now_s: float) -> Permissive:
+    view = state.controller
+    return _fact(
+        "controller's fault latch",
+        view is not None and view.state is not ControllerState.FAULT,
+        view.state.name if view else "not known",
+        "not FAULT",
+        "acknowledge the cause, then say reset",
+    )
+
+
+def emergency_stop(state: Interlock, _now_s: float) -> Permissive:
+    view = state.controller
+    clear = view is not None and view.emergency_stop_clear
+    return _fact("emergency stop", clear, "clear" if clear else "pressed or not known", "clear", "release it")
+
+
+def epoch_current(state: Interlock, _now_s: float) -> Permissive:
+    view = state.controller
+    return _fact(
+        "epoch",
+        view is not None and view.epoch == state.epoch,
+        str(view.epoch) if view else "not known",
+        str(state.epoch),
+        "a stop came in between: start a new session",
+    )
+
+
+# ---------------------------------------------------------------- only for the start
+
+
+def cutting_mode(state: Interlock, _now_s: float) -> Permissive:
+    view = state.controller
+    return _fact(
+        "controller is permitted",
+        view is not None and view.state is ControllerState.PERMITTED and view.cutting_mode,
+        view.state.name if view else "not known",
+        "PERMITTED",
+        "wait for the permit",
+    )
+
+
+def permit_alive(state: Interlock, now_s: float) -> Permissive:
+    age_s = now_s - state.nonce_at_s if state.permit is not None else None
+    return _at_most(
+        "age of the permit",
+        age_s,
+        state.job.timing.permit_lifetime_s,
+        "s",
+        "start a new session from verification",
+    )
+
+
+def device_cycled(state: Interlock, _now_s: float) -> Permissive:
+    pressed = state.controller is not None and state.controller.device_pressed
+    text = {
+        DeviceCycle.UNSEEN: "held since before the permit, or not seen",
+        DeviceCycle.RELEASED: "released",
+        DeviceCycle.PRESSED: "pressed",
+    }[state.device]
+    return _fact(
+        "enabling device",
+        pressed and state.device is DeviceCycle.PRESSED,
+        text,
+        "released, then pressed, after the permit",
+        "release the enabling device, then hold it",
+    )
+
+
+def start_distance(state: Interlock, _now_s: float) -> Permissive:
+    return _at_most(
+        "measured tip to the path's first pose",
+        state.offset_mm,
+        state.job.timing.start_tolerance_mm,
+        "mm",
+        "move the arm to the start pose",
+    )
+
+
+def start_angle(state: Interlock, _now_s: float) -> Permissive:
+    return _at_most(
+        "measured joints to the path's first pose",
+        state.offset_deg,
+        state.job.timing.start_tolerance_deg,
+        "deg",
+        "move the arm to the start pose, on the proved elbow and turn",
+    )
+
+
+COLLECTED: tuple[Evaluate, ...] = (
+    protocol_version,
+    serial_number,
+    limits_approved,
+    calibration_approved,
+    tool_approved,
+)
+"""Judged as soon as the controller's records are complete; none can come true later in the session."""
+
+FOR_PERMIT: tuple[Evaluate, ...] = (
+    *COLLECTED,
+    path_accepted,
+    path_digest,
+    verdict_admissible,
+    verdict_current,
+    registration_age,
+    registration_stands,
+    log_writable,
+    log_space,
+    heartbeat_fresh,
+    no_stop_cause,
+    not_latched,
+    emergency_stop,
+    epoch_current,
+)
+
+FOR_START: tuple[Evaluate, ...] = (
+    *FOR_PERMIT,
+    cutting_mode,
+    permit_alive,
+    device_cycled,
+    start_distance,
+    start_angle,
+)
+
+FINAL: frozenset[Evaluate] = frozenset(
+    {
+        *COLLECTED,
+        path_accepted,
+        path_digest,
+        verdict_admissible,
+        verdict_current,
+        registration_age,
+        registration_stands,
+        log_writable,
+        log_space,
+        epoch_current,
+    }
+)
+"""Those that no operator act and no waiting can cure within this session."""
+
+
+def evaluate(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tuple[Permissive, ...]:
+    """Every permissive of ``which`` as it stands at ``now_s``."""
+    return tuple(permissive(state, now_s) for permissive in which)
+
+
+def all_hold(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> bool:
+    """True only if each one holds."""
+    return all(permissive.holds is True for permissive in evaluate(which, state, now_s))
+
+
+def failing(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tuple[Permissive, ...]:
+    """Those that do not hold, in the order of the list."""
+    return tuple(permissive for permissive in evaluate(which, state, now_s) if permissive.holds is not True)

@@ -1,0 +1,443 @@
+"""What the interlock remembers, what can happen to it and what it orders."""
+
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum, auto
+
+from protocol import records
+from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+
+
+class Phase(StrEnum):
+    """Where the conversation stands. Only CUTTING and STARTING let the arm move."""
+
+    WAITING = auto()
+    """No controller has announced itself."""
+    OPENING = auto()
+    HELD = auto()
+    """The controller carries a stop cause or a latched fault; the operator acknowledges and resets."""
+    NONCE_RESET = auto()
+    AUTHORISING_RESET = auto()
+    RESETTING = auto()
+    COLLECTING = auto()
+    UPLOADING = auto()
+    VERIFYING = auto()
+    ADMITTED = auto()
+    """The path is proved; the permissives for the permit are awaited."""
+    NONCE_PERMIT = auto()
+    AUTHORISING_PERMIT = auto()
+    """The decision is being made durable; nothing has left."""
+    PERMITTING = auto()
+    PERMITTED = auto()
+    NONCE_START = auto()
+    AUTHORISING_START = auto()
+    STARTING = auto()
+    CUTTING = auto()
+    STOPPING = auto()
+    """A stop has left; the controller's confirmation is awaited for a bounded time."""
+    DONE = auto()
+    REFUSED = auto()
+    STOPPED = auto()
+
+
+ENDED = frozenset({Phase.DONE, Phase.REFUSED, Phase.STOPPED})
+
+HEARTBEAT_CODE: dict[Phase, RuntimeCode] = {
+    Phase.PERMITTING: RuntimeCode.READY,
+    Phase.PERMITTED: RuntimeCode.READY,
+    Phase.NONCE_START: RuntimeCode.READY,
+    Phase.AUTHORISING_START: RuntimeCode.READY,
+    Phase.STARTING: RuntimeCode.CUT,
+    Phase.CUTTING: RuntimeCode.CUT,
+}
+"""What the heartbeat says; every phase not listed says INHIBIT."""
+
+
+class Word(StrEnum):
+    """What the operator can say."""
+
+    START = auto()
+    STOP = auto()
+    ACKNOWLEDGE = auto()
+    RESET = auto()
+    WITHDRAW = auto()
+    QUIT = auto()
+
+
+class DeviceCycle(Enum):
+    """The enabling device since the permit: seen released, then pressed."""
+
+    UNSEEN = auto()
+    RELEASED = auto()
+    PRESSED = auto()
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Deadlines and tolerances of one session, from the site's configuration."""
+
+    heartbeat_ms: int
+    timeout_ms: int
+    permit_lifetime_s: int
+    start_lifetime_ms: int
+    start_tolerance_mm: float
+    start_tolerance_deg: float
+    announce_wait_s: float
+    reply_timeout_s: float
+    transfer_timeout_s: float
+    verify_timeout_s: float
+    operator_wait_s: float
+    commit_deadline_s: float
+    stop_confirm_s: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """What this run is about: fixed before the session opens, bound into the permit."""
+
+    limits: bytes
+    calibration: bytes
+    tool: bytes
+    """Approved parameter records (canonical bytes); the controller's must equal them."""
+    path: bytes
+    registration: bytes
+    configuration: bytes
+    """SHA-256 digests."""
+    verifier: str
+    branch: records.Branch
+    timing: Timing
+    serial: str | None = None
+    registration_age_s: float = 0.0
+    registration_max_age_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Session:
+    """The session both sides derive from their nonces."""
+
+    boot_nonce: bytes
+    runtime_nonce: bytes
+    serial: str
+    protocol_version: int
+    digest: bytes
+    tag: int
+
+
+@dataclass(frozen=True)
+class ControllerView:
+    """The controller as its last accepted heartbeat shows it."""
+
+    state: ControllerState
+    cause: StopCause
+    epoch: int
+    device_pressed: bool
+    emergency_stop_clear: bool
+    cutting_mode: bool
+
+
+@dataclass(frozen=True)
+class Collected:
+    """Canonical record bytes as received."""
+
+    limits: bytes | None = None
+    calibration: bytes | None = None
+    tool: bytes | None = None
+
+    @property
+    def complete(self) -> bool:
+        """All three have arrived."""
+        return None not in (self.limits, self.calibration, self.tool)
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The controller's word on the uploaded path."""
+
+    digest: bytes
+    refusal: Refusal
+    pose: int
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict and the digests it was made for."""
+
+    request: int
+    admissible: bool
+    path: bytes
+    limits: bytes
+    calibration: bytes
+    tool: bytes
+    start_joints_u: tuple[int, ...]
+    """Reported joints at the first pose, 1e-6 deg | mm."""
+    reason: str
+
+
+@dataclass(frozen=True)
+class LogHealth:
+    """The audit log as the shell last saw it."""
+
+    writable: bool = False
+    reserved_bytes: int = 0
+    needed_bytes: int = 1
+
+
+@dataclass(frozen=True)
+class Interlock:
+    """The whole state of the runtime's decisions."""
+
+    job: Job
+    phase: Phase = Phase.WAITING
+    since_s: float = 0.0
+    """When this phase was entered."""
+    session: Session | None = None
+    epoch: int = 0
+    controller: ControllerView | None = None
+    heartbeat_fresh: bool = False
+    collected: Collected = field(default_factory=Collected)
+    block: int = 0
+    stored: Stored | None = None
+    verdict: Verdict | None = None
+    nonce: bytes | None = None
+    permit: records.Permit | None = None
+    nonce_at_s: float = 0.0
+    """When the permit's nonce was asked for; its lifetime counts from here on this side."""
+    token: int = 0
+    """Names the record whose durability is awaited; each is used once."""
+    device: DeviceCycle = DeviceCycle.UNSEEN
+    offset_mm: float | None = None
+    offset_deg: float | None = None
+    log: LogHealth = field(default_factory=LogHealth)
+    registration_withdrawn: bool = False
+    cause: StopCause = StopCause.NONE
+    """First-out."""
+    reason: str = ""
+
+
+# ---------------------------------------------------------------- events
+
+
+@dataclass(frozen=True)
+class Announced:
+    """A controller without a session announces itself; ``nonce`` is ours, fresh."""
+
+    announce: records.Announce
+    nonce: bytes
+
+
+@dataclass(frozen=True)
+class SessionOpened:
+    """The controller accepted our OPEN."""
+
+    epoch: int
+    state: ControllerState
+    cause: StopCause
+
+
+@dataclass(frozen=True)
+class ParameterReceived:
+    """Limits, calibration or tool."""
+
+    record: records.Limits | records.Calibration | records.Tool
+
+
+@dataclass(frozen=True)
+class BlockStored:
+    """The controller has block ``index`` of the path."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class PathStored:
+    """The controller has the whole path and has judged it."""
+
+    stored: Stored
+
+
+@dataclass(frozen=True)
+class VerdictReady:
+    """The worker's verdict."""
+
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class NonceReceived:
+    """A nonce for one purpose."""
+
+    purpose: Purpose
+    nonce: bytes
+    epoch: int
+
+
+@dataclass(frozen=True)
+class ReplyReceived:
+    """The controller's answer to one of our requests."""
+
+    request_type: int
+    refusal: Refusal
+    cause: StopCause
+
+
+@dataclass(frozen=True)
+class HeartbeatReceived:
+    """A checked controller heartbeat; ``fresh`` says its echo proves it young."""
+
+    view: ControllerView
+    fresh: bool
+
+
+@dataclass(frozen=True)
+class HeartbeatLost:
+    """No fresh heartbeat within the time-out."""
+
+
+@dataclass(frozen=True)
+class FaultReceived:
+    """A fault frame of the controller."""
+
+    code: FaultCode
+    cause: StopCause
+
+
+@dataclass(frozen=True)
+class PoseMeasured:
+    """Measured joints against the path's first pose."""
+
+    offset_mm: float
+    offset_deg: float
+
+
+@dataclass(frozen=True)
+class RecordDurable:
+    """The record named by ``token`` has reached the disk."""
+
+    token: int
+
+
+@dataclass(frozen=True)
+class LogChanged:
+    """The audit log's health."""
+
+    log: LogHealth
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Something the shell found; the session stops with this cause."""
+
+    cause: StopCause
+    reason: str
+
+
+@dataclass(frozen=True)
+class Said:
+    """An operator word."""
+
+    word: Word
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Time passes."""
+
+
+Event = (
+    Announced
+    | SessionOpened
+    | ParameterReceived
+    | BlockStored
+    | PathStored
+    | VerdictReady
+    | NonceReceived
+    | ReplyReceived
+    | HeartbeatReceived
+    | HeartbeatLost
+    | FaultReceived
+    | PoseMeasured
+    | RecordDurable
+    | LogChanged
+    | Failed
+    | Said
+    | Tick
+)
+
+
+# ---------------------------------------------------------------- effects
+
+
+@dataclass(frozen=True)
+class Send:
+    """A record to the controller. Permit, start and reset are signed by the shell on their way out."""
+
+    record: records.Record
+
+
+@dataclass(frozen=True)
+class SendBlock:
+    """Block ``index`` of the path."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class SendStop:
+    """A stop frame, at once."""
+
+    code: StopCode
+    cause: StopCause
+
+
+@dataclass(frozen=True)
+class UseSession:
+    """Records carry this session from now on."""
+
+    session: Session
+
+
+@dataclass(frozen=True)
+class OpenLink:
+    """Heartbeats flow and are supervised from now on."""
+
+    session: Session
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Prove the uploaded path against the collected records."""
+
+    request: int
+
+
+@dataclass(frozen=True)
+class Commit:
+    """Make the decision durable, then answer ``RecordDurable(token)``."""
+
+    token: int
+    purpose: Purpose
+    record: records.Record
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """A durable decision that no longer applies: it is recorded, nothing leaves."""
+
+    token: int
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An operator word that does not apply now, with the reason to show."""
+
+    word: Word
+    reason: str
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """An answer to something that is not pending."""
+
+    what: str
+
+
+Effect = Send | SendBlock | SendStop | UseSession | OpenLink | Verify | Commit | Withheld | Refused | Dropped

@@ -1,0 +1,632 @@
+"""The interlock as one transition table: ``step(state, event, now_s) -> (state, effects)``.
+
+Pure: no bus, no disk, no clock, no random number. Two rules stand above all others:
+
+* What enables (permit, start, reset, a more permissive heartbeat) passes an AUTHORISING phase: the decision is
+  committed, and only :class:`RecordDurable` with the pending token, after every permissive has been judged again
+  at that moment, lets it leave.
+* What disables leaves in the same step, from every phase.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from protocol import records
+from protocol.states import ControllerState, Purpose, Refusal, StopCause, StopCode
+from runtime.interlock.permissives import COLLECTED, FINAL, FOR_PERMIT, FOR_START, all_hold, failing
+from runtime.interlock.state import (
+    ENDED,
+    Announced,
+    BlockStored,
+    Commit,
+    ControllerView,
+    DeviceCycle,
+    Dropped,
+    Effect,
+    Event,
+    Failed,
+    FaultReceived,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Interlock,
+    LogChanged,
+    NonceReceived,
+    OpenLink,
+    ParameterReceived,
+    PathStored,
+    Phase,
+    PoseMeasured,
+    RecordDurable,
+    Refused,
+    ReplyReceived,
+    Said,
+    Send,
+    SendBlock,
+    SendStop,
+    Session,
+    SessionOpened,
+    Tick,
+    Timing,
+    UseSession,
+    VerdictReady,
+    Verify,
+    Withheld,
+    Word,
+)
+
+Outcome = tuple[Interlock, tuple[Effect, ...]]
+
+
+def step(state: Interlock, event: Event, now_s: float) -> Outcome:
+    """One transition. What is not listed changes nothing, and an ended session answers to nothing."""
+    if state.phase in ENDED:
+        return state, ()
+    handler = TABLE.get((state.phase, type(event))) or EVERYWHERE[type(event)]
+    return handler(state, event, now_s)
+
+
+def _enter(state: Interlock, phase: Phase, now_s: float, **changes: Any) -> Interlock:
+    return replace(state, phase=phase, since_s=now_s, **changes)
+
+
+# ---------------------------------------------------------------- ending
+
+
+def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
+    """Stop at once. Permit, nonce and pending record are void; the first cause is kept."""
+    if state.phase is Phase.STOPPING:
+        return state, ()
+    withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
+    phase = Phase.STOPPING if state.session else Phase.STOPPED
+    stopped = _enter(state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None)
+    return stopped, (SendStop(StopCode.STOP, cause), *withheld)
+
+
+def refuse(state: Interlock, reason: str, now_s: float) -> Outcome:
+    """Not admitted: the session ends in order, nothing was enabled."""
+    refused = _enter(state, Phase.REFUSED, now_s, cause=StopCause.NOT_ADMITTED, reason=reason, permit=None)
+    return refused, (SendStop(StopCode.END, StopCause.NOT_ADMITTED),)
+
+
+def failed(state: Interlock, event: Failed, now_s: float) -> Outcome:
+    return stop(state, event.cause, event.reason, now_s)
+
+
+def heartbeat_lost(state: Interlock, _event: HeartbeatLost, now_s: float) -> Outcome:
+    reason = f"no fresh controller heartbeat within {state.job.timing.timeout_ms} ms"
+    return stop(replace(state, heartbeat_fresh=False), StopCause.HEARTBEAT_LOST, reason, now_s)
+
+
+def fault_received(state: Interlock, event: FaultReceived, now_s: float) -> Outcome:
+    return stop(state, event.cause, f"the controller reports {event.cause.name}", now_s)
+
+
+def rebooted(state: Interlock, _event: Announced, now_s: float) -> Outcome:
+    return stop(
+        state, StopCause.PEER_REBOOTED, "the controller announced itself anew during the session", now_s
+    )
+
+
+def log_changed(state: Interlock, event: LogChanged, now_s: float) -> Outcome:
+    changed = replace(state, log=event.log)
+    if state.log.writable and not event.log.writable:
+        return stop(changed, StopCause.AUDIT_FAILED, "the audit log can no longer be written", now_s)
+    return changed, ()
+
+
+def said(state: Interlock, event: Said, now_s: float) -> Outcome:
+    """Words that apply everywhere; start, acknowledge and reset only where the table lists them."""
+    match event.word:
+        case Word.STOP:
+            return stop(state, StopCause.OPERATOR_STOP, "the operator said stop", now_s)
+        case Word.WITHDRAW:
+            withdrawn = replace(state, registration_withdrawn=True)
+            return stop(withdrawn, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
+        case Word.QUIT:
+            return quit_session(state, now_s)
+    return state, (Refused(event.word, f"{event.word} means nothing while {state.phase.replace('_', ' ')}"),)
+
+
+def quit_session(state: Interlock, now_s: float) -> Outcome:
+    """Leave. While the arm may move this is a stop; otherwise the session ends in order."""
+    if state.phase in MOVING:
+        return stop(state, StopCause.OPERATOR_QUIT, "the operator quit", now_s)
+    withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
+    left = _enter(
+        state, Phase.STOPPED, now_s, cause=StopCause.OPERATOR_QUIT, reason="the operator quit", permit=None
+    )
+    return left, (SendStop(StopCode.END, StopCause.OPERATOR_QUIT), *withheld)
+
+
+# ---------------------------------------------------------------- opening
+
+
+def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
+    announce, timing = event.announce, state.job.timing
+    session = Session(
+        boot_nonce=announce.boot_nonce,
+        runtime_nonce=event.nonce,
+        serial=announce.serial,
+        protocol_version=announce.protocol_version,
+        digest=records.session_digest(announce.boot_nonce, event.nonce),
+        tag=records.session_tag(announce.boot_nonce, event.nonce),
+    )
+    if not records.nonce_serves(announce.boot_nonce, event.nonce):
+        return state, ()  # the next announcement brings another nonce
+    seen = replace(state, session=session)
+    refusing = failing(COLLECTED[:2], seen, now_s)
+    if refusing:
+        return refuse(seen, "; ".join(map(str, refusing)), now_s)
+    request = records.Open(
+        protocol_version=records.PROTOCOL_VERSION,
+        boot_nonce=announce.boot_nonce,
+        runtime_nonce=event.nonce,
+        registration_digest=state.job.registration,
+        timing=records.Timing(
+            heartbeat_ms=timing.heartbeat_ms,
+            timeout_ms=timing.timeout_ms,
+            permit_lifetime_s=timing.permit_lifetime_s,
+            start_lifetime_ms=timing.start_lifetime_ms,
+            start_tolerance_um=round(timing.start_tolerance_mm * 1000),
+            start_tolerance_mdeg=round(timing.start_tolerance_deg * 1000),
+        ),
+    )
+    return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(request))
+
+
+def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
+    assert state.session is not None  # noqa: S101 - OPENING has a session
+    link = OpenLink(state.session)
+    if event.state is ControllerState.OPEN and event.cause is StopCause.NONE:
+        return _enter(state, Phase.COLLECTING, now_s, epoch=event.epoch), (link, Send(records.Collect()))
+    return _enter(state, Phase.HELD, now_s, epoch=event.epoch), (link,)
+
+
+def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    return refuse(state, f"the controller refused the session: {event.refusal.name}", now_s)
+
+
+def announced_again(state: Interlock, _event: Announced, _now_s: float) -> Outcome:
+    """An announcement that crossed our OPEN."""
+    return state, ()
+
+
+# ---------------------------------------------------------------- a controller that is held
+
+
+def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
+    view = state.controller
+    if event.word is Word.ACKNOWLEDGE and view is not None and view.cause is not StopCause.NONE:
+        return state, (Send(records.Acknowledge(cause=view.cause)),)
+    if event.word is Word.RESET and view is not None:
+        if view.cause is not StopCause.NONE:
+            return state, (Refused(event.word, f"acknowledge {view.cause.name} first"),)
+        return _enter(state, Phase.NONCE_RESET, now_s), (Send(records.NonceRequest(purpose=Purpose.RESET)),)
+    return said(state, event, now_s)
+
+
+def heartbeat_while_held(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    seen = _see(state, event)
+    if event.view.state is ControllerState.OPEN and event.view.cause is StopCause.NONE:
+        return _enter(seen, Phase.COLLECTING, now_s), (Send(records.Collect()),)
+    return seen, ()
+
+
+def reset_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome:
+    if event.purpose is not Purpose.RESET or event.epoch != state.epoch:
+        return state, (Dropped("a nonce that is not for this reset"),)
+    assert state.session is not None  # noqa: S101 - a held controller has a session
+    reset = records.Reset(
+        nonce=event.nonce, epoch=state.epoch, cause=StopCause.NONE, session_digest=state.session.digest
+    )
+    return _authorise(state, Phase.AUTHORISING_RESET, Purpose.RESET, reset, now_s, nonce=event.nonce)
+
+
+def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
+    if event.token != state.token:
+        return _drop_token(state, event)
+    view = state.controller
+    assert state.session is not None and state.nonce is not None  # noqa: S101, PT018 - set on the way here
+    if not (state.heartbeat_fresh and view is not None and view.cause is StopCause.NONE):
+        return _enter(state, Phase.HELD, now_s), (Withheld(state.token),)
+    reset = records.Reset(
+        nonce=state.nonce, epoch=state.epoch, cause=StopCause.NONE, session_digest=state.session.digest
+    )
+    return _enter(state, Phase.RESETTING, now_s), (Send(reset),)
+
+
+def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    held = _enter(state, Phase.HELD, now_s, nonce=None)
+    if event.refusal is Refusal.ACCEPTED:
+        return held, ()
+    return held, (Refused(Word.RESET, f"the controller refused the reset: {event.refusal.name}"),)
+
+
+# ---------------------------------------------------------------- collecting, uploading, verifying
+
+
+def parameter(state: Interlock, event: ParameterReceived, now_s: float) -> Outcome:
+    data = event.record.body()
+    kind = {records.Limits: "limits", records.Calibration: "calibration", records.Tool: "tool"}[
+        type(event.record)
+    ]
+    got = replace(state, collected=replace(state.collected, **{kind: data}))
+    if not got.collected.complete:
+        return got, ()
+    refusing = failing(COLLECTED, got, now_s)
+    if refusing:
+        return refuse(got, "; ".join(map(str, refusing)), now_s)
+    return _enter(got, Phase.UPLOADING, now_s, block=0), (SendBlock(0),)
+
+
+def parameter_changed(state: Interlock, event: ParameterReceived, now_s: float) -> Outcome:
+    """Parameters outside COLLECTING mean that something changed under us."""
+    cause = (
+        StopCause.LIMITS_CHANGED
+        if isinstance(event.record, records.Limits)
+        else StopCause.CALIBRATION_CHANGED
+    )
+    return stop(state, cause, "the controller sent parameters that were not asked for", now_s)
+
+
+def block_stored(state: Interlock, event: BlockStored, _now_s: float) -> Outcome:
+    if event.index != state.block:
+        return state, (Dropped(f"receipt for block {event.index} while block {state.block} is under way"),)
+    following = state.block + 1
+    if following >= len(records.split(state.job.path)):
+        return state, ()
+    return replace(state, block=following), (SendBlock(following),)
+
+
+def path_stored(state: Interlock, event: PathStored, now_s: float) -> Outcome:
+    """Verify even what the controller refused: the operator wants to know where to move the bone."""
+    request = state.token + 1
+    verifying = _enter(state, Phase.VERIFYING, now_s, stored=event.stored, token=request)
+    return verifying, (Verify(request),)
+
+
+def verdict_ready(state: Interlock, event: VerdictReady, now_s: float) -> Outcome:
+    if event.verdict.request != state.token:
+        return state, (Dropped("a verdict for another request"),)
+    admitted = _enter(state, Phase.ADMITTED, now_s, verdict=event.verdict)
+    return offer_permit(admitted, now_s)
+
+
+def offer_permit(state: Interlock, now_s: float) -> Outcome:
+    """Ask for the permit's nonce once everything holds; end if something never can."""
+    final = failing(tuple(p for p in FOR_PERMIT if p in FINAL), state, now_s)
+    if final:
+        return refuse(state, "; ".join(map(str, final)), now_s)
+    if not all_hold(FOR_PERMIT, state, now_s):
+        return state, ()
+    asked = _enter(state, Phase.NONCE_PERMIT, now_s, nonce_at_s=now_s)
+    return asked, (Send(records.NonceRequest(purpose=Purpose.PERMIT)),)
+
+
+def heartbeat_while_admitted(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    seen, effects = heartbeat(state, event, now_s)
+    return offer_permit(seen, now_s) if seen.phase is Phase.ADMITTED else (seen, effects)
+
+
+# ---------------------------------------------------------------- permit
+
+
+def permit_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome:
+    if event.purpose is not Purpose.PERMIT or event.epoch != state.epoch:
+        return state, (Dropped("a nonce that is not for this permit"),)
+    return _authorise(
+        state, Phase.AUTHORISING_PERMIT, Purpose.PERMIT, _permit(state, event.nonce), now_s, nonce=event.nonce
+    )
+
+
+def _permit(state: Interlock, nonce: bytes) -> records.Permit:
+    job, session, verdict = state.job, state.session, state.verdict
+    assert session is not None and verdict is not None  # noqa: S101, PT018 - permissives of this phase
+    return records.Permit(
+        nonce=nonce,
+        boot_nonce=session.boot_nonce,
+        session_digest=session.digest,
+        serial=session.serial,
+        protocol_version=session.protocol_version,
+        epoch=state.epoch,
+        limits_digest=verdict.limits,
+        calibration_digest=verdict.calibration,
+        tool_digest=verdict.tool,
+        path_digest=verdict.path,
+        registration_digest=job.registration,
+        configuration_digest=job.configuration,
+        verifier_version=job.verifier,
+        start_joints_u=verdict.start_joints_u,
+        branch=job.branch,
+        lifetime_s=job.timing.permit_lifetime_s,
+    )
+
+
+def permit_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
+    """The only place a permit leaves from."""
+    if event.token != state.token:
+        return _drop_token(state, event)
+    if not all_hold(FOR_PERMIT, state, now_s):
+        return _enter(state, Phase.ADMITTED, now_s, nonce=None), (Withheld(state.token),)
+    assert state.nonce is not None  # noqa: S101 - set by permit_nonce
+    permit = _permit(state, state.nonce)
+    return _enter(state, Phase.PERMITTING, now_s, permit=permit), (Send(permit),)
+
+
+def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if event.request_type != records.Permit.TYPE:
+        return state, (Dropped("a reply to something else"),)
+    if event.refusal is not Refusal.ACCEPTED:
+        return refuse(state, f"the controller refused the permit: {event.refusal.name}", now_s)
+    pressed = state.controller is not None and state.controller.device_pressed
+    device = DeviceCycle.UNSEEN if pressed else DeviceCycle.RELEASED
+    return _enter(state, Phase.PERMITTED, now_s, device=device), ()
+
+
+# ---------------------------------------------------------------- start
+
+
+def start_said(state: Interlock, event: Said, now_s: float) -> Outcome:
+    if event.word is not Word.START:
+        return said(state, event, now_s)
+    missing = failing(FOR_START, state, now_s)
+    if missing:
+        return state, (Refused(Word.START, "; ".join(map(str, missing))),)
+    return _enter(state, Phase.NONCE_START, now_s), (Send(records.NonceRequest(purpose=Purpose.START)),)
+
+
+def start_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome:
+    if event.purpose is not Purpose.START or event.epoch != state.epoch:
+        return state, (Dropped("a nonce that is not for this start"),)
+    return _authorise(
+        state, Phase.AUTHORISING_START, Purpose.START, _start(state, event.nonce), now_s, nonce=event.nonce
+    )
+
+
+def _start(state: Interlock, nonce: bytes) -> records.Start:
+    assert state.session is not None and state.permit is not None  # noqa: S101, PT018 - PERMITTED has both
+    return records.Start(
+        nonce=nonce,
+        epoch=state.epoch,
+        session_digest=state.session.digest,
+        permit_digest=records.digest(state.permit.canonical()),
+        start_joints_u=state.permit.start_joints_u,
+    )
+
+
+def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
+    """The only place a start leaves from, and with it the first heartbeat that says CUT."""
+    if event.token != state.token:
+        return _drop_token(state, event)
+    if not all_hold(FOR_START, state, now_s):
+        return _enter(state, Phase.PERMITTED, now_s, nonce=None), (Withheld(state.token),)
+    assert state.nonce is not None  # noqa: S101 - set by start_nonce
+    return _enter(state, Phase.STARTING, now_s), (Send(_start(state, state.nonce)),)
+
+
+def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if event.request_type != records.Start.TYPE:
+        return state, (Dropped("a reply to something else"),)
+    if event.refusal is Refusal.ACCEPTED:
+        return _enter(state, Phase.CUTTING, now_s), ()
+    refused = _enter(state, Phase.PERMITTED, now_s, nonce=None)
+    return refused, (Refused(Word.START, f"the controller refused the start: {event.refusal.name}"),)
+
+
+# ---------------------------------------------------------------- cutting and watching
+
+
+def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """What the controller reports must fit the phase, and no cause may stand."""
+    seen = _see(state, event)
+    view = event.view
+    if view.cause is not StopCause.NONE:
+        return stop(seen, view.cause, f"the controller stopped: {view.cause.name}", now_s)
+    if view.epoch != state.epoch:
+        reason = f"the controller's epoch is {view.epoch}, the session's {state.epoch}"
+        return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
+    if view.state not in EXPECTED[state.phase]:
+        reason = f"the controller reports {view.state.name} while {state.phase}"
+        return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
+    if state.phase in MOVING and not view.device_pressed and view.state is not ControllerState.DONE:
+        return stop(seen, StopCause.DEVICE_RELEASED, "the enabling device is released", now_s)
+    return seen, ()
+
+
+def heartbeat_while_cutting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    seen, effects = heartbeat(state, event, now_s)
+    if seen.phase is state.phase and event.view.state is ControllerState.DONE:
+        return _enter(seen, Phase.DONE, now_s), (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
+    return seen, effects
+
+
+def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    if event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT):
+        return _enter(_see(state, event), Phase.STOPPED, now_s), ()
+    return _see(state, event), ()
+
+
+def _see(state: Interlock, event: HeartbeatReceived) -> Interlock:
+    return replace(
+        state,
+        controller=event.view,
+        heartbeat_fresh=event.fresh,
+        device=_cycle(state.device, event.view),
+    )
+
+
+def _cycle(cycle: DeviceCycle, view: ControllerView) -> DeviceCycle:
+    if not view.device_pressed:
+        return DeviceCycle.RELEASED
+    return DeviceCycle.UNSEEN if cycle is DeviceCycle.UNSEEN else DeviceCycle.PRESSED
+
+
+def measured(state: Interlock, event: PoseMeasured, _now_s: float) -> Outcome:
+    return replace(state, offset_mm=event.offset_mm, offset_deg=event.offset_deg), ()
+
+
+# ---------------------------------------------------------------- time
+
+
+def tick(state: Interlock, _event: Tick, now_s: float) -> Outcome:
+    """Every phase that waits has a deadline; one that has passed stops, or ends a wait without a result."""
+    limit = DEADLINES.get(state.phase)
+    if limit is None:
+        return state, ()
+    bound_s, cause, what = limit(state.job.timing), *MISSED[state.phase]
+    if 0.0 <= now_s - state.since_s <= bound_s:
+        return state, ()
+    reason = f"{what} within {bound_s:g} s"
+    if cause is StopCause.NOT_ADMITTED:
+        return refuse(state, reason, now_s)
+    if state.phase is Phase.STOPPING:
+        return _enter(state, Phase.STOPPED, now_s), ()
+    return stop(state, cause, reason, now_s)
+
+
+# ---------------------------------------------------------------- small parts
+
+
+def _authorise(
+    state: Interlock, phase: Phase, purpose: Purpose, record: records.Record, now_s: float, **changes: Any
+) -> Outcome:
+    token = state.token + 1
+    return _enter(state, phase, now_s, token=token, **changes), (Commit(token, purpose, record),)
+
+
+def _drop_token(state: Interlock, event: RecordDurable) -> Outcome:
+    return state, (Dropped(f"durable record {event.token} while {state.token} is pending"),)
+
+
+def ignored(state: Interlock, _event: Event, _now_s: float) -> Outcome:
+    return state, ()
+
+
+def dropped(state: Interlock, event: Event, _now_s: float) -> Outcome:
+    return state, (Dropped(f"{type(event).__name__} while {state.phase}"),)
+
+
+Handler = Callable[[Interlock, Any, float], Outcome]
+P = Phase
+
+AUTHORISING = frozenset({P.AUTHORISING_RESET, P.AUTHORISING_PERMIT, P.AUTHORISING_START})
+MOVING = frozenset({P.STARTING, P.CUTTING})
+
+TABLE: dict[tuple[Phase, type], Handler] = {
+    (P.WAITING, Announced): announced,
+    (P.OPENING, Announced): announced_again,
+    (P.OPENING, SessionOpened): opened,
+    (P.OPENING, ReplyReceived): open_refused,
+    (P.HELD, Said): said_while_held,
+    (P.HELD, HeartbeatReceived): heartbeat_while_held,
+    (P.HELD, ReplyReceived): ignored,
+    (P.NONCE_RESET, NonceReceived): reset_nonce,
+    (P.NONCE_RESET, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.AUTHORISING_RESET, RecordDurable): reset_durable,
+    (P.AUTHORISING_RESET, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.RESETTING, ReplyReceived): reset_answered,
+    (P.RESETTING, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.COLLECTING, ParameterReceived): parameter,
+    (P.UPLOADING, BlockStored): block_stored,
+    (P.UPLOADING, PathStored): path_stored,
+    (P.VERIFYING, VerdictReady): verdict_ready,
+    (P.ADMITTED, HeartbeatReceived): heartbeat_while_admitted,
+    (P.NONCE_PERMIT, NonceReceived): permit_nonce,
+    (P.AUTHORISING_PERMIT, RecordDurable): permit_durable,
+    (P.PERMITTING, ReplyReceived): permit_answered,
+    (P.PERMITTED, Said): start_said,
+    (P.NONCE_START, NonceReceived): start_nonce,
+    (P.AUTHORISING_START, RecordDurable): start_durable,
+    (P.STARTING, ReplyReceived): start_answered,
+    (P.STARTING, HeartbeatReceived): heartbeat_while_cutting,
+    (P.CUTTING, HeartbeatReceived): heartbeat_while_cutting,
+    (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
+    (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
+    (P.STOPPING, Said): ignored,
+}
+"""What only one phase answers to."""
+
+EVERYWHERE: dict[type, Handler] = {
+    Announced: rebooted,
+    SessionOpened: dropped,
+    ParameterReceived: parameter_changed,
+    BlockStored: dropped,
+    PathStored: dropped,
+    VerdictReady: dropped,
+    NonceReceived: dropped,
+    ReplyReceived: dropped,
+    HeartbeatReceived: heartbeat,
+    HeartbeatLost: heartbeat_lost,
+    FaultReceived: fault_received,
+    PoseMeasured: measured,
+    RecordDurable: dropped,
+    LogChanged: log_changed,
+    Failed: failed,
+    Said: said,
+    Tick: tick,
+}
+"""What every other phase answers."""
+
+C = ControllerState
+EXPECTED: dict[Phase, frozenset[ControllerState]] = {
+    P.WAITING: frozenset(),
+    P.OPENING: frozenset(C),
+    P.COLLECTING: frozenset({C.OPEN}),
+    P.UPLOADING: frozenset({C.OPEN, C.LOADED}),
+    P.VERIFYING: frozenset({C.OPEN, C.LOADED}),
+    P.ADMITTED: frozenset({C.LOADED}),
+    P.NONCE_PERMIT: frozenset({C.LOADED}),
+    P.AUTHORISING_PERMIT: frozenset({C.LOADED}),
+    P.PERMITTING: frozenset({C.LOADED, C.PERMITTED}),
+    P.PERMITTED: frozenset({C.LOADED, C.PERMITTED}),  # a heartbeat may have left before the permit arrived
+    P.NONCE_START: frozenset({C.PERMITTED}),
+    P.AUTHORISING_START: frozenset({C.PERMITTED}),
+    P.STARTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
+    P.CUTTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
+}
+"""What the controller may report in each phase; anything else stops."""
+
+DEADLINES: dict[Phase, Callable[[Timing], float]] = {
+    P.WAITING: lambda t: t.announce_wait_s,
+    P.OPENING: lambda t: t.reply_timeout_s,
+    P.HELD: lambda t: t.operator_wait_s,
+    P.NONCE_RESET: lambda t: t.reply_timeout_s,
+    P.AUTHORISING_RESET: lambda t: t.commit_deadline_s,
+    P.RESETTING: lambda t: t.reply_timeout_s,
+    P.COLLECTING: lambda t: t.reply_timeout_s,
+    P.UPLOADING: lambda t: t.transfer_timeout_s,
+    P.VERIFYING: lambda t: t.verify_timeout_s,
+    P.ADMITTED: lambda t: t.operator_wait_s,
+    P.NONCE_PERMIT: lambda t: t.reply_timeout_s,
+    P.AUTHORISING_PERMIT: lambda t: t.commit_deadline_s,
+    P.PERMITTING: lambda t: t.reply_timeout_s,
+    P.PERMITTED: lambda t: float(t.permit_lifetime_s),
+    P.NONCE_START: lambda t: t.reply_timeout_s,
+    P.AUTHORISING_START: lambda t: t.commit_deadline_s,
+    P.STARTING: lambda t: t.reply_timeout_s,
+    P.STOPPING: lambda t: t.stop_confirm_s,
+}
+"""How long each phase may last. CUTTING lasts as long as heartbeats do."""
+
+MISSED: dict[Phase, tuple[StopCause, str]] = {
+    P.WAITING: (StopCause.NOT_ADMITTED, "no controller announced itself"),
+    P.OPENING: (StopCause.NOT_ADMITTED, "the controller did not open the session"),
+    P.HELD: (StopCause.NOT_ADMITTED, "the controller's stop was not acknowledged and reset"),
+    P.NONCE_RESET: (StopCause.TRANSFER_FAILED, "no nonce for the reset"),
+    P.AUTHORISING_RESET: (StopCause.AUDIT_FAILED, "the reset's record did not reach the disk"),
+    P.RESETTING: (StopCause.TRANSFER_FAILED, "no answer to the reset"),
+    P.COLLECTING: (StopCause.TRANSFER_FAILED, "limits, calibration and tool did not arrive"),
+    P.UPLOADING: (StopCause.TRANSFER_FAILED, "the path was not stored"),
+    P.VERIFYING: (StopCause.NOT_ADMITTED, "no verdict"),
+    P.ADMITTED: (StopCause.NOT_ADMITTED, "the permissives for the permit did not all hold"),
+    P.NONCE_PERMIT: (StopCause.TRANSFER_FAILED, "no nonce for the permit"),
+    P.AUTHORISING_PERMIT: (StopCause.AUDIT_FAILED, "the permit's record did not reach the disk"),
+    P.PERMITTING: (StopCause.TRANSFER_FAILED, "no answer to the permit"),
+    P.PERMITTED: (StopCause.PERMIT_EXPIRED, "the operator did not start"),
+    P.NONCE_START: (StopCause.TRANSFER_FAILED, "no nonce for the start"),
+    P.AUTHORISING_START: (StopCause.AUDIT_FAILED, "the start's record did not reach the disk"),
+    P.STARTING: (StopCause.TRANSFER_FAILED, "no answer to the start"),
+    P.STOPPING: (StopCause.NONE, "no confirmation of the stop"),
+}
+"""What a missed deadline means."""

@@ -1,0 +1,200 @@
+"""The commit thread: writes bytes, syncs them, reports how far the log is durable. Nothing else.
+
+The disk may take its time or never answer; whoever hands bytes over never waits for it. After the first error
+the descriptor is abandoned: nothing is written, synced or finished any more, because a second fsync may report
+success for bytes that the first one lost.
+"""
+
+import contextlib
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+
+from runtime.audit.disk import Disk, Reservation, write_all
+
+
+@dataclass(frozen=True, slots=True)
+class Durable:
+    """Everything up to ``offset`` of the log is on the disk, and with it the record named by ``token``."""
+
+    token: int | None
+    offset: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The log cannot be written any more. Reported once."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reserved:
+    """The answer to a reservation; ``size`` 0 where there is no space."""
+
+    asked: int
+    reservation: Reservation
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The log is complete, durable and closed."""
+
+
+Event = Durable | Failed | Reserved | Closed
+
+
+@dataclass(frozen=True, slots=True)
+class Append:
+    """Bytes for the log and for the file of raw frames; ``durable`` asks for a sync and a report."""
+
+    log: bytes
+    frames: bytes
+    token: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """Space for ``size`` bytes of log in all."""
+
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """The last bytes, and what the directory's HEAD file is to say after them."""
+
+    log: bytes
+    frames: bytes
+    head: bytes
+
+
+Job = Append | Reserve | Finish
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """The open files of one log."""
+
+    log: int
+    frames: int
+    log_path: Path
+    head_path: Path
+
+
+class Committer:
+    """The thread and its two queues. One other thread talks to it; none of these calls waits for the disk."""
+
+    def __init__(self, disk: Disk, files: Files) -> None:
+        self._disk = disk
+        self._files = files
+        self._offset = 0
+        self._jobs: SimpleQueue[Job] = SimpleQueue()
+        self._events: deque[Event] = deque()
+        self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        # A daemon: a disk that never answers must not keep the process from ending.
+        self._thread = Thread(target=self._run, name="audit-commit", daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Job) -> None:
+        """Hand a job over."""
+        self._jobs.put(job)
+
+    def fileno(self) -> int:
+        """Readable while events wait."""
+        return self._wake_read
+
+    def events(self) -> list[Event]:
+        """What the thread has reported since the last call."""
+        with contextlib.suppress(BlockingIOError):
+            while os.read(self._wake_read, 4096):
+                pass
+        found = []
+        while self._events:
+            found.append(self._events.popleft())
+        return found
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the thread's end, at most so long; whether it has ended."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def release(self) -> None:
+        """Close the wake pipe; only after ``join`` said True."""
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    # ------------------------------------------------------------ the thread
+
+    def _run(self) -> None:
+        try:
+            while not self._work(self._next()):
+                pass
+        except Exception as error:  # noqa: BLE001 - a thread must not die while its owner believes it runs
+            self._report(Failed(_reason(error)))
+        for descriptor in (self._files.log, self._files.frames):
+            with contextlib.suppress(OSError):  # the outcome is reported already; this only frees the number
+                self._disk.close(descriptor)
+
+    def _next(self) -> list[Job]:
+        """All jobs that wait, at least one: a slow disk syncs once for many."""
+        jobs = [self._jobs.get()]
+        with contextlib.suppress(Empty):
+            while True:
+                jobs.append(self._jobs.get_nowait())
+        return jobs
+
+    def _work(self, jobs: Sequence[Job]) -> bool:
+        """Do the jobs; whether the log is closed."""
+        appended = [job for job in jobs if not isinstance(job, Reserve)]
+        self._append(appended)
+        for job in jobs:
+            if isinstance(job, Reserve):
+                self._report(Reserved(job.size, self._reserve(job.size)))
+            elif isinstance(job, Finish):
+                self._finish(job)
+                return True
+        return False
+
+    def _append(self, jobs: Sequence[Append | Finish]) -> None:
+        data = b"".join(job.log for job in jobs)
+        if data:
+            write_all(self._disk, self._files.log, data)
+            self._offset += len(data)
+        tokens = [job.token for job in jobs if isinstance(job, Append) and job.token is not None]
+        if data or tokens:
+            self._disk.sync(self._files.log)
+            for token in tokens or [None]:
+                self._report(Durable(token, self._offset))
+        # Raw frames come second: no enabling record waits for them.
+        write_all(self._disk, self._files.frames, b"".join(job.frames for job in jobs))
+
+    def _reserve(self, size: int) -> Reservation:
+        """No space is an answer, not a failure: nothing that was written is lost."""
+        try:
+            return self._disk.reserve(self._files.log, self._files.log_path, size)
+        except OSError as error:
+            return Reservation(0, reserved=False, how=_reason(error))
+
+    def _finish(self, job: Finish) -> None:
+        self._disk.trim(self._files.log)
+        self._disk.sync(self._files.log)
+        self._disk.sync(self._files.frames)
+        self._disk.replace(self._files.head_path, job.head)
+        self._report(Closed())
+
+    def _report(self, event: Event) -> None:
+        self._events.append(event)
+        # A full pipe is readable already.
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._wake_write, b"\0")
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, OSError) and error.errno is not None:
+        return f"{os.strerror(error.errno)} (error {error.errno})"
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,398 @@
+"""What the log holds: one frozen model per topic, stored as JSON beside its flattened JSON Schema.
+
+A value that is not defined is left out (never null), a number is never NaN or infinite, times are
+``{sec, nsec}``. Every ``/audit/`` record carries ``prev``, the chain's head before it, and the two clocks;
+the log fills these in (``chain.py``, ``log.py``).
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, Literal, Protocol, Self
+
+from pydantic import BaseModel, ConfigDict
+
+NANOSECONDS: Final = 1_000_000_000
+
+Disposition = Literal["decided", "authorised", "sent", "acknowledged", "withheld"]
+"""``authorised``: the record is made, nothing has left. Only ``sent`` says that it left."""
+Stage = Literal["authorised", "sent", "acknowledged", "refused", "withheld"]
+
+
+class Entry(BaseModel):
+    """Part of a record: frozen, closed, finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class Time(Entry):
+    """A time or duration: whole seconds and nanoseconds."""
+
+    sec: int
+    nsec: int
+
+    @classmethod
+    def of(cls, nanoseconds: int) -> Self:
+        """The time of a count of nanoseconds."""
+        sec, nsec = divmod(nanoseconds, NANOSECONDS)
+        return cls(sec=sec, nsec=nsec)
+
+    @property
+    def nanoseconds(self) -> int:
+        """The count of nanoseconds."""
+        return self.sec * NANOSECONDS + self.nsec
+
+
+ZERO: Final = Time(sec=0, nsec=0)
+
+
+class Record(Entry):
+    """One message of the log."""
+
+    TOPIC: ClassVar[str]
+
+    def encode(self) -> bytes:
+        """The JSON that is stored: undefined keys absent, no NaN, UTF-8.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        content = self.model_dump(mode="json", exclude_none=True)
+        return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+class AuditRecord(Record):
+    """A record of the chain. ``prev`` and the clocks are filled in by the log."""
+
+    prev: str = ""
+    utc: Time = ZERO
+    monotonic: Time = ZERO
+
+
+class Option(Entry):
+    """A setting and its value in words."""
+
+    name: str
+    value: str
+
+
+class Open(AuditRecord):
+    """Record 0: what this log is, what wrote it, and what came before it."""
+
+    TOPIC: ClassVar[str] = "/audit/open"
+
+    log_id: str
+    software: str
+    verifier: str
+    numpy: str
+    cpu_dispatch: tuple[str, ...]
+    """SIMD extensions numpy found; with another set its last bits may differ."""
+    candump: str
+    """Name of the file of raw frames beside the log."""
+    previous_log: str | None = None
+    previous_head: str | None = None
+    """Head of the previous session's chain; after a crash the last recoverable one."""
+    previous_crashed: bool
+    previous_note: str | None = None
+    simulation: tuple[Option, ...] = ()
+    """Options that only a simulation has, such as a time scale."""
+
+
+class PermissiveValue(Entry):
+    """One permissive as it stood: ``value`` or ``text``, its bound and what to do."""
+
+    name: str
+    holds: bool
+    value: float | None = None
+    text: str | None = None
+    bound: str
+    remedy: str
+
+    @classmethod
+    def of(cls, permissive: "PermissiveLike") -> Self:
+        """From the interlock's permissive. A number that is not finite is kept as text."""
+        value, text = permissive.value, permissive.text
+        if value is not None and not math.isfinite(value):
+            value, text = None, text or str(value)
+        return cls(
+            name=permissive.name,
+            holds=permissive.holds,
+            value=value,
+            text=text,
+            bound=permissive.bound,
+            remedy=permissive.remedy,
+        )
+
+
+class PermissiveLike(Protocol):
+    """What the interlock's permissive looks like from here."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102 - as in PermissiveValue
+    @property
+    def holds(self) -> bool: ...  # noqa: D102
+    @property
+    def value(self) -> float | None: ...  # noqa: D102
+    @property
+    def text(self) -> str | None: ...  # noqa: D102
+    @property
+    def bound(self) -> str: ...  # noqa: D102
+    @property
+    def remedy(self) -> str: ...  # noqa: D102
+
+
+class Decision(AuditRecord):
+    """One step of the interlock."""
+
+    TOPIC: ClassVar[str] = "/audit/decision"
+
+    sequence: int
+    session: str | None = None
+    event: str
+    from_state: str
+    to_state: str
+    disposition: Disposition
+    effects: tuple[str, ...] = ()
+    permissives: tuple[PermissiveValue, ...] = ()
+    first_out: str | None = None
+    """First cause of a stop."""
+    reason: str | None = None
+    token: int | None = None
+    """Names the commit that an enabling decision waits for."""
+
+
+class Collected(AuditRecord):
+    """A parameter record of the controller against the site's approved one."""
+
+    TOPIC: ClassVar[str] = "/audit/collected"
+
+    kind: Literal["limits", "calibration", "tool"]
+    sha256: str
+    matches_approved: bool
+    difference: str | None = None
+
+
+class Verdict(AuditRecord):
+    """A verdict: the contract's document as text, and its key fields flat."""
+
+    TOPIC: ClassVar[str] = "/audit/verdict"
+
+    document: str
+    """``cutgate.verdict/1`` as JSON text."""
+    verdict: Literal["admissible", "inadmissible"]
+    method: str
+    verifier: str
+    path_sha256: str
+    limits_sha256: str
+    calibration_sha256: str
+    tool_sha256: str
+    registration_sha256: str
+    poses: int
+    evaluations_arm: int
+    evaluations_wrist: int
+    worst_boundary: str | None = None
+    """The boundary whose certified clearance exceeds its deadband least, in deadbands."""
+    worst_certified: float | None = None
+    elbow: str | None = None
+    q0_turns: int | None = None
+    roll_turns: int | None = None
+    elapsed_ms: float | None = None
+    reason: str | None = None
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any], *, verifier: str, tool_sha256: str, reason: str = "") -> Self:
+        """From the contract's verdict document."""
+        branch = document["branch"] or {}
+        worst = min(boundaries_of(document), key=_margin, default=None)
+        return cls(
+            document=json.dumps(document, allow_nan=False, separators=(",", ":")),
+            verdict=document["verdict"],
+            method=document["method"],
+            verifier=verifier,
+            path_sha256=document["digests"]["path"],
+            limits_sha256=document["digests"]["limits"],
+            calibration_sha256=document["digests"]["calibration"],
+            tool_sha256=tool_sha256,
+            registration_sha256=document["digests"]["registration"],
+            poses=document["path"]["poses"],
+            evaluations_arm=document["evaluations"]["arm"],
+            evaluations_wrist=document["evaluations"]["wrist"],
+            worst_boundary=worst.name if worst else None,
+            worst_certified=worst.certified if worst else None,
+            elbow=branch.get("elbow"),
+            q0_turns=branch.get("q0_turns"),
+            roll_turns=branch.get("roll_turns"),
+            elapsed_ms=document.get("elapsed_ms"),
+            reason=reason or None,
+        )
+
+
+class Boundary(AuditRecord):
+    """One boundary's worst place; undefined values are left out and ``violated`` is true."""
+
+    TOPIC: ClassVar[str] = "/audit/boundary"
+
+    name: str
+    unit: Literal["mm", "deg"]
+    clearance: float | None = None
+    certified: float | None = None
+    deadband: float
+    segment: int | None = None
+    fraction: float | None = None
+    tip_length_mm: float | None = None
+    violated: bool
+
+
+def boundaries_of(document: Mapping[str, Any]) -> tuple[Boundary, ...]:
+    """The boundaries of the contract's verdict document, in its order.
+
+    The document's own ``deadband`` of a boundary, where given, goes before the deadband of its unit.
+    """
+    deadband = {"mm": document["deadband"]["arm_mm"], "deg": document["deadband"]["wrist_deg"]}
+    return tuple(
+        Boundary(
+            name=name,
+            unit=entry["unit"],
+            clearance=entry["clearance"],
+            certified=entry["certified"],
+            deadband=entry.get("deadband", deadband[entry["unit"]]),
+            segment=entry["segment"],
+            fraction=entry["fraction"],
+            tip_length_mm=entry["tip_length_mm"],
+            violated=entry["violated"],
+        )
+        for name, entry in document["boundaries"].items()
+    )
+
+
+def _margin(boundary: Boundary) -> float:
+    """Certified clearance in deadbands; an undefined one is the worst."""
+    return -math.inf if boundary.certified is None else boundary.certified / boundary.deadband
+
+
+class Permit(AuditRecord):
+    """A permit, start or reset on its way. ``authorised`` alone never means that it left."""
+
+    TOPIC: ClassVar[str] = "/audit/permit"
+
+    kind: Literal["permit", "start", "reset"]
+    stage: Stage
+    token: int | None = None
+    nonce: str | None = None
+    path_sha256: str | None = None
+    limits_sha256: str | None = None
+    calibration_sha256: str | None = None
+    tool_sha256: str | None = None
+    registration_sha256: str | None = None
+    configuration_sha256: str | None = None
+    record: str | None = None
+    """The canonical record that is authenticated, in hex."""
+    reply: str | None = None
+    reason: str | None = None
+
+
+class Controller(AuditRecord):
+    """The controller's reported state, whenever it changes."""
+
+    TOPIC: ClassVar[str] = "/audit/controller"
+
+    state: str
+    cause: str
+    epoch: int
+    device_pressed: bool
+    emergency_stop_clear: bool
+    cutting_mode: bool
+    fresh: bool
+
+
+class Fault(AuditRecord):
+    """A fault, the controller's or our own."""
+
+    TOPIC: ClassVar[str] = "/audit/fault"
+
+    source: Literal["controller", "runtime"]
+    code: str
+    cause: str
+    detail: str | None = None
+
+
+class Operator(AuditRecord):
+    """A word of the operator, and whether it was taken."""
+
+    TOPIC: ClassVar[str] = "/audit/operator"
+
+    word: str
+    accepted: bool
+    reason: str | None = None
+
+
+class Process(AuditRecord):
+    """A process of the session. The arguments hold names of key files, never keys."""
+
+    TOPIC: ClassVar[str] = "/audit/process"
+
+    role: str
+    pid: int
+    argv: tuple[str, ...] = ()
+
+
+class Attachment(AuditRecord):
+    """An attachment's digest: readers skip the checksum of the attachment itself."""
+
+    TOPIC: ClassVar[str] = "/audit/attachment"
+
+    name: str
+    media_type: str
+    sha256: str
+    size: int
+
+
+class Close(AuditRecord):
+    """The last record; ``prev`` is the chain's head over everything before it."""
+
+    TOPIC: ClassVar[str] = "/audit/close"
+
+    final_state: str
+    verdict: str | None = None
+    outcome: str | None = None
+    clean: bool
+    """The session came to its end; not a crash, not an internal error."""
+    message_count: int
+    """All messages of the file, this one included."""
+    candump_sha256: str
+    candump_bytes: int
+
+
+class CanFrame(Record):
+    """A single frame; the fields of ROS ``can_msgs/Frame``, data in hex."""
+
+    TOPIC: ClassVar[str] = "/can/frame"
+
+    stamp: Time
+    direction: Literal["received", "sent"]
+    id: int
+    is_rtr: bool = False
+    is_extended: bool = False
+    is_error: bool = False
+    dlc: int
+    data: str
+
+
+class CanTransfer(Record):
+    """One reassembled record of an ISO-TP channel."""
+
+    TOPIC: ClassVar[str] = "/can/transfer"
+
+    stamp: Time
+    direction: Literal["received", "sent"]
+    channel: str
+    record: str
+    length: int
+    sha256: str
+
+
+MODELS: Final[tuple[type[Record], ...]] = (
+    Open, Decision, Collected, Verdict, Boundary, Permit, Controller, Fault, Operator, Process, Attachment, Close,
+    CanFrame, CanTransfer,
+)  # fmt: skip
+"""Every model, one per topic."""

@@ -1,0 +1,144 @@
+"""The MCAP writer, in memory: records go in, the new bytes of the file come out.
+
+Chunks are not compressed: what is stored is what the chain covers, a decision closes its chunk at once and small
+chunks do not compress, and recovery needs nothing but the bytes.
+"""
+
+from typing import Final
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
+from mcap.writer import Writer as McapWriter
+
+from runtime.audit.chain import GENESIS, Link, advance
+from runtime.audit.records import AuditRecord, Record, Time
+from runtime.audit.schema import schema_bytes
+
+PROFILE: Final = "cutgate.audit/1"
+METADATA: Final = "cutgate"
+CHUNK_BYTES: Final = 1 << 20
+ENCODING: Final[str] = MessageEncoding.JSON
+SCHEMA_ENCODING: Final[str] = SchemaEncoding.JSONSchema
+
+
+class _Buffer:
+    """What the MCAP writer writes to: counts all bytes, keeps those not yet taken."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._end = 0
+
+    def write(self, data: bytes) -> int:
+        self._parts.append(bytes(data))
+        self._end += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._end
+
+    def flush(self) -> None:
+        """Nothing is kept back."""
+
+    def take(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        return data
+
+
+class LogWriter:
+    """One log file, in memory. Pure apart from that: no clock, no disk.
+
+    Attributes:
+        head: the chain's head over all messages so far, 32 bytes.
+        count: messages so far; the next message's sequence.
+        unwritten: messages that stand in the open chunk.
+    """
+
+    def __init__(self, log_id: str, metadata: dict[str, str]) -> None:
+        self.head = GENESIS
+        self.count = 0
+        self.unwritten = 0
+        self._buffer = _Buffer()
+        self._channels: dict[str, int] = {}
+        self._mcap = McapWriter(
+            self._buffer,  # type: ignore[arg-type]  # write, tell and flush are all it uses
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self._mcap.start(PROFILE, LIBRARY_IDENTIFIER)
+        self._mcap.add_metadata(METADATA, {"log_id": log_id, **metadata})
+
+    def add(self, record: Record, *, log_time_ns: int, monotonic_ns: int) -> None:
+        """Add a message to the open chunk; an ``/audit/`` record gets its link and its times here.
+
+        Args:
+            record: any of ``records.MODELS``.
+            log_time_ns: UTC, nanoseconds since 1970.
+            monotonic_ns: the session's monotonic clock.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        if isinstance(record, AuditRecord):
+            stamped = {
+                "prev": self.head.hex(),
+                "utc": Time.of(log_time_ns),
+                "monotonic": Time.of(monotonic_ns),
+            }
+            record = record.model_copy(update=stamped)
+        data = record.encode()
+        model = type(record)
+        channel = self._channel(model)
+        link = Link(
+            topic=model.TOPIC,
+            encoding=ENCODING,
+            schema_name=schema_name(model),
+            schema=schema_bytes(model),
+            log_time=log_time_ns,
+            publish_time=log_time_ns,
+            sequence=self.count,
+            data=data,
+        )
+        self._mcap.add_message(
+            channel_id=channel,
+            log_time=log_time_ns,
+            publish_time=log_time_ns,
+            sequence=self.count,
+            data=data,
+        )
+        self.head = advance(self.head, link)
+        self.count += 1
+        self.unwritten += 1
+
+    def attach(self, name: str, media_type: str, data: bytes, *, log_time_ns: int) -> None:
+        """Add an attachment; it stands before the open chunk in the file."""
+        self._mcap.add_attachment(
+            create_time=log_time_ns, log_time=log_time_ns, name=name, media_type=media_type, data=data
+        )
+
+    def close_chunk(self) -> None:
+        """End the open chunk, if it holds anything, and give out its bytes."""
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self.unwritten = 0
+
+    def finish(self) -> None:
+        """End the file: last chunk, summary, footer. Nothing can be added any more."""
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self.unwritten = 0
+
+    def take(self) -> bytes:
+        """The bytes that have come to stand in the file since the last call."""
+        return self._buffer.take()
+
+    def _channel(self, model: type[Record]) -> int:
+        topic = model.TOPIC
+        if topic not in self._channels:
+            schema = self._mcap.register_schema(schema_name(model), SCHEMA_ENCODING, schema_bytes(model))
+            self._channels[topic] = self._mcap.register_channel(topic, ENCODING, schema)
+        return self._channels[topic]
+
+
+def schema_name(model: type[Record]) -> str:
+    """The schema's name in the file."""
+    return f"cutgate.{model.__name__}"

@@ -1,0 +1,339 @@
+"""The simulated arm: it executes the stored path segment by segment, no faster than feed and joint limits allow.
+
+Pure: time comes in as `dt_s`, the state goes in and out as a value. With a time scale the plant's own time runs
+faster than the clock; feed and joint speeds keep their limits in the plant's time.
+"""
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+
+from firmware_sim.kinematics import (
+    Arm,
+    Joints,
+    KinematicsError,
+    Pose,
+    as_joints,
+    calibrated_arm,
+    interpolate,
+    inverse,
+    largest_turn,
+    limit_text,
+    nearest_turns,
+    on_turns,
+    turn_rad,
+)
+from protocol.path import HEADER_BYTES, POSE_BYTES, decode_axes
+from protocol.records import BLOCK_BYTES, Calibration, Limits, Path, block_of_pose, split
+from protocol.states import StopCause
+
+STEP_MM: Final = 5.0
+"""The joints are computed at least so often along the path."""
+STEP_RAD: Final = math.radians(2.0)
+STEP_TURN_RAD: Final = 0.1
+"""A step in which a joint turns further is halved: its speed is then the speed everywhere on it."""
+SHORTEST_STEP: Final = 2.0**-30
+OFF_PATH_MM: Final = 1.0
+"""An arm further from its place on the path than this, or than OFF_PATH_RAD, does not move."""
+OFF_PATH_RAD: Final = math.radians(0.5)
+
+_ZERO: Final[Joints] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class BlockError(Exception):
+    """A block of the stored path no longer has the CRC-32 with which it was received."""
+
+
+class StoredPath:
+    """The path as it lies in the controller's memory: blocks, each checked again whenever it is read for execution.
+
+    Args:
+        path: the path as parsed when it was stored; header fields are taken from it.
+        blocks: the stored blocks, in order.
+        crc32s: their CRC-32s as received.
+    """
+
+    def __init__(self, path: Path, blocks: Sequence[bytes | bytearray], crc32s: Sequence[int]) -> None:
+        self.elbow = path.elbow
+        self.q0_turns = path.q0_turns
+        self.roll_turns = path.roll_turns
+        self.feed_mm_s = path.feed_mm_s
+        self.tool_length_mm = path.tool_length_mm
+        self._poses = len(path)
+        self._blocks = blocks
+        self._crc32s = crc32s
+        self._decoded: dict[int, list[Pose]] = {}
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """A stored path whose blocks are the ones the wire would carry."""
+        blocks = split(path.body())
+        return cls(path, [block.data for block in blocks], [block.block_crc32 for block in blocks])
+
+    def __len__(self) -> int:
+        """How many poses."""
+        return self._poses
+
+    def pose(self, index: int) -> Pose:
+        """One pose, from its block in memory.
+
+        Raises:
+            BlockError: the block has changed.
+        """
+        block = block_of_pose(index)
+        if block not in self._decoded:
+            # A segment may begin in one block and end in the next: two are kept.
+            self._decoded = {block: self._decode(block), **dict(list(self._decoded.items())[:1])}
+        return self._decoded[block][index - _first_pose(block)]
+
+    def _decode(self, block: int) -> list[Pose]:
+        stored = bytes(self._blocks[block])
+        if zlib.crc32(stored) != self._crc32s[block]:
+            raise BlockError(
+                f"stored path block {block} of {len(self._blocks)} does not have its CRC-32 any more"
+            )
+        header = HEADER_BYTES if block == 0 else 0
+        codes = np.frombuffer(stored, dtype="<i4", offset=header).reshape(-1, POSE_BYTES // 4)
+        tips, axes = (codes[:, :3] / 1000.0).tolist(), decode_axes(codes[:, 3:]).tolist()
+        return [Pose(tuple(tip), tuple(axis)) for tip, axis in zip(tips, axes, strict=True)]
+
+
+def _first_pose(block: int) -> int:
+    """The first pose that lies in a block."""
+    return max(0, (BLOCK_BYTES * block - HEADER_BYTES) // POSE_BYTES)
+
+
+@dataclass(frozen=True, slots=True)
+class PlantState:
+    """Where the arm is.
+
+    Attributes:
+        joints: reported joints, rad and mm.
+        segment: the segment it is on, from 0.
+        fraction: how far along it, 0 to 1.
+        moving: whether it moved in the last step.
+        cutter: whether the cutter turns.
+        done: whether it stands at the path's last pose, having executed every segment.
+    """
+
+    joints: Joints
+    segment: int = 0
+    fraction: float = 0.0
+    moving: bool = False
+    cutter: bool = False
+    done: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PlantFault:
+    """Why the arm stopped by itself."""
+
+    cause: StopCause
+    detail: str
+
+
+class Advance(NamedTuple):
+    """What one step did.
+
+    Attributes:
+        state: the new state.
+        executed: the segments completed in this step, in order, without a gap to those before.
+        speed_ratio: the highest joint speed in the step over its limit, in the plant's time; at most 1.
+        slowed: whether the joint speed limits held the feed below the planned one.
+        fault: why the arm stopped by itself, None if it did not.
+    """
+
+    state: PlantState
+    executed: range
+    speed_ratio: float
+    slowed: bool
+    fault: PlantFault | None
+
+
+class _Segment(NamedTuple):
+    """A segment under execution."""
+
+    start: Pose
+    end: Pose
+    time_s: float
+    longest_step: float
+
+
+class _Step(NamedTuple):
+    """A stretch of a segment that the arm can take at once."""
+
+    fraction: float
+    joints: Joints
+    time_s: float
+    speed_ratio: float
+    slowed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Plant:
+    """The simulated arm with its limits.
+
+    Attributes:
+        limits: position and speed limits of the reported joints.
+        calibration: the true arm.
+        hold_roll_rad: the q3 held by a path of vertical axis throughout, where the robot declares one.
+    """
+
+    limits: Limits
+    calibration: Calibration
+    hold_roll_rad: float | None = None
+
+    def place_at_first_pose(self, path: StoredPath, offset: Joints = _ZERO) -> PlantState:
+        """The arm standing at the path's first pose, on the path's branch, or that much off it.
+
+        Raises:
+            KinematicsError: the pose is out of reach, or vertical without a held roll.
+            BlockError: the stored path has changed.
+        """
+        joints = on_turns(
+            inverse(self._arm(path), path.pose(0)), q0_turns=path.q0_turns, roll_turns=path.roll_turns
+        )
+        q0, q1, q2, q3, q4 = (joint + off for joint, off in zip(joints, offset, strict=True))
+        return PlantState((q0, q1, q2, q3, q4))
+
+    def advance(
+        self,
+        state: PlantState,
+        path: StoredPath,
+        *,
+        dt_s: float,
+        moving: bool,
+        cutter: bool,
+        time_scale: float = 1.0,
+    ) -> Advance:
+        """The state `dt_s` seconds of the clock later.
+
+        Args:
+            state: the state now.
+            path: the path being executed.
+            dt_s: seconds, >= 0.
+            moving: whether motion is allowed; without it the arm stands at once.
+            cutter: whether the cutter is switched on.
+            time_scale: seconds of the plant in one of the clock, > 0.
+
+        Raises:
+            ValueError: a negative or non-finite time.
+        """
+        budget_s = dt_s * time_scale
+        if not (0.0 <= budget_s < math.inf and time_scale > 0.0):
+            raise ValueError(f"dt_s = {dt_s}, time_scale = {time_scale}: must be finite, >= 0 and > 0")
+        standing = replace(state, moving=False, cutter=cutter)
+        if state.done or not moving or budget_s == 0.0:
+            return Advance(standing, range(state.segment, state.segment), 0.0, False, None)
+        return _Motion(self, path, standing).run(budget_s)
+
+    def _arm(self, path: StoredPath) -> Arm:
+        return calibrated_arm(
+            self.calibration, tool_mm=path.tool_length_mm, elbow=path.elbow, hold_roll_rad=self.hold_roll_rad
+        )
+
+
+class _Motion:
+    """One step under way: moves along segment after segment until the time is spent, the end or a fault."""
+
+    def __init__(self, plant: Plant, path: StoredPath, state: PlantState) -> None:
+        self._arm = plant._arm(path)  # noqa: SLF001 - same module
+        self._lower, self._upper = as_joints(plant.limits.q_min), as_joints(plant.limits.q_max)
+        self._speed = as_joints(plant.limits.speed)
+        self._path = path
+        self._begin = state.segment
+        self._state = state
+        self._completed = state.segment
+        self._ratio = 0.0
+        self._slowed = False
+
+    def run(self, left_s: float) -> Advance:
+        """Move for that many seconds of the plant."""
+        fault = None
+        try:
+            fault = self._off_path()
+            while fault is None and not self._state.done:
+                segment = self._segment(self._state.segment)
+                step = self._next_step(segment, left_s)
+                if step is None:
+                    break
+                fault = self._outside(step.joints)
+                if fault is None:
+                    left_s -= step.time_s
+                    self._take(step)
+        except KinematicsError as error:
+            fault = PlantFault(StopCause.LIMIT_EXCEEDED, f"segment {self._state.segment}: {error}")
+        except BlockError as error:
+            fault = PlantFault(StopCause.PATH_CHANGED, str(error))
+        state = replace(self._state, moving=fault is None and not self._state.done)
+        return Advance(state, range(self._begin, self._completed), self._ratio, self._slowed, fault)
+
+    def _segment(self, index: int) -> _Segment:
+        start, end = self._path.pose(index), self._path.pose(index + 1)
+        turn = turn_rad(start.axis, end.axis)
+        longest_mm = max(math.dist(start.tip, end.tip), self._path.tool_length_mm * turn)
+        steps = max(1.0, math.ceil(longest_mm / STEP_MM), math.ceil(turn / STEP_RAD))
+        return _Segment(start, end, longest_mm / self._path.feed_mm_s, 1.0 / steps)
+
+    def _next_step(self, segment: _Segment, left_s: float) -> _Step | None:
+        """The longest stretch, of those tried, that fits the time left; None if none does."""
+        at = self._state.fraction
+        size = min(1.0 - at, segment.longest_step)
+        while size > SHORTEST_STEP:
+            step = self._stretch(segment, 1.0 if at + size > 1.0 - SHORTEST_STEP else at + size)
+            if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
+                size *= 0.5
+            elif step.time_s > left_s:
+                size *= min(0.98, left_s / step.time_s)
+            else:
+                return step
+        if left_s > 0.0 and largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
+            raise KinematicsError(f"a joint jumps at fraction {at:.9f}: the path runs through a singularity")
+        return None
+
+    def _stretch(self, segment: _Segment, to: float) -> _Step:
+        pose = interpolate(segment.start, segment.end, to)
+        joints = nearest_turns(inverse(self._arm, pose), self._state.joints)
+        planned_s = (to - self._state.fraction) * segment.time_s
+        at_limits_s = max(
+            abs(new - old) / speed
+            for new, old, speed in zip(joints, self._state.joints, self._speed, strict=True)
+        )
+        time_s = max(planned_s, at_limits_s)
+        ratio = at_limits_s / time_s if time_s > 0.0 else 0.0
+        return _Step(to, joints, time_s, ratio, at_limits_s > planned_s)
+
+    def _take(self, step: _Step) -> None:
+        self._ratio = max(self._ratio, step.speed_ratio)
+        self._slowed = self._slowed or step.slowed
+        segment, fraction, done = self._state.segment, step.fraction, False
+        if fraction == 1.0:
+            self._completed = segment + 1
+            done = self._completed == len(self._path) - 1
+            segment, fraction = (segment, 1.0) if done else (segment + 1, 0.0)
+        self._state = replace(self._state, joints=step.joints, segment=segment, fraction=fraction, done=done)
+
+    def _off_path(self) -> PlantFault | None:
+        """A fault if the arm is not where its progress says."""
+        index = self._state.segment
+        pose = interpolate(self._path.pose(index), self._path.pose(index + 1), self._state.fraction)
+        place = nearest_turns(inverse(self._arm, pose), self._state.joints)
+        slide_mm = abs(place[2] - self._state.joints[2])
+        turn = largest_turn(place, self._state.joints)
+        if slide_mm <= OFF_PATH_MM and turn <= OFF_PATH_RAD:
+            return None
+        return PlantFault(
+            StopCause.TRACKING_DEVIATION,
+            f"the arm is {slide_mm:.3f} mm and {math.degrees(turn):.3f} deg off its place on segment {index}, "
+            f"at most {OFF_PATH_MM} mm and {math.degrees(OFF_PATH_RAD):.3f} deg",
+        )
+
+    def _outside(self, joints: Joints) -> PlantFault | None:
+        text = limit_text(joints, self._lower, self._upper)
+        if not text:
+            return None
+        return PlantFault(StopCause.LIMIT_EXCEEDED, f"segment {self._state.segment}: {text}")

@@ -160,6 +160,11 @@ class SignedRecord(Record):
         """What is signed: the domain's name, a zero byte, and the body without its code."""
         return self.DOMAIN + b"\0" + self.body()[: -len(NO_MAC)]
 
+    @property
+    def code(self) -> bytes:
+        """The message authentication code, 16 bytes."""
+        return self.body()[-len(NO_MAC) :]
+
     def with_mac(self, mac: bytes) -> Self:
         """The same record with this code."""
         return replace(self, mac=mac)  # type: ignore[call-arg]

@@ -1,0 +1,305 @@
+"""One side's view of the single frames: counters, age, and the other node that must not be there.
+
+Pure: the caller brings each frame and the time. What is accepted has passed identifier, CRC (with data ID and
+session tag), counter and content; what is not says why, and whether motion must stop for it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.e2e import COUNTER_MODULUS, CorruptionWatch, Sequence, Step, intact
+from protocol.frames import (
+    DATA_IDS,
+    ECHO_NONE,
+    FRAMES,
+    IDS,
+    SENT_BY,
+    TRANSFER_IDS,
+    ControllerHeartbeat,
+    Frame,
+    FrameError,
+    Joint4,
+    Joints01,
+    Joints23,
+    RuntimeHeartbeat,
+    RuntimeStop,
+    decode_frame,
+    encode_frame,
+    joint_values,
+)
+from protocol.states import StopCause, StopCode
+from protocol.wire import Channel, Side
+
+NO_SESSION = 0
+"""The tag of a closed link."""
+
+STOP_ID = IDS[RuntimeStop]
+PERIODS_MIN = 3
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A frame that may be acted on."""
+
+    frame: Frame
+    counter: int
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class Discarded:
+    """A frame that is dropped and counted; motion goes on."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A frame for which motion must stop."""
+
+    cause: StopCause
+    detail: str
+
+
+@dataclass(frozen=True)
+class Unlisted:
+    """An identifier that is not cutgate's."""
+
+
+@dataclass(frozen=True)
+class ForTransfer:
+    """A frame of the peer's on an ISO-TP channel: hand it to that channel's transfer."""
+
+    channel: Channel
+
+
+Outcome = Accepted | Discarded | Violation | Unlisted | ForTransfer
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a link has counted since it was opened."""
+
+    accepted: int = 0
+    losses: int = 0
+    repetitions: int = 0
+    crc_failures: int = 0
+    outside_session: int = 0
+    stale_heartbeats: int = 0
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """Measured joints of one counter value, (rad, rad, mm, rad, rad), and when the last part came."""
+
+    joints: NDArray[np.float64]
+    counter: int
+    received_s: float
+
+
+class Link:
+    """The single-frame traffic of one side.
+
+    Rules:
+    - A frame on an identifier that only this side sends on is a second node, also while the link is closed.
+    - While the link is closed everything else is discarded.
+    - Anything on the stop identifier that is not a sound stop or end is a stop.
+    - A heartbeat refreshes only if it echoes one of ours that was sent no longer than the time-out ago.
+    - Never seen is stale.
+    """
+
+    def __init__(self, side: Side, timeout_s: float, heartbeat_s: float) -> None:
+        if not 0.0 < PERIODS_MIN * heartbeat_s <= timeout_s < COUNTER_MODULUS * heartbeat_s:
+            raise ValueError(
+                f"time-out {timeout_s} s must be {PERIODS_MIN} to {COUNTER_MODULUS - 1} heartbeats of {heartbeat_s} s"
+            )
+        self.side = side
+        self.timeout_s = timeout_s
+        self.heartbeat_s = heartbeat_s
+        self._clear()
+
+    def _clear(self) -> None:
+        self.tag = NO_SESSION
+        self.statistics = Statistics()
+        self.sample: JointSample | None = None
+        self._opened_s: float | None = None
+        self._refreshed_s: float | None = None
+        self._sent_s: dict[int, float] = {}
+        self._peer_counter: int | None = None
+        self._heard = False
+        self._counters: dict[int, int] = {}
+        self._sequences: dict[int, Sequence] = {}
+        self._corruption = CorruptionWatch()
+        self._parts: dict[int, tuple[int, Frame]] = {}
+
+    def open(self, tag: int, now_s: float) -> None:
+        """Begin a session: counters from 0, nothing seen, nothing fresh. Raises ValueError for tag 0."""
+        if not 0 < tag < 1 << 32:
+            raise ValueError(
+                f"session tag is {tag}, must be in 1..4294967295: the runtime draws another nonce"
+            )
+        self._clear()
+        self.tag = tag
+        self._opened_s = now_s
+
+    def close(self) -> None:
+        """End the session; nothing is accepted until the next one."""
+        self._clear()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a session is open."""
+        return self._opened_s is not None
+
+    def encode(self, frame: Frame, now_s: float) -> tuple[int, bytes]:
+        """Identifier and bytes to send now. Fills in the echo; the three joint frames share a counter.
+
+        Without a session the frame carries tag 0, which no open link accepts.
+
+        Raises:
+            FrameError: the frame is the other side's.
+        """
+        if frame.SENDER is not self.side:
+            raise FrameError(f"{type(frame).__name__} is never sent by the {self.side.name.lower()}")
+        can_id = IDS[type(frame)]
+        counter = self._next_counter(frame, can_id)
+        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat | RuntimeStop):
+            echo = ECHO_NONE if self._peer_counter is None else self._peer_counter
+            frame = replace(frame, echo=echo)
+        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
+            self._sent_s[counter] = now_s
+        return encode_frame(frame, counter, self.tag)
+
+    def _next_counter(self, frame: Frame, can_id: int) -> int:
+        """The counter this frame goes out with; the second and third part of a sample take the first one's."""
+        if isinstance(frame, Joints23 | Joint4):
+            counter = self._counters.get(IDS[Joints01], COUNTER_MODULUS - 1)
+        else:
+            counter = (self._counters.get(can_id, COUNTER_MODULUS - 1) + 1) % COUNTER_MODULUS
+        self._counters[can_id] = counter
+        return counter
+
+    def receive(
+        self,
+        can_id: int,
+        data: bytes,
+        *,
+        is_extended: bool = False,
+        is_remote: bool = False,
+        is_fd: bool = False,
+        is_error: bool = False,
+        now_s: float,
+    ) -> Outcome:
+        """Judge one frame from the bus."""
+        if is_error:
+            return Discarded("error frame")
+        if not is_extended and can_id in SENT_BY[self.side]:
+            return Violation(StopCause.SECOND_NODE, f"received on our own identifier {can_id:#05x}")
+        if is_extended or can_id not in SENT_BY[self.side.peer]:
+            return Unlisted()
+        shaped = len(data) == 8 and not is_remote and not is_fd
+        if can_id not in FRAMES:
+            return self._transfer(can_id, shaped=shaped)
+        return self._single(can_id, data, now_s, shaped=shaped)
+
+    def _single(self, can_id: int, data: bytes, now_s: float, *, shaped: bool) -> Outcome:
+        if not self.is_open:
+            return Discarded("no session")
+        if can_id == STOP_ID:
+            return self._stop(data, shaped=shaped)
+        return self._judge(can_id, data, now_s, shaped=shaped)
+
+    def _transfer(self, can_id: int, *, shaped: bool) -> Outcome:
+        if not shaped:
+            return Discarded(f"transfer frame {can_id:#05x} is not 8 bytes classic")
+        return next(
+            ForTransfer(channel) for channel, sent in TRANSFER_IDS[self.side.peer].items() if sent == can_id
+        )
+
+    def _stop(self, data: bytes, *, shaped: bool) -> Accepted:
+        """Whatever stands on the stop identifier stops; only a sound end of session is anything less."""
+        counter = data[2] if len(data) > 2 else 0
+        if not shaped or not intact(data, DATA_IDS[STOP_ID], self.tag):
+            self._count(crc_failures=1)
+            return Accepted(RuntimeStop(StopCode.STOP, StopCause.CORRUPTION), counter)
+        try:
+            frame = decode_frame(STOP_ID, data)
+        except FrameError:
+            frame = RuntimeStop(StopCode.STOP, StopCause.PROTOCOL_VIOLATION)
+        self._count(accepted=1)
+        return Accepted(frame, counter)
+
+    def _judge(self, can_id: int, data: bytes, now_s: float, *, shaped: bool) -> Outcome:
+        if not shaped or not intact(data, DATA_IDS[can_id], self.tag):
+            if shaped and intact(data, DATA_IDS[can_id], NO_SESSION):
+                self._count(outside_session=1)
+                return Discarded(f"{can_id:#05x} was sent outside the session")
+            return self._corrupt(can_id, now_s)
+        step, lost = self._sequences.setdefault(can_id, Sequence()).judge(data)
+        if step is Step.REPEATED:
+            self._count(repetitions=1)
+            return Discarded(f"{can_id:#05x} repeated")
+        if step is Step.BROKEN:
+            return Violation(
+                StopCause.SEQUENCE_ERROR, f"{can_id:#05x} counter {data[2]} after a gap of {lost}"
+            )
+        try:
+            frame = decode_frame(can_id, data)
+        except FrameError as error:
+            return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
+        self._count(accepted=1, losses=lost)
+        self._note(can_id, frame, data[2], now_s)
+        return Accepted(frame, data[2], lost)
+
+    def _corrupt(self, can_id: int, now_s: float) -> Outcome:
+        self._count(crc_failures=1)
+        if self._corruption.tolerated(now_s):
+            return Discarded(f"{can_id:#05x} corrupted")
+        return Violation(
+            StopCause.CORRUPTION, f"{can_id:#05x} corrupted, more than the tolerated number in a second"
+        )
+
+    def _note(self, can_id: int, frame: Frame, counter: int, now_s: float) -> None:
+        """Remember what an accepted frame says about age and joints."""
+        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
+            self._peer_counter = counter
+            self._age(frame.echo, now_s)
+        elif isinstance(frame, Joints01 | Joints23 | Joint4):
+            self._parts[can_id] = (counter, frame)
+            self._complete(counter, now_s)
+
+    def _age(self, echo: int, now_s: float) -> None:
+        """Refresh only for an echo of a heartbeat that we sent no longer than the time-out ago."""
+        none_yet = echo == ECHO_NONE and not self._heard
+        sent_s = None if none_yet else self._sent_s.get(echo)
+        if sent_s is not None and 0.0 <= now_s - sent_s <= self.timeout_s:
+            self._heard = True
+            self._refreshed_s = now_s
+        else:
+            self._count(stale_heartbeats=1)
+
+    def _complete(self, counter: int, now_s: float) -> None:
+        """Keep the sample once all three parts of one counter are here."""
+        parts = [self._parts.get(IDS[kind]) for kind in (Joints01, Joints23, Joint4)]
+        frames = [frame for at, frame in (part for part in parts if part) if at == counter]
+        match frames:
+            case [Joints01() as first, Joints23() as second, Joint4() as third]:
+                self.sample = JointSample(joint_values(first, second, third), counter, now_s)
+
+    def _count(self, **more: int) -> None:
+        self.statistics = replace(
+            self.statistics, **{name: getattr(self.statistics, name) + by for name, by in more.items()}
+        )
+
+    def fresh(self, now_s: float) -> bool:
+        """Whether the peer was heard in answer to us within the time-out."""
+        return self._refreshed_s is not None and 0.0 <= now_s - self._refreshed_s <= self.timeout_s
+
+    def expire(self, now_s: float) -> StopCause | None:
+        """HEARTBEAT_LOST once an open link has had no refresh for longer than the time-out."""
+        if self._opened_s is None:
+            return None
+        since_s = self._opened_s if self._refreshed_s is None else self._refreshed_s
+        return None if 0.0 <= now_s - since_s <= self.timeout_s else StopCause.HEARTBEAT_LOST

@@ -1,0 +1,221 @@
+"""Records over ISO-TP, one channel: classic frames of 8 bytes, driven frame by frame by the caller.
+
+The state machine is `isotp.TransportLayerLogic`. Its own timers read a clock of their own and are set out of the
+way; the deadline stands here, against the caller's time. Errors are values: nothing is raised, nothing is logged.
+A failed transfer never yields a record; what was queued behind a failed one is dropped with it.
+"""
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+
+import isotp
+
+FRAME_BYTES = 8
+BLOCK_FRAMES = 32
+"""Consecutive frames between two flow controls: a socket buffer of 278 frames never overflows."""
+PADDING = 0xCC
+PAYLOAD_BYTES_MAX = 4095
+TIMEOUT_S = 1.0
+
+_NEVER_MS = 2**31 - 1
+_LOGGER = "cutgate.isotp"
+_FLOW_CONTROL, _CONTINUE = 0x3, 0x0
+
+_SENDING_ENDED = (isotp.OverflowError, isotp.UnsupportedWaitFrameError, isotp.MaximumWaitFrameReachedError)
+_RECEPTION_ENDED = (
+    isotp.WrongSequenceNumberError,
+    isotp.ReceptionInterruptedWithSingleFrameError,
+    isotp.ReceptionInterruptedWithFirstFrameError,
+    isotp.FrameTooLongError,
+)
+
+# isotp warns through logging for every error, which is handed over as a value as well.
+logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
+
+
+@dataclass(frozen=True)
+class TransferError:
+    """Something went wrong on a channel.
+
+    Attributes:
+        reason: in words.
+        lost: whether a record of either direction was lost by it; otherwise a stray frame was ignored.
+    """
+
+    reason: str
+    lost: bool
+
+
+@dataclass(frozen=True)
+class _Progress:
+    """How far one direction is (None: nothing in progress), and since when it stands there."""
+
+    mark: int | None = None
+    since_s: float = 0.0
+
+    def at(self, mark: int | None, now_s: float) -> "_Progress":
+        """The same if nothing has moved, else dated now."""
+        return self if mark == self.mark else _Progress(mark, now_s)
+
+    def stuck(self, now_s: float, timeout_s: float) -> bool:
+        """Whether a transfer in progress has stood still for too long."""
+        return self.mark is not None and not 0.0 <= now_s - self.since_s <= timeout_s
+
+
+class Transfer:
+    """One side of one channel.
+
+    Args:
+        tx_id: identifier to send on.
+        rx_id: identifier to receive on.
+        timeout_s: how long a transfer in progress may stand still, s.
+    """
+
+    def __init__(self, tx_id: int, rx_id: int, timeout_s: float = TIMEOUT_S) -> None:
+        self.tx_id = tx_id
+        self.rx_id = rx_id
+        self.timeout_s = timeout_s
+        self._errors: list[TransferError] = []
+        self._clear()
+
+    def _clear(self) -> None:
+        self._inbox: deque[isotp.CanMessage] = deque()
+        self._outbox: deque[tuple[int, bytes]] = deque()
+        self._queue: deque[bytes] = deque()
+        self._done: deque[bytes] = deque()
+        self._sent = 0
+        self._sending = _Progress()
+        self._receiving = _Progress()
+        self._logic = isotp.TransportLayerLogic(
+            rxfn=self._next_frame,
+            txfn=self._put_frame,
+            address=isotp.Address(isotp.AddressingMode.Normal_11bits, txid=self.tx_id, rxid=self.rx_id),
+            error_handler=self._note_error,
+            params={
+                "stmin": 0,
+                "override_receiver_stmin": 0.0,
+                "blocksize": BLOCK_FRAMES,
+                "tx_padding": PADDING,
+                "tx_data_length": FRAME_BYTES,
+                "tx_data_min_length": FRAME_BYTES,
+                "max_frame_size": PAYLOAD_BYTES_MAX,
+                "rx_flowcontrol_timeout": _NEVER_MS,
+                "rx_consecutive_frame_timeout": _NEVER_MS,
+                "blocking_send": False,
+                "logger_name": _LOGGER,
+                "wait_func": lambda _seconds: None,
+            },
+        )
+
+    def _next_frame(self, _timeout_s: float) -> isotp.CanMessage | None:
+        return self._inbox.popleft() if self._inbox else None
+
+    def _put_frame(self, message: isotp.CanMessage) -> None:
+        self._sent += message.data[0] >> 4 != _FLOW_CONTROL
+        self._outbox.append((message.arbitration_id, bytes(message.data)))
+
+    def _note_error(self, error: Exception) -> None:
+        """Keep the error as a value; what was to follow a failed sending must not go out alone."""
+        lost = isinstance(error, _SENDING_ENDED + _RECEPTION_ENDED)
+        if isinstance(error, isotp.InvalidCanDataError):
+            lost = self.receiving
+        if isinstance(error, _SENDING_ENDED):
+            self._stop_sending()
+        self._errors.append(TransferError(str(error), lost=lost))
+
+    def _stop_sending(self) -> None:
+        self._logic.stop_sending()
+        self._queue.clear()
+
+    def send(self, payload: bytes, now_s: float) -> None:
+        """Queue a record; records leave one after the other. Raises ValueError unless 1..4095 bytes."""
+        if not 1 <= len(payload) <= PAYLOAD_BYTES_MAX:
+            raise ValueError(f"payload is {len(payload)} bytes, must be 1..{PAYLOAD_BYTES_MAX}")
+        if not self.sending:
+            self._sending = _Progress(self._sent, now_s)
+        self._queue.append(payload)
+        self._run()
+
+    def feed(self, data: bytes) -> None:
+        """Take one frame received on `rx_id`."""
+        if len(data) != FRAME_BYTES:
+            self._errors.append(
+                TransferError(f"frame is {len(data)} bytes, must be {FRAME_BYTES}", lost=False)
+            )
+            return
+        if data[0] == (_FLOW_CONTROL << 4 | _CONTINUE) and not 1 <= data[1] <= BLOCK_FRAMES:
+            self._errors.append(
+                TransferError(
+                    f"flow control asks for blocks of {data[1]}, must be 1..{BLOCK_FRAMES}", lost=self.sending
+                )
+            )
+            self._stop_sending()
+            return
+        self._inbox.append(isotp.CanMessage(arbitration_id=self.rx_id, data=data))
+        self._run()
+
+    def _run(self) -> None:
+        """Let the state machine work until it has nothing left to do without another frame."""
+        while True:
+            if self._queue and not self._logic.transmitting():
+                self._logic.send(self._queue.popleft())
+            self._logic.process(rx_timeout=0.0)
+            while self._logic.available():
+                self._done.append(bytes(self._logic.recv() or b""))
+            if not self._inbox and not (self._queue and not self._logic.transmitting()):
+                return
+
+    def outgoing(self) -> list[tuple[int, bytes]]:
+        """Frames to send now, in order; each is handed out once."""
+        frames = list(self._outbox)
+        self._outbox.clear()
+        return frames
+
+    def received(self) -> list[bytes]:
+        """Complete records, in order; each is handed out once."""
+        records = list(self._done)
+        self._done.clear()
+        return records
+
+    def errors(self) -> list[TransferError]:
+        """What went wrong since the last call."""
+        errors, self._errors = self._errors, []
+        return errors
+
+    @property
+    def sending(self) -> bool:
+        """Whether a record is going out or queued."""
+        return bool(self._queue) or self._logic.transmitting()
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a record is coming in."""
+        return self._logic.is_rx_active()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a transfer of either direction is in progress."""
+        return self.sending or self.receiving
+
+    def expire(self, now_s: float) -> TransferError | None:
+        """Void everything once a transfer in progress has stood still for longer than the time-out.
+
+        To be called every loop turn: progress is dated by the first call after it.
+        """
+        sent = self._sent if self.sending else None
+        came = len(self._logic.rx_buffer) if self.receiving else None
+        self._sending = self._sending.at(sent, now_s)
+        self._receiving = self._receiving.at(came, now_s)
+        if not self._sending.stuck(now_s, self.timeout_s) and not self._receiving.stuck(
+            now_s, self.timeout_s
+        ):
+            return None
+        self.abort()
+        return TransferError(
+            f"transfer on {self.tx_id:#05x} stood still for more than {self.timeout_s} s", lost=True
+        )
+
+    def abort(self) -> None:
+        """Void both directions: queued and half sent, half received and received but not taken."""
+        self._clear()

@@ -168,7 +168,9 @@ class Committer:
         tokens = [job.token for job in jobs if isinstance(job, Append) and job.token is not None]
         if data or tokens:
             self._disk.sync(self._files.log)
-            for token in tokens or [None]:
+            if not tokens:
+                self._report(Durable(None, self._offset))
+            for token in tokens:
                 self._report(Durable(token, self._offset))
         # Raw frames come second: no enabling record waits for them.
         write_all(self._disk, self._files.frames, b"".join(job.frames for job in jobs))

@@ -67,10 +67,7 @@ def previous_session(directory: Path, recover: Callable[[bytes], str]) -> Previo
         recover: the chain's head over the complete chunks of a log that was not closed.
     """
     try:
-        content = json.loads((directory / HEAD).read_bytes())
-        log, head, closed = content["log"], content["head"], content["state"] == "closed"
-        if not (isinstance(log, str) and Path(log).name == log and isinstance(head, str | None)):
-            raise ValueError("not a head")
+        log, head, closed = _parse_head((directory / HEAD).read_bytes())
     except FileNotFoundError:
         return Previous()
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -81,3 +78,12 @@ def previous_session(directory: Path, recover: Callable[[bytes], str]) -> Previo
         return Previous(log, recover((directory / log).read_bytes()), crashed=True)
     except OSError as error:
         return Previous(log, head, crashed=True, note=f"its log could not be read: {error.strerror}")
+
+
+def _parse_head(data: bytes) -> tuple[str, str | None, bool]:
+    """Log, head and whether it was closed; raises ValueError, KeyError or TypeError for anything else."""
+    content = json.loads(data)
+    log, head = content["log"], content["head"]
+    if not (isinstance(log, str) and Path(log).name == log and isinstance(head, str | None)):
+        raise ValueError("not a head")
+    return log, head, content["state"] == "closed"

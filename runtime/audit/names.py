@@ -1,0 +1,16 @@
+"""Names of the attachments that a replay reads. Input files keep the ending of their kind."""
+
+from typing import Final
+
+PATH: Final = "path.bin"
+LIMITS: Final = "limits.bin"
+CALIBRATION: Final = "calibration.bin"
+TOOL: Final = "tool.bin"
+"""Canonical records, as they crossed the bus."""
+ROBOT: Final = "robot.toml"
+SITE: Final = "site.toml"
+PLAN: Final = "plan"
+"""With the file's ending: ``plan.json``, ``plan.csv``."""
+REGISTRATION: Final = "registration"
+"""With the file's ending."""
+DBC: Final = "cutgate.dbc"

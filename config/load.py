@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -22,7 +22,7 @@ from pydantic_core import ErrorDetails
 from config.constants import CONSTANTS
 from config.model import RULE, Robot, Site
 from config.records import calibration_record, limits_record, tool_record
-from protocol.records import Calibration, Limits, RecordError, Tool
+from protocol.records import Calibration, Limits, Tool
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -124,9 +124,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> byte
         InputError: missing, not a regular file, unreadable, or larger than ``limit``.
     """
     try:
-        # Non-blocking, so that a named pipe without a writer is refused instead of waited for.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as file:
+        with open(path, "rb", opener=_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InputError(path, "", None, "not a regular file", "name a file")
             data = file.read(limit + 1)
@@ -146,6 +144,11 @@ def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> byte
             "raise file_size_limit_mb in site.toml or split it",
         )
     return data
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Opens without blocking, so that a named pipe without a writer is refused instead of waited for."""
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def decode(path: object, data: bytes) -> str:
@@ -260,10 +263,7 @@ def robot_from_bytes(path: object, data: bytes) -> Robot:
         "tool": tool_record,
     }
     for key, build in builders.items():
-        try:
-            faults = build(robot).problems()
-        except RecordError as error:
-            faults = [str(error)]
+        faults = build(robot).problems()
         if faults:
             bound = "what a controller can report, in steps of 1e-6"
             raise InputError.of([Problem(str(path), key, fault, bound, "") for fault in faults])
@@ -335,8 +335,5 @@ def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> list[st
     """The keys the model accepts at ``place``."""
     current = model
     for part in place:
-        annotation = current.model_fields[str(part)].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            return []
-        current = annotation
+        current = cast("type[BaseModel]", current.model_fields[str(part)].annotation)
     return [field.alias or name for name, field in current.model_fields.items()]

@@ -1,0 +1,385 @@
+"""Robot and site files: what is read, what is refused and how it is said."""
+
+import hashlib
+import os
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.load import (
+    MAX_SHOWN,
+    InputError,
+    Problem,
+    _readable,
+    load_robot,
+    load_site,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    robot_from_bytes,
+    shown,
+    site_from_bytes,
+    validate,
+)
+from config.model import Robot, Site
+from config.records import calibration_record, limits_record, tool_record
+
+ROOT = Path(__file__).parents[2]
+PRESETS = ROOT / "config" / "presets"
+EXAMPLE = (PRESETS / "example.toml").read_text(encoding="utf-8")
+
+
+def refusal(data: str, kind=robot_from_bytes) -> InputError:
+    with pytest.raises(InputError) as caught:
+        kind("some.toml", data.encode())
+    return caught.value
+
+
+@pytest.mark.parametrize("path", sorted(PRESETS.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_preset_is_read(path):
+    assert load_robot(path).value.name == path.stem
+
+
+def test_the_example_robot_is_the_preset():
+    assert (ROOT / "examples" / "robot.toml").read_text(encoding="utf-8") == EXAMPLE
+
+
+def test_a_loaded_file_keeps_its_bytes_and_their_digest():
+    loaded = load_robot(PRESETS / "example.toml")
+    assert loaded.data == EXAMPLE.encode()
+    assert loaded.sha256 == hashlib.sha256(EXAMPLE.encode()).digest()
+    assert loaded.path == PRESETS / "example.toml"
+
+
+def test_what_the_file_says_is_what_the_robot_has():
+    robot, file = robot_from_bytes("r", EXAMPLE.encode()), tomllib.loads(EXAMPLE)
+    assert robot.model_dump(by_alias=True, exclude_defaults=True, exclude={"schema_"}) | {
+        "schema": file["schema"]
+    } == {
+        key: {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
+        if isinstance(value, dict)
+        else value
+        for key, value in file.items()
+    }
+
+
+CALIBRATION = """
+[calibration]
+upper_link_error_mm = 0.25
+forearm_link_error_mm = -0.125
+joint_offset_deg = [0.5, -0.5, 1.5, 0.25, -0.25]
+slide_tilt_mrad = [20.0, -20.0]
+residual_mm = 0.0000001
+residual_deg = 0.1
+[wrist]
+hold_roll_when_vertical = true
+hold_roll_deg = 90.0
+"""
+
+
+def test_records_are_quantised_limits_inward_residuals_outward():
+    text = EXAMPLE.replace("[-80.0, 80.0]", "[-80.00000049, 80.00000049]") + CALIBRATION
+    robot = robot_from_bytes("r", text.encode())
+    limits, calibration = limits_record(robot), calibration_record(robot)
+    assert limits.q_min_u == (-80_000_000, 0, 50_000_000, -170_000_000, 0)
+    assert limits.q_max_u == (80_000_000, 145_000_000, 450_000_000, 170_000_000, 110_000_000)
+    assert limits.speed_u == (57_295_779, 57_295_779, 200_000_000, 114_591_559, 114_591_559)
+    assert limits.acceleration_u == (286_478_897, 286_478_897, 1_000_000_000, 572_957_795, 572_957_795)
+    assert (calibration.upper_link_u, calibration.forearm_link_u) == (450_000_000, 450_000_000)
+    assert (calibration.upper_link_error_u, calibration.forearm_link_error_u) == (250_000, -125_000)
+    assert calibration.joint_offset_u == (500_000, -500_000, 1_500_000, 250_000, -250_000)
+    assert calibration.slide_tilt_u == (20_000_000, -20_000_000)
+    assert (calibration.residual_mm_u, calibration.residual_deg_u) == (1, 100_000)
+    assert tool_record(robot).length_mm == 160.0
+    assert tool_record(robot, 12.5).length_mm == 12.5
+
+
+def test_a_robot_without_accelerations_reports_none():
+    text = "\n".join(line for line in EXAMPLE.splitlines() if not line.startswith("acceleration"))
+    assert limits_record(robot_from_bytes("r", text.encode())).acceleration is None
+
+
+BAD_ROBOTS = [
+    (
+        'schema = "cutgate.robot/1"',
+        'schema = "cutgate.robot/2"',
+        "schema",
+        "cutgate.robot/2",
+        "cutgate.robot/1",
+    ),
+    ('schema = "cutgate.robot/1"', "", "schema", "missing", "cutgate.robot/1"),
+    ('name = "example"', "", "name", "missing", "given"),
+    ('name = "example"', "name = 4", "name", "4", "string"),
+    ('name = "example"', 'name = ""', "name", "''", "at least 1"),
+    ('elbow = "right"', 'elbow = "up"', "elbow", "up", "'right' or 'left'"),
+    ('elbow = "right"', 'elbow = "left"', "limits.q1_deg", "[0.0, 145.0]", "<= 0"),
+    ("q1_deg = [0.0, 145.0]", "q1_deg = [-1.0, 145.0]", "limits.q1_deg", "[-1.0, 145.0]", ">= 0"),
+    ("q1_deg = [0.0, 145.0]", "q1_deg = [0.0, 180.1]", "limits.q1_deg.1", "180.1", "<= 180"),
+    ("upper_link_mm = 450.0", "upper_link_mm = 0.0", "arm.upper_link_mm", "0.0", "> 0"),
+    ("upper_link_mm = 450.0", "upper_link_mm = nan", "arm.upper_link_mm", "nan", "finite"),
+    ("upper_link_mm = 450.0", "upper_link_mm = inf", "arm.upper_link_mm", "inf", "finite"),
+    ("upper_link_mm = 450.0", "upper_link_mm = true", "arm.upper_link_mm", "True", "number"),
+    ("upper_link_mm = 450.0", 'upper_link_mm = "450"', "arm.upper_link_mm", "450", "number"),
+    ("upper_link_mm = 450.0", "upper_link_mm = 1" + "0" * 400, "arm.upper_link_mm", "1000", "number"),
+    ("upper_link_mm = 450.0", "upper_link = 450.0", "arm.upper_link", "450.0", "upper_link_mm"),
+    ("length_mm = 160.0", "length_mm = -0.001", "tool.length_mm", "-0.001", ">= 0"),
+    ("[tool]", "[tol]", "tol", "160.0", "one of the known keys"),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = [80.0, -80.0]", "limits.q0_deg", "[80.0, -80.0]", "lower < upper"),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = [80.0, 80.0]", "limits.q0_deg", "[80.0, 80.0]", "lower < upper"),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = [-80.0]", "limits.q0_deg.1", "missing", "given"),
+    (
+        "q0_deg = [-80.0, 80.0]",
+        "q0_deg = [-80.0, 0.0, 80.0]",
+        "limits.q0_deg",
+        "[-80.0, 0.0, 80.0]",
+        "at most 2",
+    ),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = 80.0", "limits.q0_deg", "80.0", "list"),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = [-36001.0, 80.0]", "limits.q0_deg.0", "-36001.0", ">= -36000"),
+    ("q0_deg = [-80.0, 80.0]", "q0_deg = [0.0, 0.0000001]", "limits", "lower limit", "1e-6"),
+    ("q2_mm = [50.0, 450.0]", "q2_mm = [50.0, 5243.0]", "limits.q2_mm.1", "5243.0", "<= 5242"),
+    ("q4_deg = [0.0, 110.0]", "q4_deg = [-1.0, 110.0]", "limits.q4_deg.0", "-1.0", ">= 0"),
+    ("speed = [1.0,", "speed = [0.0,", "limits.speed.0", "0.0", "> 0"),
+    ("speed = [1.0,", "speed = [1e-12,", "limits", "speed limit 0.0", "1e-6"),
+    ("acceleration = [5.0,", "acceleration = [-5.0,", "limits.acceleration.0", "-5.0", "> 0"),
+    ("arm_mm = 5.0", "arm_mm = 0.0", "deadband.arm_mm", "0.0", "> 0"),
+    ("wrist_deg = 2.0", "", "deadband.wrist_deg", "missing", "given"),
+    (
+        "wrist_deg = 2.0",
+        "wrist_deg = 2.0\npath_tolerance_mm = -1.0",
+        "deadband.path_tolerance_mm",
+        "-1.0",
+        ">= 0",
+    ),
+    (
+        "[deadband]",
+        "[calibration]\nslide_tilt_mrad = [0.0, 20.1]\n[deadband]",
+        "slide_tilt_mrad.1",
+        "20.1",
+        "<= 20",
+    ),
+    (
+        "[deadband]",
+        "[calibration]\nupper_link_error_mm = -101.0\n[deadband]",
+        "upper_link_error_mm",
+        "-101",
+        ">= -100",
+    ),
+    (
+        "[deadband]",
+        "[calibration]\nresidual_mm = nan\n[deadband]",
+        "calibration.residual_mm",
+        "nan",
+        "finite",
+    ),
+    (
+        "[deadband]",
+        "[wrist]\nhold_roll_when_vertical = 1\n[deadband]",
+        "hold_roll_when_vertical",
+        "1",
+        "boolean",
+    ),
+    ("[deadband]", "[deadband", "some.toml", "line", "valid TOML"),
+    ("[tool]", "[arm]", "some.toml", "line", "valid TOML"),
+    ("upper_link_mm = 450.0", "upper_link_mm = 5.0\nforearm_link_mm = 4", "some.toml", "line", "valid TOML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "value", "bound"), BAD_ROBOTS)
+def test_a_bad_robot_is_refused_naming_file_key_value_and_bound(old, new, key, value, bound):
+    assert old in EXAMPLE
+    message = str(refusal(EXAMPLE.replace(old, new, 1)))
+    assert message.startswith("some.toml")
+    for part in (key, value, bound):
+        assert part in message
+
+
+def test_a_link_eaten_by_its_error_is_refused():
+    text = (
+        EXAMPLE.replace("upper_link_mm = 450.0", "upper_link_mm = 50.0")
+        + "[calibration]\nupper_link_error_mm = -50.0\n"
+    )
+    assert "arm.upper_link_mm is 50.0 + -50.0" in str(refusal(text))
+
+
+def test_all_problems_of_a_file_are_listed():
+    text = EXAMPLE.replace("length_mm = 160.0", "length_mm = -1").replace("arm_mm = 5.0", "arm_mm = -5.0")
+    error = refusal(text.replace("wrist_deg", "wrist"))
+    assert [problem.key for problem in error.problems] == [
+        "tool.length_mm",
+        "deadband.arm_mm",
+        "deadband.wrist_deg",
+        "deadband.wrist",
+    ]
+    assert len(str(error).splitlines()) == 4
+
+
+def test_a_flood_of_problems_is_cut_short_and_says_so():
+    error = InputError.of([Problem("f", f"k{n}", "1", "2", "") for n in range(MAX_SHOWN + 3)])
+    assert str(error).splitlines()[-1] == "... and 3 more"
+
+
+def test_the_unlimited_joint_and_both_elbows_are_accepted():
+    text = EXAMPLE.replace("[-80.0, 80.0]", "[-36000.0, 36000.0]").replace('"right"', '"left"')
+    assert robot_from_bytes("r", text.replace("[0.0, 145.0]", "[-145.0, 0.0]").encode()).elbow == "left"
+
+
+def site(text: str) -> Site:
+    return site_from_bytes("site.toml", ('schema = "cutgate.site/1"\n' + text).encode())
+
+
+def test_an_almost_empty_site_file_is_the_default_site():
+    assert site("") == Site()
+
+
+def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
+    (tmp_path / "site.toml").write_text(
+        'schema = "cutgate.site/1"\nkey_file = "k"\nregistration_max_age_s = 900\n[timing]\nheartbeat_ms = 50\n'
+        'timeout_ms = 500\n[permit]\npermit_lifetime_s = 60\n[bus]\ninterface = "socketcan"\nchannel = "can0"\n'
+        '[controller]\nserial = "CG-1"\n[log]\ndirectory = "logs"\n',
+        encoding="utf-8",
+    )
+    found = load_site(tmp_path / "site.toml").value
+    assert (found.timing.heartbeat_ms, found.timing.timeout_ms, found.permit.permit_lifetime_s) == (
+        50,
+        500,
+        60,
+    )
+    assert (found.bus.channel, found.controller.serial, found.log.directory) == ("can0", "CG-1", "logs")
+    assert found.start == Site().start
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[timing]\nheartbeat_ms = 4", ("timing.heartbeat_ms", "4", ">= 5")),
+        ("[timing]\nheartbeat_ms = 20.0", ("timing.heartbeat_ms", "20.0", "integer")),
+        (
+            "[timing]\nheartbeat_ms = 100\ntimeout_ms = 299",
+            ("timing.timeout_ms", "299", "3 heartbeats of 100 ms"),
+        ),
+        ("[timing]\ntimeout_ms = 1001", ("timing.timeout_ms", "1001", "<= 1000")),
+        ("[permit]\npermit_lifetime_s = 601", ("permit.permit_lifetime_s", "601", "<= 600")),
+        ("[permit]\nlifetime_s = 60", ("permit.lifetime_s", "60", "permit_lifetime_s")),
+        ("[start]\nstart_tolerance_mm = nan", ("start.start_tolerance_mm", "nan", "finite")),
+        ("registration_max_age_s = 0", ("registration_max_age_s", "0", "> 0")),
+        ('[bus]\ninterface = ""', ("bus.interface", "''", "at least 1")),
+        ("bus = 3", ("bus", "3", "table")),
+    ],
+)
+def test_a_bad_site_is_refused_naming_key_value_and_bound(text, parts):
+    message = str(refusal('schema = "cutgate.site/1"\n' + text, site_from_bytes))
+    assert all(part in message for part in parts), message
+
+
+def test_a_missing_file_a_folder_and_a_pipe_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in {
+        "missing": "no such file",
+        "": "cannot be read",
+        "pipe": "not a regular file",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            read_bytes(tmp_path / name)
+
+
+def test_an_unreadable_name_is_refused(tmp_path):
+    for name in ("a\0b", "x" * 5000):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_bytes(tmp_path / name)
+
+
+def test_a_file_is_read_up_to_its_limit_and_not_beyond(tmp_path):
+    (tmp_path / "f").write_bytes(b"x" * 100)
+    assert len(read_bytes(tmp_path / "f", 100)) == 100
+    with pytest.raises(InputError, match="<= 99 bytes"):
+        read_bytes(tmp_path / "f", 99)
+
+
+def test_text_that_is_not_utf8_names_its_line():
+    with pytest.raises(InputError, match="line 3 is byte 0xff"):
+        parse_toml("f", b"a = 1\nb = 2\nc = '\xff'")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "line 1 column"),
+        ('{"a": NaN}', "finite"),
+        ('{"a": -Infinity}', "finite"),
+        ('{"a": 1e999}', "1e999"),
+        ('{"b": 1.5, "a": 1, "a": 2}', "a is given twice"),
+        ("[" * 100_000, "not usable JSON"),
+        ("9" * 5000, "not usable JSON"),
+    ],
+)
+def test_json_beyond_the_standard_is_refused(text, words):
+    with pytest.raises(InputError, match=words):
+        parse_json("f.json", text.encode())
+
+
+def test_toml_of_endless_nesting_or_digits_is_refused():
+    for text in ("a = " + "[" * 100_000, "a = " + "9" * 5000):
+        with pytest.raises(InputError, match=r"usable TOML|valid TOML"):
+            parse_toml("f.toml", text.encode())
+
+
+def test_a_document_that_is_no_table_of_keys_is_refused():
+    with pytest.raises(InputError, match="object with keys"):
+        validate("r.json", Robot, [1, 2], "cutgate.robot/1")
+
+
+def test_a_message_of_another_form_is_passed_on():
+    assert _readable("Unable to read it") == "Unable to read it"
+
+
+def test_values_are_shown_on_one_short_printable_line():
+    assert shown(None) == ""
+    assert shown("a\nb") == "a\\nb"
+    assert len(shown("x" * 1000)) == 60
+
+
+JSONISH = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=8,
+)
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
+def test_any_bytes_are_read_or_refused(data):
+    for kind in (robot_from_bytes, site_from_bytes):
+        with pytest.raises(InputError):
+            kind("fuzz.toml", data)
+
+
+@given(st.data())
+def test_an_example_with_any_value_anywhere_is_read_or_refused(data):
+    document = tomllib.loads(EXAMPLE)
+    table = data.draw(
+        st.sampled_from([document, *(value for value in document.values() if isinstance(value, dict))])
+    )
+    key = data.draw(st.sampled_from(sorted(table)) | st.text(max_size=4))
+    table[key] = data.draw(JSONISH)
+    error = error_of(lambda: validate("fuzz", Robot, document, "cutgate.robot/1"))
+    assert error is None or all(problem.file == "fuzz" for problem in error.problems)
+
+
+def error_of(act) -> InputError | None:
+    """The refusal, if there is one; any other exception is the test's failure."""
+    try:
+        act()
+    except InputError as error:
+        return error
+    return None
+
+
+@given(st.integers(0, len(EXAMPLE.encode()) - 1), st.integers(0, 255))
+def test_an_example_with_any_byte_changed_is_read_or_refused(place, byte):
+    data = bytearray(EXAMPLE.encode())
+    data[place] = byte
+    error = error_of(lambda: robot_from_bytes("fuzz", bytes(data)))
+    assert error is None or str(error).startswith("fuzz")

@@ -134,7 +134,7 @@ def _at_start(case: Case) -> bool:
 
 
 PERMIT_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
     (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
     (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
@@ -156,7 +156,7 @@ PERMIT_RULES: tuple[Rule, ...] = (
 )
 
 START_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
     (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NO_PERMIT, lambda c: c.controller.permit is not None),
@@ -172,7 +172,7 @@ START_RULES: tuple[Rule, ...] = (
 )
 
 RESET_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.request, c.controller.identity.key)),
+    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
     (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.FAULT),

@@ -1,0 +1,568 @@
+"""The simulated controller's loop: bus, clock, terminal and plant wired to the table. It decides nothing.
+
+One turn: look at the clocks, read the bus and the terminal, feed the table, move the arm if it may move, send the
+heartbeat, flush. The heartbeat is the last act of a turn in which the table was evaluated.
+"""
+
+import math
+import os
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path as FilePath
+from typing import assert_never
+
+import can
+
+from config.terminal import WordReader
+from firmware_sim import memory
+from firmware_sim.faults import FaultName, FaultSpec
+from firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm, forward
+from firmware_sim.path_check import PathCheck
+from firmware_sim.plant import Plant, PlantState, StoredPath
+from firmware_sim.state import (
+    AbortTransfers,
+    AcknowledgeReceived,
+    BoneMoved,
+    CloseLink,
+    CollectReceived,
+    Controller,
+    Effect,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    InputsChanged,
+    LimitsChanged,
+    NonceRequested,
+    OpenLink,
+    OpenReceived,
+    PathChecked,
+    PathFinished,
+    PermitReceived,
+    Persist,
+    PoseMeasured,
+    ResetReceived,
+    Send,
+    SendFault,
+    StartReceived,
+    StopReceived,
+    Tick,
+)
+from firmware_sim.table import step
+from protocol import records
+from protocol.endpoint import RecordReceived
+from protocol.frames import (
+    FRACTION_MAX,
+    ControllerFault,
+    ControllerHeartbeat,
+    FrameError,
+    Progress,
+    RuntimeHeartbeat,
+    RuntimeStop,
+    joint_frames,
+)
+from protocol.link import Accepted, Violation
+from protocol.port import Port
+from protocol.states import ControllerState, Refusal, StopCause
+
+FIRMWARE_VERSION = "sim-0.1"
+CHECK_POSES_PER_TURN = 512
+OFF_START_DEG = 2.0
+HANG_S = 1.0
+IDLE_HEARTBEAT_S = 0.02
+
+
+class Word(StrEnum):
+    """What the person at the simulated controller can do."""
+
+    HOLD = "hold"
+    RELEASE = "release"
+    ESTOP = "estop"
+    BONE_MOTION = "bone-motion"
+    LIMIT = "limit"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How this simulated controller behaves."""
+
+    time_scale: float = 1.0
+    announce_s: float = 0.2
+    faults: tuple[FaultSpec, ...] = ()
+    hold_roll_rad: float | None = None
+
+
+class Process:
+    """The controller at work.
+
+    Args:
+        controller: its state at power-up.
+        port: its side of the bus.
+        memory_file: non-volatile memory.
+        options: time scale and faults.
+        words: the terminal, None without one.
+        say: shows one line to the person at the controller.
+        clock: monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        port: Port,
+        memory_file: FilePath,
+        *,
+        options: Options,
+        words: WordReader[Word] | None = None,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        random: Callable[[int], bytes] = os.urandom,
+    ) -> None:
+        self.controller = controller
+        self.port = port
+        self._memory = memory_file
+        self._options = options
+        self._words = words
+        self._say = say
+        self._clock = clock
+        self._random = random
+        self._faults = list(options.faults)
+        self._silent = False
+        self._turn_s = clock()
+        self._next_heartbeat_s = self._turn_s
+        self._next_announce_s = self._turn_s
+        self._assembly = records.Assembly()
+        self._check: PathCheck | None = None
+        self._checked_path = b""
+        self._stored: StoredPath | None = None
+        self._plant = self._new_plant()
+        self._arm_state = PlantState(self._middle())
+        self._executed = 0
+        self._speed_ratio = 0.0
+
+    # ------------------------------------------------------------ the loop
+
+    def run(self, wake: int) -> None:
+        """Turn until something arrives on ``wake``. A failed bus stops the arm and ends the process."""
+        poller = select.poll()
+        poller.register(wake, select.POLLIN)
+        poller.register(self.port.bus.fileno(), select.POLLIN)
+        if self._words is not None and self._words.descriptor is not None:
+            poller.register(self._words.descriptor, select.POLLIN)
+        while True:
+            ready = {descriptor for descriptor, _ in poller.poll(self._wait_ms())}
+            if wake in ready:
+                self._feed(Fault(StopCause.OPERATOR_QUIT))
+                self.port.flush()
+                return
+            if self._words is not None and self._words.descriptor in ready:
+                descriptor = self._words.descriptor
+                self._read_words()
+                if self._words.descriptor is None:
+                    poller.unregister(descriptor)
+            self.turn()
+
+    def turn(self) -> None:
+        """One turn of the loop.
+
+        Raises:
+            can.CanError: the bus failed; the arm has been stopped.
+        """
+        now_s = self._clock()
+        gap_s, self._turn_s = now_s - self._turn_s, now_s
+        try:
+            self._look_at_clocks(gap_s, now_s)
+            for item in self.port.read(now_s):
+                self._item(item)
+            self._continue_check()
+            self._feed(Tick())
+            self._move(gap_s)
+            self._inject()
+            self._speak(now_s)
+            if not self._silent:
+                self.port.flush()
+        except can.CanError:
+            self._feed(Fault(StopCause.BUS_FAILED))
+            raise
+
+    def _wait_ms(self) -> float:
+        if self._check is not None:
+            return 0.0
+        due = self._next_heartbeat_s if self._link_open else self._next_announce_s
+        return max(0.0, (due - self._clock()) * 1000.0)
+
+    @property
+    def _link_open(self) -> bool:
+        return self.port.endpoint.link.is_open
+
+    def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
+        """Clocks first: a stalled loop, a lost peer, a late transfer."""
+        link = self.port.endpoint.link
+        if self._link_open and not gap_s <= link.timeout_s:
+            dropped = self.port.discard()
+            self._say(f"loop stalled for {gap_s * 1000:.0f} ms, {dropped} frames discarded")
+            self._feed(Fault(StopCause.LOOP_STALLED))
+        for violation in self.port.endpoint.expire(now_s):
+            lost = violation.cause is StopCause.HEARTBEAT_LOST
+            self._feed(HeartbeatLost() if lost else Fault(violation.cause))
+
+    # ------------------------------------------------------------ what arrives
+
+    def _item(self, item: object) -> None:
+        match item:
+            case Accepted(frame=RuntimeHeartbeat() as beat):
+                fresh = self.port.endpoint.link.fresh(self._clock())
+                self._feed(HeartbeatReceived(beat.code, beat.epoch, beat.cause, fresh))
+            case Accepted(frame=RuntimeStop() as stop):
+                self._feed(StopReceived(stop.code, stop.cause))
+            case Violation():
+                self._say(f"refused: {item.detail}")
+                self._feed(Fault(item.cause))
+            case RecordReceived():
+                self._record(item)
+
+    def _record(self, item: RecordReceived) -> None:
+        """A checked record becomes an event; what belongs to no session any more is ignored."""
+        session, record = self.controller.session, item.record
+        inside = session is not None and item.session == session.tag
+        match record:
+            case records.Open():
+                self._feed(OpenReceived(record, item.sequence))
+            case _ if not inside:
+                return
+            case records.Collect():
+                self._feed(CollectReceived())
+            case records.PathBlock():
+                self._block(record)
+            case records.NonceRequest():
+                self._feed(NonceRequested(record.purpose, self._random(16)))
+            case records.Permit():
+                self._feed(PermitReceived(record, item.sequence))
+            case records.Start():
+                self._measure()
+                self._feed(StartReceived(record, item.sequence))
+            case records.Reset():
+                self._feed(ResetReceived(record, item.sequence))
+            case records.Acknowledge():
+                self._feed(AcknowledgeReceived(record.cause, item.sequence))
+
+    def _block(self, block: records.PathBlock) -> None:
+        """Store one block; the last one starts the check of the whole path."""
+        if self.controller.state not in (ControllerState.OPEN, ControllerState.LOADED):
+            return
+        try:
+            if block.index == 0:
+                self._assembly = records.Assembly()
+            self._assembly = self._assembly.add(block)
+            path = records.Path.parse(self._assembly.data) if self._assembly.complete else None
+        except records.RecordError as error:
+            self._say(f"path refused: {error}")
+            self._feed(PathChecked(b"", Refusal.PATH_MALFORMED, 0, None))
+            return
+        self._send(records.BlockStored(index=block.index))
+        if path is not None:
+            held = self.controller.holdings
+            self._checked_path = self._assembly.data
+            self._check = PathCheck(
+                path,
+                records.Limits.parse(held.limits),
+                records.Calibration.parse(held.calibration),
+                records.Tool.parse(held.tool),
+                hold_roll_rad=self._options.hold_roll_rad,
+            )
+
+    def _continue_check(self) -> None:
+        """A part of the path check, then back to the heartbeats."""
+        if self._check is None or not self._check.step(CHECK_POSES_PER_TURN):
+            return
+        check, self._check = self._check, None
+        verdict = check.verdict
+        assert verdict is not None  # noqa: S101 - step() has just said that it is done
+        refusal, pose, detail = verdict
+        joints = check.first_joints
+        if refusal is Refusal.ACCEPTED and not self._joints_fit_the_wire():
+            refusal, detail = Refusal.JOINTS_BEYOND_WIRE, "limits beyond what a joints frame can carry"
+        if refusal is not Refusal.ACCEPTED:
+            self._say(f"path refused: {refusal.name} at pose {pose}: {detail}")
+        counts = records.joints_to_counts(joints) if joints is not None else None
+        self._feed(PathChecked(self._checked_path, refusal, pose, counts))
+
+    def _joints_fit_the_wire(self) -> bool:
+        limits = records.Limits.parse(self.controller.holdings.limits)
+        try:
+            joint_frames(limits.q_min)
+            joint_frames(limits.q_max)
+        except FrameError:
+            return False
+        return True
+
+    # ------------------------------------------------------------ the person at the controller
+
+    def _read_words(self) -> None:
+        if self._words is None:
+            return
+        for word in self._words.read():
+            if isinstance(word, Word):
+                self.act(word)
+            else:
+                self._say(f"{word!r} is not a word here; say one of {', '.join(Word)}")
+
+    def act(self, word: Word) -> None:
+        """Carry out one word."""
+        inputs = self.controller.inputs
+        match word:
+            case Word.HOLD:
+                self._inputs(replace(inputs, device_pressed=True), "enabling device pressed")
+            case Word.RELEASE:
+                self._inputs(replace(inputs, device_pressed=False), "enabling device released")
+            case Word.ESTOP:
+                clear = not inputs.emergency_stop_clear
+                text = "emergency stop released" if clear else "emergency stop pressed"
+                self._inputs(replace(inputs, emergency_stop_clear=clear), text)
+            case Word.BONE_MOTION:
+                self._say("bone motion reported")
+                self._feed(BoneMoved())
+            case Word.LIMIT:
+                self._say("a joint limit was changed")
+                self._feed(LimitsChanged(self._changed_limits()))
+            case _:
+                assert_never(word)
+
+    def _inputs(self, inputs: object, text: str) -> None:
+        self._say(text)
+        self._feed(InputsChanged(inputs))  # type: ignore[arg-type]
+
+    def _changed_limits(self) -> bytes:
+        """The limits with q0 one degree narrower."""
+        limits = records.Limits.parse(self.controller.holdings.limits)
+        upper = (limits.q_max_u[0] - records.UNIT, *limits.q_max_u[1:])
+        return replace(limits, q_max_u=upper).body()
+
+    # ------------------------------------------------------------ the table and its effects
+
+    def _feed(self, event: Event) -> None:
+        before = self.controller
+        self.controller, effects = step(before, event, self._clock())
+        if before.state is not self.controller.state or before.cause is not self.controller.cause:
+            self._show(event)
+        if before.holdings.path is not self.controller.holdings.path:
+            self._load()
+        for effect in effects:
+            self._carry_out(effect)
+
+    def _show(self, event: Event) -> None:
+        now = self.controller
+        cause = "" if now.cause is StopCause.NONE else f" ({now.cause.name})"
+        detail = ""
+        if isinstance(event, PathFinished):
+            detail = f": {self._executed} segments executed, peak joint speed {self._speed_ratio:.0%} of its limit"
+        self._say(f"state {now.state.name}{cause}{detail}")
+
+    def _carry_out(self, effect: Effect) -> None:
+        endpoint = self.port.endpoint
+        match effect:
+            case Send():
+                self._reply(effect)
+            case SendFault():
+                if self._link_open:
+                    endpoint.send_frame(ControllerFault(effect.code, effect.cause), self._clock())
+            case OpenLink(session=session):
+                endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
+                endpoint.use_session(session.tag)
+                endpoint.link.open(session.tag, self._clock())
+                self._next_heartbeat_s = self._clock()
+            case CloseLink():
+                endpoint.end_session()
+                self._next_announce_s = self._clock() + self._options.announce_s
+            case AbortTransfers():
+                endpoint.abort()
+                self._assembly = records.Assembly()
+                self._check = None
+            case Persist():
+                memory.save(self._memory, effect.withdrawn)
+            case _:
+                assert_never(effect)
+
+    def _reply(self, effect: Send) -> None:
+        if isinstance(effect.record, records.Reply) and effect.record.refusal is not Refusal.ACCEPTED:
+            self._say(f"refused: {effect.record.refusal.name}")
+        self.port.endpoint.send_record(effect.record, self._clock(), session=effect.session)
+
+    def _send(self, record: records.Record) -> None:
+        self.port.endpoint.send_record(record, self._clock())
+
+    # ------------------------------------------------------------ the arm
+
+    def _new_plant(self) -> Plant:
+        held = self.controller.holdings
+        return Plant(
+            limits=records.Limits.parse(held.limits),
+            calibration=records.Calibration.parse(held.calibration),
+            hold_roll_rad=self._options.hold_roll_rad,
+        )
+
+    def _middle(self) -> Joints:
+        limits = records.Limits.parse(self.controller.holdings.limits)
+        q0, q1, q2, q3, q4 = ((low + high) / 2 for low, high in zip(limits.q_min, limits.q_max, strict=True))
+        return (q0, q1, q2, q3, q4)
+
+    def _load(self) -> None:
+        """The stored path has changed: the arm stands at its first pose, or keeps its place where there is none."""
+        stored = self.controller.holdings.path
+        self._plant = self._new_plant()
+        if stored is None:
+            self._stored = None
+            return
+        self._stored = StoredPath.of(records.Path.parse(stored))
+        self._executed, self._speed_ratio = 0, 0.0
+        try:
+            self._arm_state = self._plant.place_at_first_pose(self._stored)
+        except KinematicsError as error:
+            self._say(f"the arm cannot stand at the first pose: {error}")
+            self._feed(Fault(StopCause.LIMIT_EXCEEDED))
+            return
+        self._measure()
+
+    def _measure(self) -> None:
+        """Measured joints against the first pose, for START."""
+        start_u = self.controller.holdings.start_joints_u
+        if start_u is None:
+            return
+        held = self.controller.holdings
+        arm = calibrated_arm(
+            records.Calibration.parse(held.calibration),
+            tool_mm=records.Tool.parse(held.tool).length_mm,
+            elbow="right" if records.Limits.parse(held.limits).q_min_u[1] >= 0 else "left",
+        )
+        start = records.joints_to_memory(start_u)
+        q0, q1, q2, q3, q4 = (float(value) for value in start)
+        measured = self._arm_state.joints
+        here, there = forward(arm, measured).tip, forward(arm, (q0, q1, q2, q3, q4)).tip
+        distance_mm = math.dist(here, there)
+        turned = [abs(a - float(b)) for a, b in zip(measured, start, strict=True)]
+        angle_deg = math.degrees(max(turned[joint] for joint in (0, 1, 3, 4)))
+        self._feed(PoseMeasured(distance_mm, angle_deg))
+
+    def _move(self, gap_s: float) -> None:
+        if self._stored is None or self.controller.state is not ControllerState.CUTTING:
+            return
+        advance = self._plant.advance(
+            self._arm_state,
+            self._stored,
+            dt_s=gap_s if self.controller.may_move else 0.0,
+            moving=self.controller.may_move,
+            cutter=self.controller.cutting_mode,
+            time_scale=self._options.time_scale,
+        )
+        self._arm_state = advance.state
+        self._executed += len(advance.executed)
+        self._speed_ratio = max(self._speed_ratio, advance.speed_ratio)
+        if advance.fault is not None:
+            self._say(f"the arm stopped by itself: {advance.fault.detail}")
+            self._feed(Fault(advance.fault.cause))
+        elif advance.state.done:
+            self._feed(PathFinished())
+
+    # ------------------------------------------------------------ what is sent
+
+    def _speak(self, now_s: float) -> None:
+        """Heartbeat, joints and progress in a session; announcements outside one."""
+        if self._link_open:
+            if now_s >= self._next_heartbeat_s:
+                self._heartbeat(now_s)
+        elif now_s >= self._next_announce_s:
+            self._announce(now_s)
+
+    def _heartbeat(self, now_s: float) -> None:
+        endpoint, controller = self.port.endpoint, self.controller
+        period_s = endpoint.link.heartbeat_s
+        self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
+        endpoint.send_frame(
+            ControllerHeartbeat(
+                state=controller.state,
+                epoch=controller.epoch,
+                cause=controller.cause,
+                device_pressed=controller.inputs.device_pressed,
+                emergency_stop_ok=controller.inputs.emergency_stop_clear,
+                cutting_mode=controller.cutting_mode,
+            ),
+            now_s,
+        )
+        for frame in joint_frames(self._arm_state.joints):
+            endpoint.send_frame(frame, now_s)
+        if controller.state in (ControllerState.CUTTING, ControllerState.DONE):
+            part = round(self._arm_state.fraction * FRACTION_MAX)
+            endpoint.send_frame(Progress(self._arm_state.segment, part), now_s)
+
+    def _announce(self, now_s: float) -> None:
+        self._next_announce_s = now_s + self._options.announce_s
+        scale = "" if self._options.time_scale == 1.0 else f" x{self._options.time_scale:g}"
+        self.port.endpoint.abort()  # an announcement nobody took
+        self.port.endpoint.send_record(
+            records.Announce(
+                protocol_version=self.controller.identity.protocol_version,
+                firmware_version=f"{FIRMWARE_VERSION}{scale}"[:16],
+                serial=self.controller.identity.serial,
+                boot_nonce=self.controller.identity.boot_nonce,
+                state=self.controller.state,
+                cause=self.controller.cause,
+            ),
+            now_s,
+        )
+
+    # ------------------------------------------------------------ faults on demand
+
+    def _inject(self) -> None:
+        due = [fault for fault in self._faults if fault.state is self.controller.state]
+        for fault in due:
+            self._faults.remove(fault)
+            self._say(f"fault injected: {fault.name}")
+            self._happen(fault.name)
+
+    def _happen(self, name: FaultName) -> None:
+        held = self.controller.holdings
+        match name:
+            case FaultName.FLIP_PATH_BIT:
+                self._flip_path_bit()
+            case FaultName.OFF_START:
+                q0, q1, q2, q3, q4 = self._arm_state.joints
+                joints = (q0 + math.radians(OFF_START_DEG), q1, q2, q3, q4)
+                self._arm_state = replace(self._arm_state, joints=joints)
+            case FaultName.HANG:
+                time.sleep(HANG_S)
+            case FaultName.SILENT:
+                self._silent = True
+            case FaultName.CHANGE_LIMIT:
+                changed = replace(held, limits=self._changed_limits())
+                self.controller = replace(self.controller, holdings=changed)
+            case FaultName.REBOOT:
+                self._reboot()
+            case _:
+                assert_never(name)
+
+    def _flip_path_bit(self) -> None:
+        """The lowest bit of the last stored byte; the CRCs stay as received."""
+        stored = self.controller.holdings.path
+        if stored is None:
+            return
+        received = records.split(stored)
+        flipped = stored[:-1] + bytes([stored[-1] ^ 1])
+        blocks = [flipped[block.offset : block.offset + len(block.data)] for block in received]
+        self._stored = StoredPath(
+            records.Path.parse(stored), blocks, [block.block_crc32 for block in received]
+        )
+        holdings = replace(self.controller.holdings, path=flipped)
+        self.controller = replace(self.controller, holdings=holdings)
+
+    def _reboot(self) -> None:
+        old = self.controller
+        self.port.endpoint.end_session()
+        self.controller = Controller(
+            identity=replace(old.identity, boot_nonce=self._random(16)),
+            holdings=replace(old.holdings, path=None, start_joints_u=None),
+            withdrawn=old.withdrawn,
+        )
+        self._load()
+        self._next_announce_s = self._clock()

@@ -1,0 +1,1 @@
+"""One session: bus, clock, disk and worker wired to the interlock."""

@@ -1,0 +1,111 @@
+"""From files to a job: everything that is read, parsed and digested before the session opens."""
+
+import hashlib
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from config.load import Loaded, load_robot, load_site
+from config.model import Robot, Site
+from config.records import calibration_record, limits_record, tool_record
+from protocol import records
+from runtime.interlock.state import Job, Timing
+from runtime.plan.load import load_plan, load_registration
+from runtime.plan.prepare import Prepared, prepare, with_branch
+from runtime.verification import certified
+from runtime.verification.recorded import problem_from_records
+
+VERIFIER = "cutgate 0.1.0"
+"""Named in every permit; at most 16 characters."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """What was read, each file once; parsing, digests and attachments use the same bytes."""
+
+    robot: Loaded[Robot]
+    site: Loaded[Site] | None
+    prepared: Prepared
+
+    @property
+    def settings(self) -> Site:
+        """The site's settings, or the defaults."""
+        return self.site.value if self.site else Site()
+
+
+def read_files(
+    plan: Path, robot: Path, registration: Path, site: Path | None, feed_mm_s: float | None
+) -> Files:
+    """Read and check every input file.
+
+    Raises:
+        InputError: anything about a file is not as it must be.
+    """
+    arm = load_robot(robot)
+    settings = load_site(site) if site else None
+    placed = load_registration(registration)
+    prepared = prepare(load_plan(plan), placed, arm.value, now=datetime.now(UTC), feed_mm_s=feed_mm_s)
+    return Files(arm, settings, prepared)
+
+
+def make_job(files: Files, *, now: datetime) -> Job:
+    """The job of these files: approved records, the path on its best joint branch, digests and deadlines."""
+    robot, settings = files.robot.value, files.settings
+    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
+    tool = tool_record(robot).body()
+    path = _on_best_branch(files.prepared.path, limits, calibration, tool, robot)
+    registration = files.prepared.registration
+    age_s = (now - registration.value.created).total_seconds() if registration else 0.0
+    return Job(
+        limits=limits,
+        calibration=calibration,
+        tool=tool,
+        path=path.body(),
+        registration=files.prepared.registration_sha256,
+        configuration=configuration_digest(files),
+        verifier=VERIFIER,
+        branch=records.Branch(path.elbow, path.q0_turns, path.roll_turns),
+        timing=_timing(settings),
+        serial=settings.controller.serial,
+        registration_age_s=age_s,
+        registration_max_age_s=settings.registration_max_age_s,
+    )
+
+
+def _on_best_branch(
+    path: records.Path, limits: bytes, calibration: bytes, tool: bytes, robot: Robot
+) -> records.Path:
+    """The branch with the largest worst margin; where none is feasible the path keeps (0, 0) and is refused later."""
+    problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
+    branch = certified.verify(problem).branch
+    return with_branch(path, branch.q0_turns, branch.roll_turns) if branch else path
+
+
+def configuration_digest(files: Files) -> bytes:
+    """SHA-256 over the digests of robot.toml and site.toml, in this order; 32 zero bytes where there is no site."""
+    site = files.site.sha256 if files.site else bytes(32)
+    return hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + site).digest()
+
+
+def _timing(site: Site) -> Timing:
+    timing = site.timing
+    return Timing(
+        heartbeat_ms=timing.heartbeat_ms,
+        timeout_ms=timing.timeout_ms,
+        permit_lifetime_s=site.permit.permit_lifetime_s,
+        start_lifetime_ms=site.start.start_lifetime_ms,
+        start_tolerance_mm=site.start.start_tolerance_mm,
+        start_tolerance_deg=site.start.start_tolerance_deg,
+        announce_wait_s=float(timing.announce_wait_s),
+        reply_timeout_s=timing.reply_timeout_ms / 1000,
+        transfer_timeout_s=float(timing.transfer_timeout_s),
+        verify_timeout_s=float(timing.verify_timeout_s),
+        operator_wait_s=float(timing.operator_wait_s),
+        commit_deadline_s=site.log.commit_deadline_ms / 1000,
+        stop_confirm_s=timing.stop_confirm_ms / 1000,
+    )
+
+
+def utc_now() -> datetime:
+    """The time of day, aware."""
+    return datetime.now(UTC)

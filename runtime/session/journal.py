@@ -1,0 +1,336 @@
+"""Steps of the interlock as audit records: what is written, and when it is handed to the disk."""
+
+import os
+import sys
+import time
+from typing import Any, Literal
+
+from protocol import records
+from protocol.endpoint import RecordReceived
+from protocol.port import Passed
+from protocol.states import Purpose, Refusal, StopCause
+from runtime.audit import records as audit
+from runtime.audit.log import AuditLog
+from runtime.interlock.permissives import COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
+from runtime.interlock.state import (
+    Announced,
+    Commit,
+    ControllerView,
+    Dropped,
+    Effect,
+    Event,
+    Failed,
+    FaultReceived,
+    HeartbeatReceived,
+    Interlock,
+    ParameterReceived,
+    Phase,
+    PoseMeasured,
+    Refused,
+    ReplyReceived,
+    Said,
+    Send,
+    SendBlock,
+    SendStop,
+    Tick,
+    VerdictReady,
+    Withheld,
+)
+from runtime.session.job import VERIFIER
+
+Kind = Literal["permit", "start", "reset"]
+
+QUIET = (HeartbeatReceived, PoseMeasured, Tick)
+"""Events that are recorded only when they change the phase or order something."""
+
+TRANSFER_FRAMES = range(0x600, 0x650)
+"""Recorded as whole records; their frames are in the candump log."""
+
+SHOWN: dict[Phase, tuple[Evaluate, ...]] = {
+    Phase.COLLECTING: COLLECTED,
+    Phase.VERIFYING: FOR_PERMIT,
+    Phase.ADMITTED: FOR_PERMIT,
+    Phase.NONCE_PERMIT: FOR_PERMIT,
+    Phase.AUTHORISING_PERMIT: FOR_PERMIT,
+    Phase.PERMITTED: FOR_START,
+    Phase.NONCE_START: FOR_START,
+    Phase.AUTHORISING_START: FOR_START,
+}
+"""Which permissives a decision taken in this phase rests on."""
+
+KINDS: dict[Purpose, Kind] = {Purpose.PERMIT: "permit", Purpose.START: "start", Purpose.RESET: "reset"}
+SIGNED: dict[type[records.Record], Kind] = {
+    records.Permit: "permit",
+    records.Start: "start",
+    records.Reset: "reset",
+}
+BY_TYPE = {kind.TYPE: name for kind, name in SIGNED.items()}
+
+
+class Journal:
+    """Writes what happens to the log. It decides nothing and waits for nothing.
+
+    Args:
+        log: the session's log.
+        interface: the bus's name in the candump file.
+    """
+
+    def __init__(self, log: AuditLog, interface: str) -> None:
+        self.log = log
+        self._interface = interface
+        self._sequence = 0
+        self._view: ControllerView | None = None
+        self._authorised: Kind = "permit"
+
+    # ------------------------------------------------------------ decisions
+
+    def step(
+        self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
+    ) -> None:
+        """Record one step, if it changed anything that matters."""
+        self._facts(before, event, effects)
+        self._controller(event)
+        if isinstance(event, QUIET) and before.phase is after.phase and not effects:
+            return
+        for effect in effects:
+            self._signed(effect, after)
+        self._decision(before, event, after, effects, now_s)
+        for effect in effects:
+            if isinstance(effect, Commit):
+                self.log.commit(effect.token)
+
+    def _decision(
+        self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
+    ) -> None:
+        self._sequence += 1
+        commit = next((effect for effect in effects if isinstance(effect, Commit)), None)
+        shown = evaluate(SHOWN.get(before.phase, ()), after, now_s)
+        self.log.write(
+            audit.Decision(
+                sequence=self._sequence,
+                session=after.session.digest.hex() if after.session else None,
+                event=_name(event),
+                from_state=before.phase,
+                to_state=after.phase,
+                disposition=_disposition(event, effects),
+                effects=tuple(_effect_name(effect) for effect in effects),
+                permissives=tuple(audit.PermissiveValue.of(permissive) for permissive in shown),
+                first_out=None if after.cause is StopCause.NONE else after.cause.name,
+                reason=_reason(event, effects) or after.reason or None,
+                token=commit.token if commit else None,
+            )
+        )
+
+    def _signed(self, effect: Effect, after: Interlock) -> None:
+        """The way of a permit, start or reset: authorised, sent or withheld."""
+        match effect:
+            case Commit(token=token, purpose=purpose, record=record):
+                self._authorised = KINDS[purpose]
+                self.log.write(_permit_record(record, stage="authorised", token=token))
+            case Send(record=record) if type(record) in SIGNED:
+                self.log.write(_permit_record(record, stage="sent", token=after.token))
+            case Withheld(token=token):
+                self.log.write(
+                    audit.Permit(
+                        kind=self._authorised, stage="withheld", token=token, reason=after.reason or None
+                    )  # type: ignore[arg-type]
+                )
+
+    # ------------------------------------------------------------ facts
+
+    def _facts(self, before: Interlock, event: Event, effects: tuple[Effect, ...]) -> None:
+        match event:
+            case ParameterReceived(record=record):
+                self._collected(before, record)
+            case ReplyReceived() if event.request_type in BY_TYPE:
+                accepted = event.refusal is Refusal.ACCEPTED
+                self.log.write(
+                    audit.Permit(
+                        kind=BY_TYPE[event.request_type],  # type: ignore[arg-type]
+                        stage="acknowledged" if accepted else "refused",
+                        reply=event.refusal.name,
+                    )
+                )
+            case FaultReceived():
+                self.log.write(audit.Fault(source="controller", code=event.code.name, cause=event.cause.name))
+            case Failed():
+                self.log.write(
+                    audit.Fault(source="runtime", code="STOP", cause=event.cause.name, detail=event.reason)
+                )
+            case Said(word=word):
+                refused = next((effect.reason for effect in effects if isinstance(effect, Refused)), None)
+                self.log.write(audit.Operator(word=word, accepted=refused is None, reason=refused))
+
+    def _collected(self, before: Interlock, record: records.Record) -> None:
+        data, job = record.body(), before.job
+        kind, approved = {
+            records.Limits.TYPE: ("limits", job.limits),
+            records.Calibration.TYPE: ("calibration", job.calibration),
+            records.Tool.TYPE: ("tool", job.tool),
+        }[record.TYPE]
+        matches = data == approved
+        self.log.write(
+            audit.Collected(
+                kind=kind,  # type: ignore[arg-type]
+                sha256=records.digest(data).hex(),
+                matches_approved=matches,
+                difference=None if matches else f"approved {records.digest(approved).hex()}",
+            )
+        )
+
+    def _controller(self, event: Event) -> None:
+        """The controller's state, whenever its heartbeat shows another."""
+        if not isinstance(event, HeartbeatReceived) or event.view == self._view:
+            return
+        self._view = event.view
+        self.log.write(
+            audit.Controller(
+                state=event.view.state.name,
+                cause=event.view.cause.name,
+                epoch=event.view.epoch,
+                device_pressed=event.view.device_pressed,
+                emergency_stop_clear=event.view.emergency_stop_clear,
+                cutting_mode=event.view.cutting_mode,
+                fresh=event.fresh,
+            )
+        )
+
+    def verdict(self, document: dict[str, Any], tool: bytes, reason: str) -> None:
+        """The verdict and each boundary's worst place."""
+        self.log.write(
+            audit.Verdict.of(
+                document, verifier=VERIFIER, tool_sha256=records.digest(tool).hex(), reason=reason
+            )
+        )
+        for boundary in audit.boundaries_of(document):
+            self.log.write(boundary)
+
+    def processes(self, worker_pid: int) -> None:
+        """Who takes part, by process number."""
+        self.log.write(audit.Process(role="runtime", pid=os.getpid(), argv=tuple(sys.argv)))
+        self.log.write(audit.Process(role="verifier", pid=worker_pid))
+
+    # ------------------------------------------------------------ the bus
+
+    def frame(self, passed: Passed) -> None:
+        """One frame that passed the bus; transfers' frames go to the candump file only."""
+        utc_ns = time.time_ns()
+        self.log.raw_frame(
+            utc_ns,
+            self._interface,
+            passed.can_id,
+            passed.data,
+            extended=passed.is_extended,
+            remote=passed.is_remote,
+        )
+        if passed.can_id in TRANSFER_FRAMES:
+            return
+        self.log.write(
+            audit.CanFrame(
+                stamp=audit.Time.of(utc_ns),
+                direction=passed.direction,
+                id=passed.can_id,
+                is_rtr=passed.is_remote,
+                is_extended=passed.is_extended,
+                is_error=passed.is_error,
+                dlc=len(passed.data),
+                data=passed.data.hex(),
+            ),
+            log_time_ns=utc_ns,
+        )
+
+    def record_received(self, item: RecordReceived) -> None:
+        """One whole record from the controller."""
+        self._transfer("received", item.record, item.size, item.digest)
+
+    def record_sent(self, record: records.Record, payload: bytes) -> None:
+        """One whole record to the controller."""
+        self._transfer("sent", record, len(payload), records.digest(payload))
+
+    def _transfer(self, direction: str, record: records.Record, length: int, digest: bytes) -> None:
+        self.log.write(
+            audit.CanTransfer(
+                stamp=audit.Time.of(time.time_ns()),
+                direction=direction,  # type: ignore[arg-type]
+                channel=record.CHANNEL.name.lower(),
+                record=type(record).__name__,
+                length=length,
+                sha256=digest.hex(),
+            )
+        )
+
+
+def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) -> audit.Permit:
+    kind = SIGNED[type(record)]
+    digests: dict[str, str] = {}
+    if isinstance(record, records.Permit):
+        digests = {
+            f"{name}_sha256": getattr(record, f"{name}_digest").hex()
+            for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
+        }
+    return audit.Permit(
+        kind=kind,  # type: ignore[arg-type]
+        stage=stage,
+        token=token,
+        nonce=record.nonce.hex(),  # type: ignore[attr-defined]
+        record=record.canonical().hex(),  # type: ignore[attr-defined]
+        **digests,  # type: ignore[arg-type]
+    )
+
+
+def _disposition(event: Event, effects: tuple[Effect, ...]) -> audit.Disposition:
+    kinds = {type(effect) for effect in effects}
+    if Commit in kinds:
+        return "authorised"
+    if Withheld in kinds:
+        return "withheld"
+    if any(isinstance(effect, Send) and type(effect.record) in SIGNED for effect in effects):
+        return "sent"
+    if isinstance(event, ReplyReceived) and event.refusal is Refusal.ACCEPTED:
+        return "acknowledged"
+    return "decided"
+
+
+def _name(event: Event) -> str:
+    match event:
+        case Said(word=word):
+            return f"said {word}"
+        case ReplyReceived():
+            return f"reply {event.refusal.name} to {BY_TYPE.get(event.request_type, hex(event.request_type))}"
+        case Failed():
+            return f"failed {event.cause.name}"
+        case VerdictReady():
+            return "verdict admissible" if event.verdict.admissible else "verdict inadmissible"
+    return type(event).__name__
+
+
+def _effect_name(effect: Effect) -> str:
+    match effect:
+        case Send(record=record):
+            return f"send {type(record).__name__}"
+        case SendStop():
+            return f"send {effect.code.name} {effect.cause.name}"
+        case SendBlock(index=index):
+            return f"send path block {index}"
+        case Commit():
+            return f"commit {KINDS[effect.purpose]} as record {effect.token}"
+    return type(effect).__name__
+
+
+def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
+    """What a person wants to read beside the step."""
+    for effect in effects:
+        match effect:
+            case Refused():
+                return effect.reason
+            case Dropped():
+                return f"dropped {effect.what}"
+    match event:
+        case Announced(announce=announce):
+            return (
+                f"controller {announce.serial}, firmware {announce.firmware_version}, "
+                f"protocol {announce.protocol_version}"
+            )
+        case VerdictReady():
+            return event.verdict.reason
+    return ""

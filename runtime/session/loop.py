@@ -1,0 +1,391 @@
+"""The session's loop: bus, clock, disk, worker and terminal wired to the interlock. It decides nothing.
+
+One turn: look at the clocks, read the bus, the disk, the worker and the terminal, feed the table, send the
+heartbeat, flush. The heartbeat is the last act of a turn in which the table was evaluated; nothing else sends it.
+"""
+
+import math
+import os
+import select
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol, assert_never
+
+import can
+import numpy as np
+
+from config.terminal import WordReader
+from protocol import permit as permits
+from protocol import records
+from protocol.endpoint import RecordReceived
+from protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
+from protocol.link import Accepted, Violation
+from protocol.port import Port
+from protocol.states import RuntimeCode, StopCause
+from runtime.audit.commit import Durable, Reserved
+from runtime.audit.commit import Failed as LogFailed
+from runtime.interlock.state import (
+    ENDED,
+    HEARTBEAT_CODE,
+    Announced,
+    BlockStored,
+    Commit,
+    ControllerView,
+    Dropped,
+    Effect,
+    Event,
+    Failed,
+    FaultReceived,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Interlock,
+    LogChanged,
+    LogHealth,
+    NonceReceived,
+    OpenLink,
+    ParameterReceived,
+    PathStored,
+    Phase,
+    PoseMeasured,
+    RecordDurable,
+    Refused,
+    ReplyReceived,
+    Said,
+    Send,
+    SendBlock,
+    SendStop,
+    SessionOpened,
+    Stored,
+    Tick,
+    UseSession,
+    VerdictReady,
+    Verify,
+    Withheld,
+    Word,
+)
+from runtime.interlock.table import step
+from runtime.session.journal import Journal
+from runtime.session.start import StartPose
+from runtime.session.worker import Answer, Broken, Request, Worker
+
+LOG_BYTES_FIXED = 4_000_000
+LOG_BYTES_PER_SECOND = 100_000
+"""Estimate of the log's growth: about 280 frames a second at a 20 ms heartbeat, before compression."""
+
+
+EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
+    records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
+    records.Limits: ParameterReceived,
+    records.Calibration: ParameterReceived,
+    records.Tool: ParameterReceived,
+    records.BlockStored: lambda r: BlockStored(r.index),
+    records.PathStored: lambda r: PathStored(Stored(r.digest, r.refusal, r.pose)),
+    records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
+    records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause),
+}
+"""What each record from the controller means to the table."""
+
+
+class View(Protocol):
+    """Shows the session to a person as it goes."""
+
+    def step(self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...]) -> None:
+        """One step of the interlock."""
+
+    def verdict(self, document: dict[str, Any]) -> None:
+        """The verdict of the worker."""
+
+    def note(self, text: str) -> None:
+        """One line."""
+
+
+class Session:
+    """One session with one controller.
+
+    Args:
+        state: the interlock with its job.
+        request: what the worker is asked once the controller's records are there.
+        key: the pre-shared key.
+        port: this side of the bus.
+        journal: the audit log.
+        worker: the verification process.
+        view: shows what happens.
+        words: the operator's terminal, None without one.
+        clock: monotonic seconds.
+        random: the operating system's generator.
+    """
+
+    def __init__(
+        self,
+        state: Interlock,
+        *,
+        request: Request,
+        key: bytes,
+        port: Port,
+        journal: Journal,
+        worker: Worker,
+        view: View,
+        words: WordReader[Word] | None = None,
+        checkpoint_deadline_s: float,
+        clock: Callable[[], float] = time.monotonic,
+        random: Callable[[int], bytes] = os.urandom,
+    ) -> None:
+        self.state = state
+        self.document: dict[str, Any] | None = None
+        self._request = request
+        self._start: StartPose | None = None
+        self._key = key
+        self._port = port
+        self._journal = journal
+        self._worker = worker
+        self._view = view
+        self._words = words
+        self._checkpoint_deadline_s = checkpoint_deadline_s
+        self._clock = clock
+        self._random = random
+        self._blocks = records.split(state.job.path)
+        self._turn_s = clock()
+        self._next_heartbeat_s = self._turn_s
+        self._sample_s = -1.0
+        self._interrupted = False
+        self._poller = select.poll()
+
+    # ------------------------------------------------------------ the loop
+
+    def interrupt(self) -> None:
+        """Ctrl-C or SIGTERM: the operator quits at the next turn. Safe in a signal handler."""
+        self._interrupted = True
+
+    def run(self, wake: int) -> Interlock:
+        """Turn until the session has ended; its final state.
+
+        Args:
+            wake: descriptor that becomes readable when a signal has arrived.
+        """
+        for descriptor in (wake, self._port.bus.fileno(), self._journal.log.fileno(), self._worker.fileno()):
+            self._poller.register(descriptor, select.POLLIN)
+        if self._words is not None and self._words.descriptor is not None:
+            self._poller.register(self._words.descriptor, select.POLLIN)
+        self._reserve()
+        while self.state.phase not in ENDED:
+            self.turn(self._wait(wake))
+        return self.state
+
+    def _wait(self, wake: int) -> set[int]:
+        due_s = self._next_heartbeat_s - self._clock()
+        ready = {descriptor for descriptor, _ in self._poller.poll(max(0.0, due_s * 1000.0))}
+        if wake in ready:
+            os.read(wake, 4096)
+        return ready
+
+    def turn(self, ready: set[int]) -> None:
+        """One turn. Whatever goes wrong in it stops the session; nothing unwinds past the table."""
+        now_s = self._clock()
+        gap_s, self._turn_s = now_s - self._turn_s, now_s
+        try:
+            self._look_at_clocks(gap_s, now_s)
+            for item in self._port.read(now_s):
+                self._item(item)
+            self._read_disk(now_s)
+            self._read_worker(ready)
+            self._read_words(ready)
+            self._feed(Tick())
+            self._heartbeat(now_s)
+            self._port.flush()
+        except can.CanError as error:
+            self._feed(Failed(StopCause.BUS_FAILED, f"the bus failed: {error}"))
+            self.state = self._gone(StopCause.BUS_FAILED)
+
+    def _gone(self, cause: StopCause) -> Interlock:
+        """Without a bus there is nothing to wait for: the controller stops by itself within the time-out."""
+        return replace(self.state, phase=Phase.STOPPED, cause=self.state.cause or cause)
+
+    def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
+        """Clocks first: a stalled loop, a lost peer, a late transfer, a slow disk."""
+        endpoint, log = self._port.endpoint, self._journal.log
+        if endpoint.link.is_open and not gap_s <= endpoint.link.timeout_s:
+            dropped = self._port.discard()
+            reason = f"the loop stood still for {gap_s * 1000:.0f} ms; {dropped} frames discarded"
+            self._feed(Failed(StopCause.LOOP_STALLED, reason))
+        for violation in endpoint.expire(now_s):
+            lost = violation.cause is StopCause.HEARTBEAT_LOST
+            self._feed(HeartbeatLost() if lost else Failed(violation.cause, violation.detail))
+        if not log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
+            reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
+            self._feed(Failed(StopCause.AUDIT_FAILED, reason))
+
+    # ------------------------------------------------------------ what arrives
+
+    def _item(self, item: object) -> None:
+        match item:
+            case Accepted(frame=ControllerHeartbeat() as beat):
+                fresh = self._port.endpoint.link.fresh(self._clock())
+                self._feed(HeartbeatReceived(_view_of(beat), fresh))
+                self._measure()
+            case Accepted(frame=ControllerFault() as fault):
+                self._feed(FaultReceived(fault.code, fault.cause))
+            case Violation():
+                self._feed(Failed(item.cause, item.detail))
+            case RecordReceived():
+                self._journal.record_received(item)
+                event = self._event_of(item.record)
+                if event is not None:
+                    self._feed(event)
+
+    def _event_of(self, record: records.Record) -> Event | None:
+        """What a controller's record means to the table."""
+        if isinstance(record, records.Announce):
+            return Announced(record, self._random(16))
+        make = EVENTS.get(type(record))
+        return make(record) if make else None
+
+    def _measure(self) -> None:
+        """A new sample of measured joints against the first pose: tip distance and largest joint angle."""
+        sample = self._port.endpoint.link.sample
+        if sample is None or self._start is None or sample.received_s == self._sample_s:
+            return
+        self._sample_s = sample.received_s
+        self._feed(PoseMeasured(*self._start.distance(sample.joints)))
+
+    def _read_disk(self, now_s: float) -> None:
+        log = self._journal.log
+        log.tick(now_s)
+        for event in log.events():
+            match event:
+                case Durable(token=token) if token is not None:
+                    self._feed(RecordDurable(token))
+                case LogFailed(reason=reason):
+                    self._view.note(f"audit log: {reason}")
+                    self._feed(LogChanged(replace(self.state.log, writable=False)))
+                case Reserved(reservation=reservation):
+                    self._feed(
+                        LogChanged(replace(self.state.log, writable=True, reserved_bytes=reservation.size))
+                    )
+
+    def _read_worker(self, ready: set[int]) -> None:
+        if self._worker.fileno() not in ready:
+            return
+        match self._worker.poll():
+            case Answer(verdict=verdict, document=document):
+                self.document = document
+                self._journal.verdict(document, self._request.tool, verdict.reason)
+                self._view.verdict(document)
+                if verdict.admissible:
+                    calibration = records.Calibration.parse(self._request.calibration)
+                    hold = self._request.robot.wrist
+                    hold_rad = math.radians(hold.hold_roll_deg) if hold.hold_roll_when_vertical else None
+                    path = records.Path.parse(self._request.path)
+                    self._start = StartPose.of(path, calibration, hold_rad)
+                self._feed(VerdictReady(verdict))
+            case Broken(reason=reason):
+                self._poller.unregister(self._worker.fileno())
+                self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
+
+    def _read_words(self, ready: set[int]) -> None:
+        if self._interrupted:
+            self._interrupted = False
+            self._feed(Said(Word.QUIT))
+        words = self._words
+        if words is None or words.descriptor not in ready:
+            return
+        descriptor = words.descriptor
+        for word in words.read():
+            if isinstance(word, Word):
+                self._feed(Said(word))
+            else:
+                self._view.note(f"{word!r} is not a word here; say one of {', '.join(Word)}")
+        if words.descriptor is None and descriptor is not None:
+            self._poller.unregister(descriptor)
+
+    def _reserve(self) -> None:
+        """Space for the whole cut, twice over; the permissive asks for it."""
+        path = records.Path.parse(self.state.job.path)
+        lengths = np.linalg.norm(np.diff(path.tips_mm, axis=0), axis=1)
+        seconds = float(np.sum(lengths)) / path.feed_mm_s
+        needed = LOG_BYTES_FIXED + int(LOG_BYTES_PER_SECOND * seconds) + 3 * len(self.state.job.path)
+        self.state = replace(self.state, log=LogHealth(writable=True, reserved_bytes=0, needed_bytes=needed))
+        self._journal.log.reserve(2 * needed)
+
+    # ------------------------------------------------------------ the table and its effects
+
+    def _feed(self, event: Event) -> None:
+        before, now_s = self.state, self._clock()
+        self.state, effects = step(before, event, now_s)
+        for effect in effects:
+            self._carry_out(effect)
+        self._journal.step(before, event, self.state, effects, now_s)
+        self._view.step(before, event, self.state, effects)
+
+    def _carry_out(self, effect: Effect) -> None:
+        endpoint, now_s = self._port.endpoint, self._clock()
+        match effect:
+            case SendStop():
+                if endpoint.link.is_open:
+                    endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
+                    self._port.flush()
+            case Send(record=record):
+                self._send(record)
+            case SendBlock(index=index):
+                self._send(self._blocks[index])
+            case UseSession(session=session):
+                endpoint.use_session(session.tag)
+            case OpenLink(session=session):
+                endpoint.link.open(session.tag, now_s)
+                self._next_heartbeat_s = now_s
+            case Verify(request=number):
+                self._verify(number)
+            case Commit() | Withheld() | Refused() | Dropped():
+                pass  # the journal's business
+            case _:
+                assert_never(effect)
+
+    def _send(self, record: records.Record) -> None:
+        """Permit, start and reset are signed here, on their way out, and nowhere else."""
+        if isinstance(record, records.SignedRecord):
+            record = permits.sign(self._key, record)
+        session = 0 if isinstance(record, records.Open) else None
+        _, payload = self._port.endpoint.send_record(record, self._clock(), session=session)
+        self._journal.record_sent(record, payload)
+
+    def _verify(self, number: int) -> None:
+        """What is proved is what the controller reported and what was uploaded."""
+        held = self.state.collected
+        assert held.limits is not None and held.calibration is not None and held.tool is not None  # noqa: S101, PT018
+        self._request = replace(
+            self._request,
+            number=number,
+            limits=held.limits,
+            calibration=held.calibration,
+            tool=held.tool,
+        )
+        for name, data in (("limits", held.limits), ("calibration", held.calibration), ("tool", held.tool)):
+            self._journal.log.attach(f"{name}.bin", "application/octet-stream", data)
+        self._worker.submit(self._request)
+
+    def _heartbeat(self, now_s: float) -> None:
+        endpoint = self._port.endpoint
+        if not now_s >= self._next_heartbeat_s:
+            return
+        period_s = endpoint.link.heartbeat_s
+        self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
+        if endpoint.link.is_open:
+            code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
+            endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
+
+
+def _view_of(beat: ControllerHeartbeat) -> ControllerView:
+    return ControllerView(
+        state=beat.state,
+        cause=beat.cause,
+        epoch=beat.epoch,
+        device_pressed=beat.device_pressed,
+        emergency_stop_clear=beat.emergency_stop_ok,
+        cutting_mode=beat.cutting_mode,
+    )
+
+
+def wake_pipe() -> tuple[int, int]:
+    """A non-blocking pipe for signal handlers: (read end, write end)."""
+    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    return reading, writing

@@ -1,0 +1,166 @@
+"""Verification in a process of its own, so that heartbeats never wait for it.
+
+The worker is started before the session opens and answers one request after the other. It ends when its pipe
+does, so it cannot outlive the runtime.
+"""
+
+import multiprocessing
+import signal
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+from config.model import Robot
+from protocol import records
+from runtime.interlock.state import Verdict
+from runtime.plan.prepare import Quantise
+from runtime.session.start import StartPose
+from runtime.verification import certified
+from runtime.verification.document import Digests, verdict_document
+from runtime.verification.guidance import guide
+from runtime.verification.problem import Floats
+from runtime.verification.recorded import problem_from_records
+
+JOIN_S = 2.0
+NOWHERE = (0, 0, 0, 0, 0)
+"""Start joints of a path that was not admitted; no permit is ever made of them."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be proved: the bytes the controller stored and reported."""
+
+    number: int
+    path: bytes
+    limits: bytes
+    calibration: bytes
+    tool: bytes
+    registration: bytes
+    robot: Robot
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The verdict for the interlock, and the contract's document for people and the log."""
+
+    verdict: Verdict
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Broken:
+    """Nothing was proved: the worker failed."""
+
+    number: int
+    reason: str
+
+
+def prove(request: Request) -> Answer:
+    """Verify the uploaded path; the only place where a session's verdict comes from.
+
+    Raises:
+        protocol.records.RecordError: the records pose no problem that can be verified.
+    """
+    path = records.Path.parse(request.path)
+    problem = problem_from_records(
+        request.path, request.limits, request.calibration, request.tool, request.robot
+    )
+    began_s = time.perf_counter()
+    verdict = certified.verify(problem)
+    elapsed_ms = (time.perf_counter() - began_s) * 1000.0
+    limits, calibration = records.digest(request.limits), records.digest(request.calibration)
+    document = verdict_document(
+        verdict,
+        poses=len(path),
+        guidance=None if verdict.admissible else guide(problem, verdict, _quantiser(path)),
+        digests=Digests(path.digest, limits, calibration, request.registration),
+        elapsed_ms=elapsed_ms,
+    )
+    answer = Verdict(
+        request=request.number,
+        admissible=verdict.admissible,
+        path=path.digest,
+        limits=limits,
+        calibration=calibration,
+        tool=records.digest(request.tool),
+        start_joints_u=_start(request, path, problem.hold_roll).counts if verdict.admissible else NOWHERE,
+        reason="admissible" if verdict.admissible else "; ".join(verdict.reasons),
+    )
+    return Answer(answer, document)
+
+
+def _start(request: Request, path: records.Path, hold_roll_rad: float | None) -> StartPose:
+    return StartPose.of(path, records.Calibration.parse(request.calibration), hold_roll_rad)
+
+
+def _quantiser(path: records.Path) -> Quantise:
+    def quantise(tips_mm: Floats, axes: Floats) -> tuple[Floats, Floats]:
+        moved = records.Path.quantised(
+            tips_mm,
+            axes,
+            feed_mm_s=path.feed_mm_s,
+            tool_length_mm=path.tool_length_mm,
+            elbow=path.elbow,
+        )
+        return moved.tips_mm, moved.axes
+
+    return quantise
+
+
+def _serve(requests: Connection) -> None:
+    """The worker's process: answer until the pipe ends. Signals are the runtime's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    while True:
+        try:
+            request: Request = requests.recv()
+        except EOFError:
+            return
+        try:
+            answer: Answer | Broken = prove(request)
+        except Exception as error:  # noqa: BLE001 - whatever it is, nothing was proved and the runtime is told
+            answer = Broken(request.number, f"{type(error).__name__}: {error}")
+        requests.send(answer)
+
+
+class Worker:
+    """The verification process, seen from the loop: submit, poll ``fileno``, collect."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), name="cutgate-verifier", daemon=True)
+        self._process.start()
+        theirs.close()
+
+    @property
+    def pid(self) -> int:
+        """The worker's process number."""
+        return self._process.pid or 0
+
+    def fileno(self) -> int:
+        """Readable when an answer waits, or when the worker has died."""
+        return self._pipe.fileno()
+
+    def submit(self, request: Request) -> None:
+        """Send a request; never waits for its answer."""
+        try:
+            self._pipe.send(request)
+        except OSError:  # the worker is gone: poll() says so
+            return
+
+    def poll(self) -> Answer | Broken | None:
+        """The next answer, if there is one; Broken if the worker has died."""
+        try:
+            return self._pipe.recv() if self._pipe.poll() else None  # type: ignore[no-any-return]
+        except (EOFError, OSError):
+            return Broken(0, f"the verification process ended with code {self._process.exitcode}")
+
+    def close(self) -> None:
+        """End the worker; killed if it does not end by itself within a bounded time."""
+        self._pipe.close()
+        self._process.join(JOIN_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(JOIN_S)

@@ -1,0 +1,172 @@
+"""Branch and bound over the path: how small does each quantity become, and where.
+
+All open intervals are worked off in numpy blocks, last in first out, so that memory stays bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
+from runtime.verification.enclosures import (
+    COLUMNS,
+    OUTER,
+    RIGHT,
+    ROLL_MIN,
+    SPEED,
+    Scope,
+    attained,
+    lower_bounds,
+)
+from runtime.verification.geometry import Geometry, Ints, Segments
+from runtime.verification.points import Points
+from runtime.workspace.distance import signed_sides
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SMALLEST = 2.0**-40
+"""No interval is split below this part of its segment."""
+
+COARSE = 2.0**-4
+"""Where the arm or the singularity has lost its deadband the wrist is not followed finer than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aim:
+    """How far to refine each column; arrays of shape (COLUMNS,).
+
+    Attributes:
+        gap: bounds this close below the least attained value are close enough.
+        target: the value to keep; while a bound is below and the attained value above it, go on ...
+        fine: ... until they are this close: undecided.
+    """
+
+    gap: Floats
+    target: Floats
+    fine: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """Least attained value and proven bound of each column; arrays of shape (COLUMNS,).
+
+    Attributes:
+        attained: infinite where nothing was attained.
+        certified: minus infinity where nothing is proven.
+        segment: where ``attained`` was found.
+        fraction: place in that segment.
+        evaluations: intervals bounded.
+        budget: intervals allowed.
+    """
+
+    attained: Floats
+    certified: Floats
+    segment: Ints
+    fraction: Floats
+    evaluations: int
+    budget: int
+
+
+def budget(segments: int) -> int:
+    """Intervals that a survey may look at before it gives up, undecided."""
+    return 64 * segments + 200_000
+
+
+class _Best:
+    """Least attained value of each column and its place."""
+
+    def __init__(self) -> None:
+        self.value = np.full(COLUMNS, np.inf)
+        self.segment = np.zeros(COLUMNS, dtype=np.int64)
+        self.fraction = np.zeros(COLUMNS)
+
+    def offer(self, first: int, values: Floats, segment: Ints, fraction: Floats) -> None:
+        """Take values (m, columns) of the columns from ``first`` on where they are smaller."""
+        if len(values) == 0:
+            return
+        rows = np.argmin(values, axis=0)
+        for i, row in enumerate(rows):
+            if values[row, i] < self.value[first + i]:
+                self.value[first + i] = values[row, i]
+                self.segment[first + i] = segment[row]
+                self.fraction[first + i] = fraction[row]
+
+
+def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, aim: Aim) -> Survey:
+    """Enclose the minimum of every wanted column over the whole path."""
+    best = _Best()
+    for i in range(0, len(chain) + 1, BLOCK):
+        points = chain.points.take(slice(i, i + BLOCK))
+        at = np.minimum(np.arange(i, i + len(points)), len(chain) - 1)
+        last = np.arange(i, i + len(points)) == len(chain)
+        place = np.where(last, chain.s1[at], chain.s0[at])
+        best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
+    certified = np.full(COLUMNS, np.inf)
+    allowed, spent = budget(len(segments)), 0
+    stack: list[Intervals] = []
+    roots = iter(range(0, len(chain), BLOCK))
+    while True:
+        if stack:
+            parts = _pop(stack)
+        elif (start := next(roots, None)) is not None:
+            parts = chain.intervals(start, min(start + BLOCK, len(chain)), COLUMNS)
+        else:
+            break
+        spent += len(parts)
+        floor = np.maximum(best.value - aim.gap, np.minimum(aim.target, best.value))
+        bounds, means, cut = lower_bounds(geometry, segments, scope, parts, floor)
+        best.offer(SPEED, means, parts.segment, (parts.s0 + parts.s1) / 2)
+        open_rows = _open(geometry, parts, bounds, best.value, aim)
+        if spent > allowed:
+            open_rows[:] = False
+        closed = bounds[~open_rows]
+        if len(closed):
+            certified = np.minimum(certified, closed.min(axis=0))
+        rows = np.flatnonzero(open_rows)
+        if len(rows):
+            children = halve(geometry, segments, parts.take(rows), bounds[rows], cut[rows])
+            middle = children.a.take(slice(len(rows), None))
+            place = children.s0[len(rows) :]
+            best.offer(0, attained(geometry, scope, middle), children.segment[: len(rows)], place)
+            stack.append(children)
+    return Survey(best.value, np.minimum(certified, best.value), best.segment, best.fraction, spent, allowed)
+
+
+def _pop(stack: list[Intervals]) -> Intervals:
+    """Take intervals off the stack, up to about one block."""
+    taken = [stack.pop()]
+    size = len(taken[0])
+    while stack and size + len(stack[-1]) <= BLOCK:
+        taken.append(stack.pop())
+        size += len(taken[-1])
+    whole = merge(taken)
+    if len(whole) > 2 * BLOCK:
+        keep = np.arange(len(whole))
+        stack.append(whole.take(keep[BLOCK:]))
+        whole = whole.take(keep[:BLOCK])
+    return whole
+
+
+def _open(geometry: Geometry, parts: Intervals, bounds: Floats, best: Floats, aim: Aim) -> Bools:
+    """Which intervals must be split: the bound is too far below, or a deadband is not yet decided."""
+    straddles = (bounds < aim.target) & (best >= aim.target) & (bounds < best - aim.fine)
+    wanting = (bounds < best - aim.gap) | straddles
+    wanting[:, : RIGHT + 1] &= best[: RIGHT + 1] >= 0.0  # outside the reach no bracket is asked for
+    width = parts.s1 - parts.s0
+    followed = _keeps(geometry, parts.a) & _keeps(geometry, parts.b)
+    reached = parts.a.inside & parts.b.inside & (width > COARSE)
+    wanting[:, ROLL_MIN:] &= (followed | reached)[:, None]
+    out: Bools = wanting.any(axis=1) & (width > SMALLEST)
+    return out
+
+
+def _keeps(geometry: Geometry, points: Points) -> Bools:
+    """Whether arm and singularity keep their deadbands, so that the roll is well defined."""
+    sides = signed_sides(points.distances, points.inside, full_turn=geometry.workspace.full_turn)
+    radial = (sides[:, : OUTER + 1] >= geometry.arm_mm).all(axis=1)
+    tilted: Bools = np.minimum(points.pitch, np.pi - points.pitch) >= geometry.wrist_rad
+    return radial & tilted

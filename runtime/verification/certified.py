@@ -1,0 +1,423 @@
+"""The gate's method: decide for every point of the continuous path, not for samples.
+
+Rules, in order; every admitting comparison asks "inside?", so NaN denies:
+
+1. All numbers are finite and usable (`defects`).
+2. The path starts inside the planar workspace, by inverse kinematics.
+3. No boundary's proven bound is below its deadband. As the signed distances are enclosed along the
+   whole path, a path that starts inside and keeps them cannot leave, nor change its branch.
+4. Shoulder and roll, followed continuously, stay within their limits for one choice of whole turns.
+5. The joint speeds at the planned feed stay within their limits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.arm import turns
+from runtime.verification.bisection import Aim, Survey, survey
+from runtime.verification.branch import Candidate, candidates, choose
+from runtime.verification.chain import Chain, build
+from runtime.verification.closed_form import Extremes, extremes
+from runtime.verification.defects import defects
+from runtime.verification.enclosures import (
+    COLUMNS,
+    HALF_TURN,
+    LEFT,
+    Q0_MAX,
+    Q0_MIN,
+    RIGHT,
+    ROLL_MAX,
+    ROLL_MIN,
+    SPEED,
+    Scope,
+)
+from runtime.verification.geometry import VERTICAL, Geometry, Segments, canonical
+from runtime.verification.problem import Problem
+from runtime.verification.reasons import sentences
+from runtime.verification.verdict import BOUNDARIES, Boundary, Branch, Evaluations, SpeedLine, Unit, Verdict
+from runtime.workspace.planar import SIDES
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+GAP_MM = 0.008
+"""Survey: proven and attained value this close, mm; the promise is 0.01."""
+
+GAP_RAD = math.radians(0.008)
+"""The same for the roll."""
+
+FINE_MM = 5e-4
+"""A bracket that straddles its deadband is narrowed to this before it counts as undecided."""
+
+FINE_RAD = math.radians(5e-4)
+
+GAP_SPEED = 0.005
+"""The same for joint speeds, as a part of their limits."""
+
+FINE_SPEED = 5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class _Value:
+    """One enclosed quantity in mm or rad; infinite where undefined."""
+
+    attained: float
+    certified: float
+    segment: int
+    fraction: float
+
+
+def verify(problem: Problem) -> Verdict:
+    """Verify a path at its deadbands, for all its points, arm and wrist together."""
+    wrong = defects(problem)
+    if wrong:
+        return _refused(problem, wrong)
+    geometry, segments = canonical(problem)
+    chain = build(geometry, segments)
+    limits = extremes(geometry, segments, chain.points)
+    return _Verification(problem, geometry, segments, chain, limits).verdict()
+
+
+def _refused(problem: Problem, wrong: tuple[str, ...]) -> Verdict:
+    """The verdict on a problem whose numbers cannot be verified: every boundary undefined, hence violated."""
+    wrist = (
+        problem.deadband.wrist_rad + problem.calibration.residual_rad + problem.deadband.path_tolerance_rad
+    )
+    arm = problem.deadband.arm_mm + problem.calibration.residual_mm + problem.deadband.path_tolerance_mm
+    nothing = {name: boundary(name, None, arm, wrist, ()) for name in BOUNDARIES}
+    speed = tuple(SpeedLine(j, float(limit), None, None, ok=False) for j, limit in enumerate(problem.speed))
+    return Verdict(
+        method="certified",
+        admissible=False,
+        tip_length_mm=0.0,
+        wrist_length_mm=0.0,
+        axis_angle_rad=0.0,
+        deadband_arm_mm=arm,
+        deadband_wrist_rad=wrist,
+        branch=None,
+        evaluations=Evaluations(0, 0, 0),
+        boundaries=nothing,
+        speed=speed,
+        reasons=wrong,
+    )
+
+
+def boundary(
+    name: str, value: _Value | None, arm_mm: float, wrist_rad: float, tip_at: Floats | tuple[()]
+) -> Boundary:
+    """Bring an enclosed value into the form people read: mm or deg, null where undefined.
+
+    Args:
+        name: the boundary.
+        value: enclosed quantity, mm or rad, or None if undefined.
+        arm_mm: deadband of the arm.
+        wrist_rad: deadband of the wrist.
+        tip_at: tip path length at each pose, mm.
+    """
+    angular = name not in {*SIDES, "top", "bottom"}
+    deadband = math.degrees(wrist_rad) if angular else arm_mm
+    unit: Unit = "deg" if angular else "mm"
+    if value is None or not (math.isfinite(value.certified) and math.isfinite(value.attained)):
+        return Boundary(name, unit, None, None, None, None, None, deadband, violated=True)
+    scale = 180.0 / math.pi if angular else 1.0
+    i, s = value.segment, value.fraction
+    along = float(tip_at[i] + s * (tip_at[i + 1] - tip_at[i]))
+    clearance, certified = value.attained * scale, value.certified * scale
+    return Boundary(
+        name, unit, clearance, certified, i, s, along, deadband, violated=not certified >= deadband
+    )
+
+
+class _Verification:
+    """One run; its methods are the steps of `verdict`, in order."""
+
+    def __init__(
+        self, problem: Problem, geometry: Geometry, segments: Segments, chain: Chain, limits: Extremes
+    ) -> None:
+        self.problem = problem
+        self.geometry = geometry
+        self.segments = segments
+        self.chain = chain
+        self.limits = limits
+        self.evaluations = [0, 0]
+        self.budget = 0
+        least, most = limits.least_pitch.value, limits.most_pitch.value
+        upright = most < VERTICAL or least > math.pi - VERTICAL
+        self.held = problem.hold_roll if upright else None
+        self.roll_defined = chain.wound and least > VERTICAL and most < math.pi - VERTICAL
+        self.tip_at = np.concatenate(
+            ([0.0], np.cumsum(np.linalg.norm(np.diff(segments.tip, axis=0), axis=1)))
+        )
+
+    def verdict(self) -> Verdict:
+        """Enclose everything, choose the branch, and say what the path lacks."""
+        first = self._survey(self._first_columns())
+        values = self._slide_and_pitch()
+        for column, name in enumerate(SIDES):
+            values[name] = _value(first, column)
+        shoulder = self._shoulder(first, values)
+        roll = self._roll(first, values)
+        branch = None
+        if shoulder is not None and roll is not None:
+            branch = Branch(self.problem.arm.elbow, shoulder.turns, roll.turns)
+        boundaries = self._boundaries(values)
+        speed = self._speed(first)
+        other = self._other_reasons(branch)
+        ok = not other and all(not b.violated for b in boundaries.values()) and all(line.ok for line in speed)
+        return Verdict(
+            method="certified",
+            admissible=ok and branch is not None,
+            tip_length_mm=float(self.tip_at[-1]),
+            wrist_length_mm=self._wrist_length(),
+            axis_angle_rad=float(self.segments.theta.sum()),
+            deadband_arm_mm=self.geometry.arm_mm,
+            deadband_wrist_rad=self.geometry.wrist_rad,
+            branch=branch,
+            evaluations=Evaluations(self.evaluations[0], self.evaluations[1], self.budget),
+            boundaries=boundaries,
+            speed=speed,
+            reasons=(*other, *sentences(boundaries, speed, self.problem.arm.elbow)),
+        )
+
+    # -- surveys ------------------------------------------------------------------------------
+
+    def _first_columns(self) -> Bools:
+        wanted = np.ones(COLUMNS, dtype=np.bool_)
+        full = self.geometry.workspace.full_turn
+        wanted[[LEFT, RIGHT]] = not full
+        wanted[[Q0_MIN, Q0_MAX]] = full
+        if self.held is not None:
+            wanted[[ROLL_MIN, ROLL_MAX, SPEED + 3]] = False
+        return wanted
+
+    def _survey(
+        self, wanted: Bools, *, shift: float | None = None, roll_target: tuple[float, float] | None = None
+    ) -> Survey:
+        gap, fine = np.full(COLUMNS, GAP_MM), np.full(COLUMNS, FINE_MM)
+        gap[ROLL_MIN:SPEED], fine[ROLL_MIN:SPEED] = GAP_RAD, FINE_RAD
+        gap[SPEED:], fine[SPEED:] = GAP_SPEED * self.problem.speed, FINE_SPEED * self.problem.speed
+        target = np.full(COLUMNS, -np.inf)
+        target[:ROLL_MIN] = self.geometry.arm_mm
+        target[SPEED:] = -self.problem.speed
+        if roll_target is not None:
+            target[[ROLL_MIN, ROLL_MAX]] = roll_target
+        scope = Scope(wanted, wound=self.chain.wound, roll_defined=self.roll_defined, shoulder_shift=shift)
+        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, target, fine))
+        self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
+        self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
+        self.budget += done.budget
+        return done
+
+    def _slide_and_pitch(self) -> dict[str, _Value]:
+        x, g = self.limits, self.geometry
+
+        def value(attained: float, pad: float, place: tuple[int, float]) -> _Value:
+            return _Value(attained, attained - pad, *place)
+
+        low, high = (x.lowest.segment, x.lowest.fraction), (x.highest.segment, x.highest.fraction)
+        flat = (x.least_pitch.segment, x.least_pitch.fraction)
+        steep = (x.most_pitch.segment, x.most_pitch.fraction)
+        least, most = x.least_pitch.value, x.most_pitch.value
+        values = {
+            "top": value(g.upper[2] - x.highest.value, x.pad_mm, high),
+            "bottom": value(x.lowest.value - g.lower[2], x.pad_mm, low),
+            "pitch_min": value(least - g.lower[4], x.pad_rad, flat),
+            "pitch_max": value(g.upper[4] - most, x.pad_rad, steep),
+            "wrist_singularity": value(
+                min(least, math.pi - most), x.pad_rad, flat if least <= math.pi - most else steep
+            ),
+        }
+        if self.held is not None:
+            del values["wrist_singularity"]
+            if g.lower[4] <= 0.0:
+                del values["pitch_min"]
+        return {name: _plain(v) for name, v in values.items()}
+
+    # -- branches -----------------------------------------------------------------------------
+
+    def _shoulder(self, first: Survey, values: dict[str, _Value]) -> Candidate | None:
+        """Choose the turn of q0; fills left and right where they count by the lifted q0."""
+        asked = None if self.problem.branch is None else self.problem.branch[0]
+        start = float(self.chain.points.shoulder[0])
+        if not (self.chain.wound and math.isfinite(start)):
+            return None
+        if not self.geometry.workspace.full_turn:
+            if not all(values[name].attained >= 0.0 for name in SIDES):
+                return None
+            found = candidates(self.geometry, 0, start, (start, start), asked)[0]
+            return found if found.fits else None
+        reach = (float(first.attained[Q0_MIN]), -float(first.attained[Q0_MAX]))
+        if not (math.isfinite(reach[0]) and math.isfinite(reach[1])):
+            return None
+        others = self._worst_ratio(values, leave_out=("left", "right"))
+        best: tuple[float, Candidate, dict[str, _Value]] | None = None
+        for option in candidates(self.geometry, 0, start, reach, asked):
+            sides = self._lifted_sides(option, reach)
+            ratio = min([others, *(v.certified / self.geometry.arm_mm for v in sides.values())])
+            if best is None or ratio > best[0]:
+                best = (ratio, option, sides)
+            if ratio >= others:
+                break
+        if best is None:  # pragma: no cover -- candidates() returns at least one
+            return None
+        for name in ("left", "right"):
+            del values[name]
+        values.update(best[2])
+        return best[1] if best[1].fits else None
+
+    def _lifted_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, _Value]:
+        """Left and right for one choice of turns; left out where the path stays half a turn away."""
+        g = self.geometry
+        slack = GAP_RAD  # the range is attained, its bound may be that much wider
+        near = {
+            "left": reach[1] + option.shift + slack >= g.upper[0] - HALF_TURN,
+            "right": reach[0] + option.shift - slack <= g.lower[0] + HALF_TURN,
+        }
+        if not any(near.values()):
+            return {}
+        wanted = np.zeros(COLUMNS, dtype=np.bool_)
+        wanted[[LEFT, RIGHT]] = near["left"], near["right"]
+        done = self._survey(wanted, shift=option.shift)
+        found = {
+            name: _value(done, column) for name, column in (("left", LEFT), ("right", RIGHT)) if near[name]
+        }
+        return {n: v for n, v in found.items() if math.isfinite(v.attained) or not v.certified >= g.arm_mm}
+
+    def _roll(self, first: Survey, values: dict[str, _Value]) -> Candidate | None:
+        """Choose the turn of the roll and fill its two boundaries."""
+        g = self.geometry
+        asked = None if self.problem.branch is None else self.problem.branch[1]
+        if self.held is not None:
+            return self._held_roll(values, asked)
+        reach = (float(first.attained[ROLL_MIN]), -float(first.attained[ROLL_MAX]))
+        start = float(self.chain.points.roll[0])
+        proven = np.isfinite(first.certified[[ROLL_MIN, ROLL_MAX]]).all()
+        if not (proven and all(map(math.isfinite, (*reach, start)))):
+            return None
+        options = candidates(g, 3, start, reach, asked)
+        chosen = choose(options, g.wrist_rad, self._worst_ratio(values, leave_out=()))
+        shift = chosen.shift
+        target = (g.lower[3] + g.wrist_rad - shift, -(g.upper[3] - g.wrist_rad - shift))
+        undecided = any(
+            first.certified[c] < t <= first.attained[c] and first.attained[c] - first.certified[c] > FINE_RAD
+            for c, t in zip((ROLL_MIN, ROLL_MAX), target, strict=True)
+        )
+        if undecided:
+            wanted = np.zeros(COLUMNS, dtype=np.bool_)
+            wanted[[ROLL_MIN, ROLL_MAX]] = True
+            first = self._survey(wanted, roll_target=target)
+        values["roll_min"] = _value(first, ROLL_MIN, shift - float(g.lower[3]))
+        values["roll_max"] = _value(first, ROLL_MAX, float(g.upper[3]) - shift)
+        return chosen if chosen.fits else None
+
+    def _held_roll(self, values: dict[str, _Value], asked: int | None) -> Candidate | None:
+        """A vertical tool held at a declared roll: both boundaries are constants."""
+        held = float(self.held or 0.0)
+        reported = int(turns(np.float64(held)))  # type: ignore[arg-type]
+        true = self.geometry.side * held + float(self.geometry.offset[3])
+        for name, margin in (
+            ("roll_min", true - float(self.geometry.lower[3])),
+            ("roll_max", float(self.geometry.upper[3]) - true),
+        ):
+            values[name] = _Value(margin, margin, 0, 0.0)
+        fits = min(values["roll_min"].attained, values["roll_max"].attained) >= 0.0
+        if not fits or asked not in {None, reported}:
+            return None
+        return Candidate(0.0, reported, fits=True, margin=0.0)
+
+    def _worst_ratio(self, values: dict[str, _Value], leave_out: tuple[str, ...]) -> float:
+        g = self.geometry
+        return min(
+            v.certified / (g.wrist_rad if name.startswith(("pitch", "wrist", "roll")) else g.arm_mm)
+            for name, v in values.items()
+            if name not in leave_out
+        )
+
+    # -- the answer ---------------------------------------------------------------------------
+
+    def _boundaries(self, values: dict[str, _Value]) -> dict[str, Boundary]:
+        """Back to the arm as it was given: a mirrored arm's sides and roll ends change places."""
+        mirrored = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
+        out: dict[str, Boundary] = {}
+        left_out = set()
+        if self.held is not None:
+            left_out = {"wrist_singularity", "pitch_min"} - set(values)
+        if self.geometry.workspace.full_turn and self.chain.wound:
+            left_out |= {"left", "right"} - set(values)
+        for name in BOUNDARIES:
+            source = mirrored.get(name, name) if self.geometry.side < 0 else name
+            if source in left_out:
+                continue
+            value = values.get(source)
+            out[name] = boundary(name, value, self.geometry.arm_mm, self.geometry.wrist_rad, self.tip_at)
+        return out
+
+    def _speed(self, first: Survey) -> tuple[SpeedLine, ...]:
+        lines = []
+        for joint in range(5):
+            limit, column = float(self.problem.speed[joint]), SPEED + joint
+            if joint == 3 and self.held is not None:
+                lines.append(SpeedLine(joint, limit, 0.0, 0, ok=True))
+                continue
+            peak = max(-float(first.certified[column]), 0.0)
+            known = math.isfinite(peak) and math.isfinite(float(first.attained[column]))
+            place = int(first.segment[column]) if known else None
+            lines.append(SpeedLine(joint, limit, peak if known else None, place, ok=known and peak <= limit))
+        return tuple(lines)
+
+    def _other_reasons(self, branch: Branch | None) -> tuple[str, ...]:
+        out = []
+        if not bool(self.chain.points.inside[0]):
+            out.append(
+                "the path starts outside the planar workspace: no joint position within the limits "
+                "reaches the first wrist centre; move the bone toward the workspace"
+            )
+        asked = self.problem.branch
+        if asked is not None and branch is not None and asked != (branch.q0_turns, branch.roll_turns):
+            out.append(
+                f"the path asks for q0_turns {asked[0]} and roll_turns {asked[1]}, but it lies in "
+                f"{branch.q0_turns} and {branch.roll_turns}: verify it again for that branch"
+            )
+        if branch is None:
+            out.append(
+                "no choice of whole turns keeps shoulder and roll within their limits along the whole path"
+            )
+        return tuple(out)
+
+    def _wrist_length(self) -> float:
+        """Length of the wrist-centre path, mm: Gauss-Legendre on each segment's smooth speed."""
+        return wrist_length(self.segments, self.geometry.tool_mm)
+
+
+def _value(done: Survey, column: int, offset: float = 0.0) -> _Value:
+    return _Value(
+        float(done.attained[column]) + offset,
+        float(done.certified[column]) + offset,
+        int(done.segment[column]),
+        float(done.fraction[column]),
+    )
+
+
+def _plain(value: _Value) -> _Value:
+    return _Value(float(value.attained), float(value.certified), value.segment, value.fraction)
+
+
+def wrist_length(segments: Segments, tool_mm: float) -> float:
+    """Length of the wrist-centre path, mm, by four-point Gauss-Legendre per segment."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    step = np.diff(segments.tip, axis=0)
+    u, v, theta = segments.axis[:-1], segments.axis[1:], segments.theta
+    sine = np.where(theta > 0.0, np.sin(theta), 1.0)
+    tangent = (v - np.cos(theta)[:, None] * u) / sine[:, None]
+    total = 0.0
+    for node, weight in zip(nodes, weights, strict=True):
+        phi = (node + 1.0) / 2.0 * theta
+        turning = np.cos(phi)[:, None] * tangent - np.sin(phi)[:, None] * u
+        speed = step + (tool_mm * theta)[:, None] * turning
+        total += float(weight) / 2.0 * float(np.sqrt(np.einsum("ij,ij->i", speed, speed)).sum())
+    return total

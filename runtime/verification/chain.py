@@ -1,0 +1,193 @@
+"""The path as one chain of intervals whose joint angles are lifted continuously."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.arm import TURN
+from runtime.verification.geometry import Geometry, Ints, Segments
+from runtime.verification.points import Points, at, at_poses, join
+
+Floats = NDArray[np.float64]
+
+BLOCK = 8192
+"""Intervals worked off at once: few enough for the cache, many enough for numpy."""
+
+SMALLEST_SPLIT = 2.0**-20
+"""No piece is split below this part of its segment in the search for the winding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """Parts of segments with their attained ends; arrays over m intervals.
+
+    Attributes:
+        segment: segment numbers.
+        s0: fraction where the interval starts.
+        s1: fraction where it ends.
+        a: attained values at s0, lifted.
+        b: attained values at s1, lifted continuously from a.
+        bound: lower bounds inherited from the parent, shape (m, columns).
+    """
+
+    segment: Ints
+    s0: Floats
+    s1: Floats
+    a: Points
+    b: Points
+    bound: Floats
+
+    def __len__(self) -> int:
+        return len(self.segment)
+
+    def take(self, index: Ints) -> Intervals:
+        """The intervals at an index."""
+        return Intervals(
+            self.segment[index],
+            self.s0[index],
+            self.s1[index],
+            self.a.take(index),
+            self.b.take(index),
+            self.bound[index],
+        )
+
+
+def merge(parts: list[Intervals]) -> Intervals:
+    """Concatenate intervals."""
+    if len(parts) == 1:
+        return parts[0]
+    return Intervals(
+        np.concatenate([p.segment for p in parts]),
+        np.concatenate([p.s0 for p in parts]),
+        np.concatenate([p.s1 for p in parts]),
+        join([p.a for p in parts]),
+        join([p.b for p in parts]),
+        np.concatenate([p.bound for p in parts]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Consecutive intervals of the whole path.
+
+    Attributes:
+        segment: segment of each interval, shape (m,).
+        s0: its first fraction.
+        s1: its last fraction.
+        points: attained, lifted values at the m + 1 places between them.
+        wound: whether the winding about the column is known everywhere.
+    """
+
+    segment: Ints
+    s0: Floats
+    s1: Floats
+    points: Points
+    wound: bool
+
+    def __len__(self) -> int:
+        return len(self.segment)
+
+    def intervals(self, start: int, stop: int, columns: int) -> Intervals:
+        """A block of the chain."""
+        return Intervals(
+            self.segment[start:stop],
+            self.s0[start:stop],
+            self.s1[start:stop],
+            self.points.take(slice(start, stop)),
+            self.points.take(slice(start + 1, stop + 1)),
+            np.full((stop - start, columns), -np.inf),
+        )
+
+
+def sagitta(geometry: Geometry, phi: Floats) -> Floats:
+    """How far the wrist centre leaves its chord while the axis turns by phi, mm: at most l phi^2 / 8."""
+    return geometry.stretch * geometry.tool_mm / 8.0 * phi * phi
+
+
+def distance_from_column(first: Floats, second: Floats) -> Floats:
+    """Smallest distance of straight segments (n, 2) from the origin, mm."""
+    step = second - first
+    square = np.einsum("ij,ij->i", step, step)
+    t = -np.einsum("ij,ij->i", first, step) / np.where(square > 0.0, square, 1.0)
+    foot = first + np.clip(t, 0.0, 1.0)[:, None] * step
+    out: Floats = np.sqrt(np.einsum("ij,ij->i", foot, foot))
+    return out
+
+
+def sweep(first: Floats, second: Floats) -> Floats:
+    """Signed angle from directions (n, 2) to directions (n, 2), in -pi..pi."""
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    out: Floats = np.arctan2(cross, np.einsum("ij,ij->i", first, second))
+    return out
+
+
+def build(geometry: Geometry, segments: Segments) -> Chain:
+    """Evaluate all poses and lift bearing and azimuth along the path.
+
+    The bearing's sweep over an interval is the angle between its ends if the hull of its curve leaves
+    the column out; intervals of which that is not known are split until it is.
+    """
+    n = len(segments)
+    points = join([at_poses(geometry, segments, slice(i, i + BLOCK)) for i in range(0, n + 1, BLOCK)])
+    segment: Ints = np.arange(n, dtype=np.int64)
+    s0, s1 = np.zeros(n), np.ones(n)
+    while True:
+        gap = distance_from_column(points.centre[:-1], points.centre[1:])
+        sag = sagitta(geometry, segments.theta[segment] * (s1 - s0))
+        unclear = ~(gap > sag + geometry.pad_mm)
+        split = np.flatnonzero(unclear & (s1 - s0 > SMALLEST_SPLIT))
+        if len(split) == 0:
+            break
+        middle = (s0[split] + s1[split]) / 2
+        new = at(geometry, segments, segment[split], middle)
+        points = Points(
+            *(
+                np.insert(getattr(points, f.name), split + 1, getattr(new, f.name), axis=0)
+                for f in fields(Points)
+            )
+        )
+        segment = np.insert(segment, split, segment[split])
+        s1, s0 = np.insert(s1, split, middle), np.insert(s0, split + 1, middle)
+    wound = not bool(unclear.any())
+    bearing = _lift(points.bearing, sweep(points.centre[:-1], points.centre[1:]))
+    azimuth = _lift(points.azimuth, sweep(points.axis_xy[:-1], points.axis_xy[1:]))
+    return Chain(segment, s0, s1, replace(points, bearing=bearing, azimuth=azimuth), wound)
+
+
+def _lift(raw: Floats, steps: Floats) -> Floats:
+    """Add whole turns so that the angle follows its steps; whole numbers, so nothing accumulates."""
+    turns = np.cumsum(np.rint((steps - np.diff(raw)) / TURN))
+    return raw + TURN * np.concatenate(([0.0], turns))
+
+
+def halve(
+    geometry: Geometry, segments: Segments, parents: Intervals, bounds: Floats, where: Floats
+) -> Intervals:
+    """Cut intervals in two at a fraction of each, lifting the new points from their left ends."""
+    cut = parents.s0 + where * (parents.s1 - parents.s0)
+    middle = at(geometry, segments, parents.segment, cut)
+    a = parents.a
+    bearing = _follow(a.bearing, sweep(a.centre, middle.centre), middle.bearing)
+    azimuth = _follow(a.azimuth, sweep(a.axis_xy, middle.axis_xy), middle.azimuth)
+    middle = replace(middle, bearing=bearing, azimuth=azimuth)
+    return Intervals(
+        np.concatenate((parents.segment, parents.segment)),
+        np.concatenate((parents.s0, cut)),
+        np.concatenate((cut, parents.s1)),
+        join([a, middle]),
+        join([middle, parents.b]),
+        np.concatenate((bounds, bounds)),
+    )
+
+
+def _follow(start: Floats, step: Floats, raw: Floats) -> Floats:
+    return raw + TURN * np.rint((start + step - raw) / TURN)
+
+
+def shortest_angle(angle: float) -> float:
+    """An angle modulo a turn into [-pi, pi]."""
+    return math.remainder(angle, TURN)

@@ -1,0 +1,89 @@
+"""What makes a problem unfit to be verified at all. Fail closed: any doubt is a defect."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from runtime.kinematics.pose import turn_angles
+from runtime.verification.geometry import LARGEST_TURN
+from runtime.verification.problem import Problem
+
+UNIT_TOLERANCE = 1e-6
+
+
+def defects(problem: Problem) -> tuple[str, ...]:
+    """Sentences that name what is wrong with the numbers; empty if they can be verified."""
+    arrays = {
+        "tips_mm": (problem.tips_mm, (len(problem.tips_mm), 3)),
+        "axes": (problem.axes, (len(problem.tips_mm), 3)),
+        "lower limits": (problem.lower, (5,)),
+        "upper limits": (problem.upper, (5,)),
+        "speed limits": (problem.speed, (5,)),
+        "joint offsets": (problem.calibration.joint_offset, (5,)),
+        "slide tilt": (problem.calibration.slide_tilt, (2,)),
+    }
+    found = [
+        f"{name} have shape {array.shape}, not {shape}"
+        for name, (array, shape) in arrays.items()
+        if array.shape != shape
+    ]
+    if len(problem.tips_mm) < 1:
+        found.append("the path has no pose")
+    if found:
+        return tuple(found)
+    found += [
+        f"{name} are not all finite" for name, (array, _) in arrays.items() if not np.isfinite(array).all()
+    ]
+    found += _bad_numbers(problem)
+    if not found:
+        found += _bad_axes(problem)
+    return tuple(found)
+
+
+def _bad_numbers(problem: Problem) -> list[str]:
+    calibration, deadband = problem.calibration, problem.deadband
+    positive = {
+        "feed_mm_s": problem.feed_mm_s,
+        "upper link": problem.arm.upper_mm + calibration.upper_link_error_mm,
+        "forearm": problem.arm.forearm_mm + calibration.forearm_link_error_mm,
+        "arm deadband": deadband.arm_mm,
+        "wrist deadband": deadband.wrist_rad,
+        "smallest speed limit": float(problem.speed.min()),
+    }
+    not_negative = {
+        "tool_length_mm": problem.tool_length_mm,
+        "residual_mm": calibration.residual_mm,
+        "residual_rad": calibration.residual_rad,
+        "path_tolerance_mm": deadband.path_tolerance_mm,
+        "path_tolerance_rad": deadband.path_tolerance_rad,
+    }
+    found = [
+        f"{name} is {x}, must be finite and above 0" for name, x in positive.items() if not 0.0 < x < math.inf
+    ]
+    found += [
+        f"{name} is {x}, must be finite and at least 0"
+        for name, x in not_negative.items()
+        if not 0.0 <= x < math.inf
+    ]
+    if problem.hold_roll is not None and not math.isfinite(problem.hold_roll):
+        found.append(f"the held roll is {problem.hold_roll}, must be finite")
+    return found
+
+
+def _bad_axes(problem: Problem) -> list[str]:
+    found = []
+    off = np.abs(np.sqrt(np.einsum("ij,ij->i", problem.axes, problem.axes)) - 1.0)
+    if not off.max() <= UNIT_TOLERANCE:
+        found.append(
+            f"the tool axis of pose {int(off.argmax())} is not a unit vector (off by {off.max():.3g})"
+        )
+    if len(problem.axes) > 1:
+        turn = turn_angles(problem.axes[:-1], problem.axes[1:])
+        if not turn.max() <= LARGEST_TURN:
+            found.append(
+                f"segment {int(turn.argmax())} turns the tool axis by {math.degrees(turn.max()):.3f} deg, "
+                "at most 179 deg have a defined great circle: add a pose between"
+            )
+    return found

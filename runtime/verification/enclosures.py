@@ -1,0 +1,310 @@
+"""Certified bounds of every quantity over intervals of the path.
+
+All quantities are written so that small is bad; a *column* of bounds is a lower bound over the whole
+interval, padded for rounding. Over an interval the wrist centre stays within ``sag = l phi^2 / 8`` of
+its chord; joint angles stay within second-order bounds of their own chords (derivations beside the
+formulas), so halving an interval shrinks every gap fourfold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.arm import elbow_sine
+from runtime.verification.chain import Intervals, distance_from_column, sagitta
+from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from runtime.verification.points import Points, roll_widening
+from runtime.workspace.distance import signed_sides
+from runtime.workspace.planar import segment_to_arc
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+INNER, OUTER, LEFT, RIGHT, ROLL_MIN, ROLL_MAX, Q0_MIN, Q0_MAX, SPEED = range(9)
+COLUMNS = SPEED + 5
+"""Four arcs (mm), least roll, minus largest roll, the same for q0 (rad), minus the five joint speeds."""
+
+HALF_TURN = math.pi + 1e-9
+"""The contract counts a lifted shoulder limit up to half a turn away; the rest is for rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What is asked of a survey.
+
+    Attributes:
+        wanted: columns to bound, shape (COLUMNS,).
+        wound: whether the winding about the column is known.
+        roll_defined: whether besides the azimuth of the axis is defined.
+        shoulder_shift: added to the lifted q0 where left and right count by lifted q0, else None.
+    """
+
+    wanted: Bools
+    wound: bool
+    roll_defined: bool
+    shoulder_shift: float | None = None
+
+
+def attained(geometry: Geometry, scope: Scope, points: Points) -> Floats:
+    """Values at points, shape (m, SPEED); infinite where undefined or not wanted."""
+    out = np.full((len(points), SPEED), np.inf)
+    out[:, :LEFT] = (
+        sides := signed_sides(points.distances, points.inside, full_turn=geometry.workspace.full_turn)
+    )[:, :LEFT]
+    if scope.shoulder_shift is not None:
+        q0 = points.shoulder + scope.shoulder_shift
+        for column, beyond in ((LEFT, q0 - geometry.upper[0]), (RIGHT, geometry.lower[0] - q0)):
+            d = points.distances[:, column]
+            out[:, column] = np.where(np.abs(beyond) <= HALF_TURN, np.where(beyond <= 0.0, d, -d), np.inf)
+    elif not geometry.workspace.full_turn:
+        out[:, LEFT:ROLL_MIN] = sides[:, LEFT:]
+    if scope.roll_defined:
+        out[:, ROLL_MIN] = points.roll - points.widening
+        out[:, ROLL_MAX] = -(points.roll + points.widening)
+    if scope.wound:
+        out[:, Q0_MIN] = points.shoulder
+        out[:, Q0_MAX] = -points.shoulder
+    out[np.isnan(out)] = np.inf
+    out[:, ~scope.wanted[:SPEED]] = np.inf
+    return out
+
+
+def lower_bounds(
+    geometry: Geometry, segments: Segments, scope: Scope, parts: Intervals, floor: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Bound every wanted column over every interval.
+
+    Args:
+        geometry: canonical arm.
+        segments: the path.
+        scope: what is wanted.
+        parts: m intervals.
+        floor: a bound at or above this needs no closer look, shape (COLUMNS,).
+
+    Returns:
+        Lower bounds (m, COLUMNS); attained joint speeds, negative, (m, 5), each the mean over the
+        interval and hence attained within; where to cut each interval best, (m,).
+    """
+    motion = _motion(geometry, segments, parts)
+    bounds = np.full((len(parts), COLUMNS), np.inf)
+    cut = np.full(len(parts), 0.5)
+    if scope.wanted[:ROLL_MIN].any():
+        bounds[:, :ROLL_MIN], cut = _arc_bounds(geometry, scope, parts, motion, floor)
+    means = np.full((len(parts), 5), np.inf)
+    if scope.wanted[ROLL_MIN:].any() or scope.shoulder_shift is not None:
+        angles = _angles(geometry, segments, parts, motion)
+        if scope.shoulder_shift is not None:
+            bounds[:, LEFT:ROLL_MIN] = _lifted_bounds(
+                geometry, scope.shoulder_shift, parts, (motion, angles), bounds[:, LEFT:ROLL_MIN]
+            )
+        _bound_angles(parts, angles, bounds)
+        means = _bound_speeds(geometry, parts, motion, angles, bounds)
+        if not scope.roll_defined:
+            bounds[:, [ROLL_MIN, ROLL_MAX, SPEED + 3]] = -np.inf
+            means[:, 3] = np.inf
+        if not scope.wound:
+            bounds[:, [Q0_MIN, Q0_MAX, SPEED, SPEED + 1]] = -np.inf
+            means[:, :2] = np.inf
+    bounds[np.isnan(bounds)] = -np.inf
+    bounds[:, ~scope.wanted] = np.inf
+    means[:, ~scope.wanted[SPEED:]] = np.inf
+    means[np.isnan(means)] = np.inf
+    return np.maximum(bounds, np.where(scope.wanted, parts.bound, np.inf)), means, cut
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Chord and curvature of the wrist centre over each interval, in units of the interval."""
+
+    phi: Floats  # turn of the axis
+    chord: Floats  # length of the chord
+    sag: Floats  # distance from the chord at most, padded
+    bend: Floats  # bound on |c''|
+    length: Floats  # bound on |c'|: its mean is the chord, it leaves the mean by at most |c''| / 2
+    seconds: Floats
+
+
+def _motion(geometry: Geometry, segments: Segments, parts: Intervals) -> _Motion:
+    width = parts.s1 - parts.s0
+    phi = segments.theta[parts.segment] * width
+    step = parts.b.centre - parts.a.centre
+    chord = np.sqrt(np.einsum("ij,ij->i", step, step))
+    sag = sagitta(geometry, phi)
+    return _Motion(
+        phi=phi,
+        chord=chord,
+        sag=sag + geometry.pad_mm,
+        bend=8.0 * sag,
+        length=chord + 4.0 * sag,
+        seconds=segments.seconds[parts.segment] * width,
+    )
+
+
+def _arc_bounds(
+    geometry: Geometry, scope: Scope, parts: Intervals, motion: _Motion, floor: Floats
+) -> tuple[Floats, Floats]:
+    """Distances to the four arcs: by Lipschitz first, the closed form of the chord where that is too weak."""
+    mean = (parts.a.distances + parts.b.distances) / 2
+    near = mean - (motion.chord / 2 + motion.sag)[:, None]
+    far = mean + (motion.chord / 2 + motion.sag)[:, None]
+    cut, lacking = np.full(len(parts), 0.5), np.zeros(len(parts))
+    for column, arc in enumerate(geometry.arcs):
+        if not scope.wanted[column]:
+            continue
+        weak = np.flatnonzero(~(near[:, column] >= max(float(floor[column]), geometry.pad_mm)))
+        if len(weak) == 0:
+            continue
+        distance, where = segment_to_arc(parts.a.centre[weak], parts.b.centre[weak], arc)
+        near[weak, column] = np.maximum(near[weak, column], distance - motion.sag[weak])
+        lack = floor[column] - near[weak, column]
+        worse = (lack > lacking[weak]) & (where > 0.01) & (where < 0.99)
+        lacking[weak[worse]], cut[weak[worse]] = lack[worse], where[worse]
+    bounding = LEFT if geometry.workspace.full_turn else ROLL_MIN
+    touching = ~(parts.a.inside & parts.b.inside & (near[:, :bounding] > 0.0).all(axis=1))
+    rows = np.flatnonzero(touching)
+    near[rows, :bounding] = _outside(near[rows, :bounding], far[rows, :bounding])
+    return near, cut
+
+
+def _outside(near: Floats, far: Floats) -> Floats:
+    """Signed bounds where the interval may leave the workspace: minus the distance if perhaps nearest."""
+    near = np.maximum(near, 0.0)
+    out = near.copy()
+    for column in range(near.shape[1]):
+        others = np.delete(far, column, axis=1).min(axis=1)
+        out[:, column] = np.where(near[:, column] > others, near[:, column], -far[:, column])
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Angles:
+    """Bounds on the joint angles' motion over each interval; infinite where the elbow may be straight."""
+
+    shoulder: Floats  # on |q0'|
+    heading: Floats  # on |psi'|
+    shoulder2: Floats  # on |q0''|
+    heading2: Floats  # on |psi''|
+    azimuth2: Floats  # on |azimuth''|
+    pitch2: Floats  # on |q4''|
+    widening: Floats
+    pad: Floats  # rounding of q0, q1 and the heading
+    azimuth_pad: Floats  # rounding of the azimuth
+
+
+def _angles(geometry: Geometry, segments: Segments, parts: Intervals, motion: _Motion) -> _Angles:
+    """Derive from dw = a0 e'(q0) q0' + a1 e'(psi) psi', projected on e(q0) and on e(psi).
+
+    |psi'| <= |w'| / (a1 sin q1), |q0'| <= |w'| / (a0 sin q1); once more differentiated,
+    a1 sin(q1) |psi''| <= |w''| + a0 q0'^2 + a1 psi'^2 and a0 sin(q1) |q0''| <= the same.
+    Azimuth: az' = phi n_z / sin^2 q4, |az''| <= 2 phi^2 n_z / sin^3 q4, and
+    |q4''| = |sin q4 cos q4| az'^2 <= phi^2 n_z^2 / sin^3 q4, with n the great circle's normal.
+    """
+    space = geometry.workspace
+    nearest = np.maximum(distance_from_column(parts.a.centre, parts.b.centre) - motion.sag, 0.0)
+    farthest = np.maximum(_norm(parts.a.centre), _norm(parts.b.centre)) + motion.sag
+    bend = np.minimum(elbow_sine(nearest, space.a0, space.a1), elbow_sine(farthest, space.a0, space.a1))
+    bend = np.where(bend > 0.0, bend, 0.0)  # NaN, out of reach, as well
+    normal_lo, normal_hi = segments.normal_lo[parts.segment], segments.normal_hi[parts.segment]
+    middle = (parts.a.pitch + parts.b.pitch) / 2
+    low, high = middle - motion.phi / 2, middle + motion.phi / 2
+    sine = np.where((low > 0.0) & (high < math.pi), np.minimum(np.sin(low), np.sin(high)), 0.0)
+    sine = np.maximum(sine, normal_lo)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = motion.length / bend
+        pull = motion.bend + turn * turn * (1.0 / space.a0 + 1.0 / space.a1)
+        square = motion.phi * motion.phi
+        # A wrist centre off by pad_mm turns both links by this; a straight elbow leaves no bound.
+        pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.bearing))
+        pad += geometry.pad_mm / (min(space.a0, space.a1) * bend)
+        azimuth_pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.azimuth) + 1.0 / sine)
+        return _Angles(
+            shoulder=turn / space.a0,
+            heading=turn / space.a1,
+            shoulder2=pull / (space.a0 * bend),
+            heading2=pull / (space.a1 * bend),
+            azimuth2=2.0 * square * normal_hi / sine**3,
+            pitch2=square * normal_hi * normal_hi / sine**3,
+            widening=roll_widening(geometry, bend, sine),
+            pad=pad,
+            azimuth_pad=azimuth_pad,
+        )
+
+
+def _norm(points: Floats) -> Floats:
+    out: Floats = np.hypot(points[:, 0], points[:, 1])
+    return out
+
+
+def _bound_angles(parts: Intervals, angles: _Angles, bounds: Floats) -> None:
+    """Roll and q0: the better of the chord of the angle and of its steepness about the middle.
+
+    The azimuth is monotone along a great circle, so its ends are its range.
+    """
+    a, b = parts.a, parts.b
+    middle = (a.heading + b.heading) / 2
+    sway, bow = angles.heading / 2, (angles.azimuth2 + angles.heading2) / 8
+    with np.errstate(invalid="ignore"):
+        least = np.fmax(np.minimum(a.roll, b.roll) - bow, np.minimum(a.azimuth, b.azimuth) - middle - sway)
+        most = np.fmin(np.maximum(a.roll, b.roll) + bow, np.maximum(a.azimuth, b.azimuth) - middle + sway)
+        bounds[:, ROLL_MIN] = least - angles.widening - angles.pad - angles.azimuth_pad
+        bounds[:, ROLL_MAX] = -(most + angles.widening + angles.pad + angles.azimuth_pad)
+        low, high = _shoulder_range(parts, angles)
+        bounds[:, Q0_MIN], bounds[:, Q0_MAX] = low, -high
+
+
+def _shoulder_range(parts: Intervals, angles: _Angles) -> tuple[Floats, Floats]:
+    qa, qb = parts.a.shoulder, parts.b.shoulder
+    middle, sway, bow = (qa + qb) / 2, angles.shoulder / 2, angles.shoulder2 / 8
+    low = np.fmax(np.minimum(qa, qb) - bow, middle - sway) - angles.pad
+    high = np.fmin(np.maximum(qa, qb) + bow, middle + sway) + angles.pad
+    return low, high
+
+
+def _lifted_bounds(
+    geometry: Geometry, shift: float, parts: Intervals, known: tuple[_Motion, _Angles], near: Floats
+) -> Floats:
+    """Left and right of a shoulder with a full turn or more: they count by the lifted q0."""
+    motion, angles = known
+    far = (parts.a.distances + parts.b.distances)[:, LEFT:] / 2 + (motion.chord / 2 + motion.sag)[:, None]
+    low, high = _shoulder_range(parts, angles)
+    unknown = ~(np.isfinite(low) & np.isfinite(high))
+    low, high = np.where(unknown, -np.inf, low + shift), np.where(unknown, np.inf, high + shift)
+    least = np.stack((low - geometry.upper[0], geometry.lower[0] - high), axis=1)
+    most = np.stack((high - geometry.upper[0], geometry.lower[0] - low), axis=1)
+    elsewhere = (most < -HALF_TURN) | (least > HALF_TURN)
+    signed = np.where(most <= 0.0, np.maximum(near, 0.0), -far)
+    out: Floats = np.where(elsewhere, np.inf, signed)
+    return out
+
+
+def _bound_speeds(
+    geometry: Geometry, parts: Intervals, motion: _Motion, angles: _Angles, bounds: Floats
+) -> Floats:
+    """Joint speeds: |q'| leaves its mean over the interval by at most half of |q''|.
+
+    Returns the mean speeds, negative; each is attained somewhere in the interval.
+    """
+    a, b = parts.a, parts.b
+    roll2, roll1 = angles.azimuth2 + angles.heading2, np.full(len(parts), np.inf)
+    tool = geometry.tool_mm
+    lines = (
+        (b.shoulder - a.shoulder, angles.shoulder2, angles.shoulder, angles.pad),
+        (b.elbow - a.elbow, angles.shoulder2 + angles.heading2, angles.shoulder + angles.heading, angles.pad),
+        (b.height - a.height, tool * motion.phi**2, roll1, geometry.pad_mm),
+        (b.roll - a.roll, roll2, roll1, angles.pad + angles.azimuth_pad),
+        (b.pitch - a.pitch, angles.pitch2, motion.phi, ROUNDINGS * EPSILON * 8.0),
+    )
+    means = np.empty((len(parts), 5))
+    moving = motion.seconds > 0.0
+    still = (motion.length == 0.0) & (motion.phi == 0.0) & (b.height == a.height)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for joint, (change, second, first, pad) in enumerate(lines):
+            mean = np.abs(change)
+            peak = np.fmin(mean + second / 2, first) + pad
+            means[:, joint] = np.where(moving, -mean / motion.seconds, 0.0)
+            bounds[:, SPEED + joint] = np.where(moving, -peak / motion.seconds, np.where(still, 0.0, -np.inf))
+    return means

@@ -1,0 +1,157 @@
+"""A problem in canonical form: right elbow, true links, true limits, segments ready to evaluate.
+
+A left elbow is the mirror image in the plane y = 0: q0, q1, q3 and their limits change sign, left
+and right change places, and so do the two ends of the roll.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.pose import turn_angles
+from runtime.verification.problem import Problem
+from runtime.workspace.planar import Arc, PlanarWorkspace
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+EPSILON = float(np.finfo(np.float64).eps)
+
+ROUNDINGS = 256.0
+"""Bound on the rounding steps between an input and a bound, each at most one machine epsilon of the
+largest intermediate: a distance to a segment takes under 60 operations, and conditioning is carried
+beside it (1 / sin q1 for headings, 1 / sin q4 for azimuths)."""
+
+VERTICAL = 1e-9
+"""Below this sine of the pitch an axis counts as exactly vertical and its azimuth as undefined."""
+
+LARGEST_TURN = math.radians(179.0)
+"""Neighbouring axes further apart have no usable great circle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """The arm, its true limits and the deadbands, right elbow.
+
+    Attributes:
+        side: +1 as given, -1 mirrored from a left elbow.
+        lower: true joint limits, shape (5,); q1 not yet cut.
+        upper: the same, shape (5,).
+        offset: true minus reported joints, shape (5,).
+        tilt: slide tilt as a ratio, shape (2,).
+        stretch: largest growth of a length by the tilt's shear.
+        tool_mm: wrist centre to tip.
+        workspace: exact planar workspace in slide coordinates.
+        arcs: its four arcs.
+        arm_mm: deadband of the arm and the slide, residual and tolerance included.
+        wrist_rad: deadband of the wrist, residual and tolerance included.
+        error_mm: residual and tolerance of the wrist centre alone.
+        error_rad: residual and tolerance of the axis alone.
+        pad_mm: bound on the rounding of a computed distance.
+    """
+
+    side: float
+    lower: Floats
+    upper: Floats
+    offset: Floats
+    tilt: Floats
+    stretch: float
+    tool_mm: float
+    workspace: PlanarWorkspace
+    arcs: tuple[Arc, ...]
+    arm_mm: float
+    wrist_rad: float
+    error_mm: float
+    error_rad: float
+    pad_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """Straight tip, great-circle axis, one parameter 0..1. Arrays over n segments.
+
+    Attributes:
+        tip: tips at the start of each segment and one more, shape (n + 1, 3).
+        axis: axes likewise, shape (n + 1, 3).
+        theta: turn of the axis, rad, shape (n,).
+        normal_lo: lower bound on the height (z, unsigned) of the great circle's unit normal, shape (n,).
+        normal_hi: upper bound, shape (n,).
+        seconds: planned duration, shape (n,).
+    """
+
+    tip: Floats
+    axis: Floats
+    theta: Floats
+    normal_lo: Floats
+    normal_hi: Floats
+    seconds: Floats
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+
+def canonical(problem: Problem) -> tuple[Geometry, Segments]:
+    """Bring a problem with finite numbers into canonical form."""
+    side = 1.0 if problem.arm.elbow == "right" else -1.0
+    flip = np.array((side, side, 1.0, side, 1.0))
+    calibration = problem.calibration
+    ends = np.stack((problem.lower, problem.upper)) + calibration.joint_offset
+    lower, upper = np.minimum(*(ends * flip)), np.maximum(*(ends * flip))
+    inverted = problem.lower > problem.upper  # stays empty instead of being mended by the sorting
+    lower, upper = np.where(inverted, np.inf, lower), np.where(inverted, -np.inf, upper)
+    workspace = PlanarWorkspace(
+        a0=problem.arm.upper_mm + calibration.upper_link_error_mm,
+        a1=problem.arm.forearm_mm + calibration.forearm_link_error_mm,
+        q0_lo=float(lower[0]),
+        q0_hi=float(upper[0]),
+        q1_lo=max(float(lower[1]), 0.0),
+        q1_hi=min(float(upper[1]), math.pi),
+    )
+    mirror = np.array((1.0, side, 1.0))
+    segments = _segments(problem.tips_mm * mirror, problem.axes * mirror, problem)
+    tilt = calibration.slide_tilt * mirror[:2]
+    error_mm = calibration.residual_mm + problem.deadband.path_tolerance_mm
+    error_rad = calibration.residual_rad + problem.deadband.path_tolerance_rad
+    largest = workspace.a0 + workspace.a1 + problem.tool_length_mm + float(np.abs(problem.tips_mm).max())
+    geometry = Geometry(
+        side=side,
+        lower=lower,
+        upper=upper,
+        offset=calibration.joint_offset * flip,
+        tilt=tilt,
+        stretch=math.sqrt(1.0 + float(tilt @ tilt)),
+        tool_mm=problem.tool_length_mm,
+        workspace=workspace,
+        arcs=() if workspace.empty else workspace.arcs,
+        arm_mm=problem.deadband.arm_mm + error_mm,
+        wrist_rad=problem.deadband.wrist_rad + error_rad,
+        error_mm=error_mm,
+        error_rad=error_rad,
+        pad_mm=ROUNDINGS * EPSILON * largest,
+    )
+    return geometry, segments
+
+
+def _segments(tip: Floats, axis: Floats, problem: Problem) -> Segments:
+    if len(tip) == 1:  # a path of one pose is a segment of length zero
+        tip, axis = np.repeat(tip, 2, axis=0), np.repeat(axis, 2, axis=0)
+    u, v = axis[:-1], axis[1:]
+    theta = turn_angles(u, v)
+    # A cross product of unit vectors is exact to a few epsilon, its direction to that over theta.
+    turning = np.maximum(theta, 16.0 * EPSILON)
+    slack = 16.0 * EPSILON / turning
+    normal = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.sin(turning)
+    step = tip[1:] - tip[:-1]
+    length = np.sqrt(np.einsum("ij,ij->i", step, step))
+    return Segments(
+        tip=tip,
+        axis=axis,
+        theta=theta,
+        normal_lo=np.maximum(normal - slack, 0.0),
+        normal_hi=np.minimum(normal + slack, 1.0),
+        seconds=np.maximum(length, problem.tool_length_mm * theta) / problem.feed_mm_s,
+    )

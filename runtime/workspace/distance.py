@@ -1,0 +1,60 @@
+"""The signed distance D(x, W) of a point to the boundary of the workspace.
+
+Positive inside, negative outside, 1-Lipschitz; the sign comes from inverse kinematics.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.workspace.planar import PlanarWorkspace, distance_to_arc
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Distance(Protocol):
+    """A distance to the nearest boundary, at most ``lipschitz`` steep and never over-estimating."""
+
+    @property
+    def lipschitz(self) -> float:
+        """Bound on the change of the distance per mm moved."""
+        ...  # pragma: no cover
+
+    def __call__(self, points_mm: Floats) -> Floats:
+        """Signed distances, mm, of points (n, d)."""
+        ...  # pragma: no cover
+
+
+def side_distances(points: Floats, workspace: PlanarWorkspace) -> Floats:
+    """Unsigned distance to the inner, outer, left and right arc, mm. Shape (n, 2) -> (n, 4)."""
+    return np.stack([distance_to_arc(points, arc) for arc in workspace.arcs], axis=1)
+
+
+def signed_sides(distances: Floats, inside: Bools, *, full_turn: bool) -> Floats:
+    """Give the distances their sign: outside, the nearest arc's is negative, the others' positive.
+
+    Args:
+        distances: unsigned, shape (n, 4).
+        inside: membership, shape (n,).
+        full_turn: only the circles bound the set, left and right keep their sign.
+
+    Returns:
+        Shape (n, 4).
+    """
+    out = distances.copy()
+    outside = np.flatnonzero(~inside)
+    bounding = distances[outside, : 2 if full_turn else 4]
+    nearest = np.argmin(bounding, axis=1)
+    out[outside, nearest] = -bounding[np.arange(len(outside)), nearest]
+    return out
+
+
+def signed_distance(points: Floats, workspace: PlanarWorkspace) -> Floats:
+    """D(x, W): signed distance to the nearest boundary, mm. Shape (n, 2) -> (n,)."""
+    distances = side_distances(points, workspace)[:, : 2 if workspace.full_turn else 4]
+    nearest: Floats = distances.min(axis=1)
+    return np.where(workspace.inside(points), nearest, -nearest)

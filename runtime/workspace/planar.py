@@ -1,0 +1,184 @@
+"""The exact planar workspace of one elbow branch: four clipped arcs.
+
+The image of the joint rectangle q0 in [lo, hi], q1 in [c, d] (0 <= c < d <= pi, right elbow).
+For q0 spans below a full turn the map is one to one, so the boundary of the workspace is the image
+of the rectangle's sides, each a clipped arc. Exact replacement of Stocco 2001, eq. (16)-(21), which
+ignore the arcs' extents.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SIDES = ("inner", "outer", "left", "right")
+"""Order of the four arcs everywhere; names as for the right elbow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """A clipped arc, counter-clockwise from ``start`` over ``span`` rad; a circle from a full turn on."""
+
+    x: float
+    y: float
+    radius: float
+    start: float
+    span: float
+
+    @property
+    def ends(self) -> Floats:
+        """The two end points, shape (2, 2)."""
+        angles = np.array((self.start, self.start + self.span))
+        return np.stack(
+            (self.x + self.radius * np.cos(angles), self.y + self.radius * np.sin(angles)), axis=1
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarWorkspace:
+    """Right-elbow workspace of true links and true joint limits, q1 cut to [0, pi].
+
+    Attributes:
+        a0, a1: links, mm.
+        q0_lo, q0_hi: shoulder limits, rad, any span.
+        q1_lo, q1_hi: elbow limits, rad.
+    """
+
+    a0: float
+    a1: float
+    q0_lo: float
+    q0_hi: float
+    q1_lo: float
+    q1_hi: float
+
+    @property
+    def empty(self) -> bool:
+        """Whether no position is reachable at all."""
+        return not (
+            self.a0 > 0.0
+            and self.a1 > 0.0
+            and self.q0_hi >= self.q0_lo
+            and 0.0 <= self.q1_lo <= self.q1_hi <= math.pi
+        )
+
+    @property
+    def full_turn(self) -> bool:
+        """Whether every shoulder direction is reachable, so that only the circles bound the set."""
+        return self.q0_hi - self.q0_lo >= TURN
+
+    def radius(self, elbow: float) -> float:
+        """Distance of the wrist from the column at an elbow angle, mm."""
+        if elbow == math.pi:
+            return abs(self.a0 - self.a1)
+        return math.hypot(self.a0 + self.a1 * math.cos(elbow), self.a1 * math.sin(elbow))
+
+    @property
+    def arcs(self) -> tuple[Arc, Arc, Arc, Arc]:
+        """Inner, outer, left (q0 at its upper limit) and right arc."""
+        span = min(self.q0_hi - self.q0_lo, TURN)
+        bend = self.q1_hi - self.q1_lo
+        beta_c, beta_d = (
+            float(shoulder_offset(np.float64(e), self.a0, self.a1))  # type: ignore[arg-type]
+            for e in (self.q1_lo, self.q1_hi)
+        )
+
+        def swept(q0: float) -> Arc:
+            return Arc(self.a0 * math.cos(q0), self.a0 * math.sin(q0), self.a1, q0 + self.q1_lo, bend)
+
+        return (
+            Arc(0.0, 0.0, self.radius(self.q1_hi), self.q0_lo + beta_d, span),
+            Arc(0.0, 0.0, self.radius(self.q1_lo), self.q0_lo + beta_c, span),
+            swept(self.q0_hi),
+            swept(self.q0_lo),
+        )
+
+    def inside(self, points: Floats) -> Bools:
+        """Membership by inverse kinematics, not by distance. Shape (n, 2) -> (n,)."""
+        if self.empty:
+            return np.zeros(len(points), dtype=np.bool_)
+        r = np.hypot(points[:, 0], points[:, 1])
+        radial = (r >= self.radius(self.q1_hi)) & (r <= self.radius(self.q1_lo))
+        if self.full_turn:
+            return radial
+        elbow = elbow_angle(r, self.a0, self.a1)
+        q0 = np.arctan2(points[:, 1], points[:, 0]) - shoulder_offset(elbow, self.a0, self.a1)
+        with np.errstate(invalid="ignore"):
+            return radial & (np.mod(q0 - self.q0_lo, TURN) <= self.q0_hi - self.q0_lo)
+
+
+def distance_to_arc(points: Floats, arc: Arc) -> Floats:
+    """Distance from each point to the clipped arc, mm. Shape (n, 2) -> (n,)."""
+    dx, dy = points[:, 0] - arc.x, points[:, 1] - arc.y
+    radial: Floats = np.abs(np.sqrt(dx * dx + dy * dy) - arc.radius)
+    if arc.span >= TURN:
+        return radial
+    (x1, y1), (x2, y2) = arc.ends
+    nearer = np.minimum(
+        (points[:, 0] - x1) ** 2 + (points[:, 1] - y1) ** 2,
+        (points[:, 0] - x2) ** 2 + (points[:, 1] - y2) ** 2,
+    )
+    out: Floats = np.where(_within_extent(dx, dy, arc), radial, np.sqrt(nearer))
+    return out
+
+
+def _within_extent(dx: Floats, dy: Floats, arc: Arc) -> Bools:
+    """Whether directions from the arc's centre fall on the arc.
+
+    By cross products with both ends, whose rounding is of the order of the machine precision for
+    every span; the distance is continuous there, so a misjudged end changes it by as little.
+    """
+    first, last, middle = arc.start, arc.start + arc.span, arc.start + arc.span / 2
+    after_first = math.cos(first) * dy - math.sin(first) * dx >= 0.0
+    before_last = math.sin(last) * dx - math.cos(last) * dy >= 0.0
+    if arc.span > math.pi:
+        wide: Bools = after_first | before_last
+        return wide
+    narrow: Bools = after_first & before_last & (math.cos(middle) * dx + math.sin(middle) * dy >= 0.0)
+    return narrow
+
+
+def segment_to_arc(first: Floats, second: Floats, arc: Arc) -> tuple[Floats, Floats]:
+    """Smallest distance from straight segments to a clipped arc, in closed form.
+
+    The nearest pair is an end of the segment, an end of the arc, a crossing, or the foot of the
+    arc's centre on the segment; all are tried.
+
+    Args:
+        first: starts of the segments, shape (n, 2).
+        second: ends of the segments, shape (n, 2).
+        arc: the arc.
+
+    Returns:
+        Distance in mm, shape (n,), and the fraction of the segment where it is attained, (n,).
+    """
+    step = second - first
+    square = np.einsum("ij,ij->i", step, step)
+    safe = np.where(square > 0.0, square, 1.0)
+
+    def foot(x: float, y: float) -> Floats:
+        along = (x - first[:, 0]) * step[:, 0] + (y - first[:, 1]) * step[:, 1]
+        out: Floats = along / safe
+        return out
+
+    centre = foot(arc.x, arc.y)
+    off = first + centre[:, None] * step - (arc.x, arc.y)
+    half = np.sqrt(np.maximum(arc.radius**2 - np.einsum("ij,ij->i", off, off), 0.0) / safe)
+    candidates = [np.ones_like(square), centre, centre - half, centre + half]
+    if arc.span < TURN:
+        candidates += [foot(x, y) for x, y in arc.ends]
+    best = distance_to_arc(first, arc)  # NaN stays NaN: nothing is closer than that
+    where = np.zeros(len(first))
+    for raw in candidates:
+        t = np.clip(raw, 0.0, 1.0)
+        d = distance_to_arc(first + t[:, None] * step, arc)
+        closer = d < best
+        best, where = np.where(closer, d, best), np.where(closer, t, where)
+    return best, where

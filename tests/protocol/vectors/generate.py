@@ -1,0 +1,291 @@
+"""Makes the golden vectors from docs/protocol.md alone: it must not import the package that they test.
+
+Plain struct, zlib, hashlib; a bitwise CRC-16; CMAC (RFC 4493) from single AES blocks; HKDF (RFC 5869) from HMAC;
+the frames checked once more by autosar-e2e. Run it to write the files beside it.
+"""
+
+import hashlib
+import hmac
+import json
+import math
+import struct
+import zlib
+from pathlib import Path
+
+import e2e
+from cryptography.hazmat.primitives.ciphers import Cipher
+from cryptography.hazmat.primitives.ciphers.algorithms import AES
+from cryptography.hazmat.primitives.ciphers.modes import ECB
+
+HERE = Path(__file__).parent
+POSES = 250
+TAGS = (0x00000001, 0xDEADBEEF, 0xFFFFFFFF)
+
+
+def patterned(length: int, seed: int) -> bytes:
+    """Bytes that differ everywhere, without a random generator."""
+    return bytes((seed * 31 + 7 * at + at * at) % 256 for at in range(length))
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/IBM-3740, bit by bit."""
+    value = 0xFFFF
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = ((value << 1) ^ 0x1021 if value & 0x8000 else value << 1) & 0xFFFF
+    return value
+
+
+def aes(key: bytes, block: bytes) -> bytes:
+    encryptor = Cipher(AES(key), ECB()).encryptor()
+    return encryptor.update(block) + encryptor.finalize()
+
+
+def cmac(key: bytes, message: bytes) -> bytes:
+    """RFC 4493."""
+
+    def doubled(block: bytes) -> bytes:
+        value = int.from_bytes(block, "big") << 1
+        if value >> 128:
+            value = (value & ((1 << 128) - 1)) ^ 0x87
+        return value.to_bytes(16, "big")
+
+    first = doubled(aes(key, bytes(16)))
+    second = doubled(first)
+    blocks = [message[at : at + 16] for at in range(0, len(message), 16)] or [b""]
+    last, subkey = blocks[-1], first
+    if len(last) < 16:
+        last, subkey = (last + b"\x80").ljust(16, b"\0"), second
+    state = bytes(16)
+    for block in [*blocks[:-1], bytes(a ^ b for a, b in zip(last, subkey, strict=True))]:
+        state = aes(key, bytes(a ^ b for a, b in zip(state, block, strict=True)))
+    return state
+
+
+def hkdf16(key: bytes, info: bytes) -> bytes:
+    """RFC 5869 with SHA-256, no salt, 16 bytes."""
+    extracted = hmac.new(bytes(32), key, hashlib.sha256).digest()
+    return hmac.new(extracted, info + b"\x01", hashlib.sha256).digest()[:16]
+
+
+def frame(
+    can_id: int, name: str, fields: dict[str, int], payload: int, counter: int, tag: int
+) -> dict[str, object]:
+    """One single frame; payload is the 40-bit little-endian number of bytes 3-7."""
+    data_id = 0xC000 + can_id
+    covered = bytes([counter]) + (payload & ((1 << 40) - 1)).to_bytes(5, "little")
+    crc = crc16(covered + struct.pack("<I", tag) + struct.pack("<H", data_id))
+    data = struct.pack("<H", crc) + covered
+    assert e2e.p05.e2e_p05_check(data + struct.pack("<I", tag), data_id)
+    return {
+        "id": can_id,
+        "frame": name,
+        "fields": fields,
+        "counter": counter,
+        "tag": tag,
+        "data_id": data_id,
+        "data": data.hex(),
+    }
+
+
+def frames() -> list[dict[str, object]]:
+    """Every single frame, with its fields placed by hand."""
+    found = []
+    for at, tag in enumerate(TAGS):
+        counter = (0, 254, 255)[at]
+        echo = (255, 7, 0)[at]
+        fault = {"code": 0x6699, "cause": 4, "detail": 0x1234 + at}
+        found.append(
+            frame(0x010, "ControllerFault", fault, 0x6699 | 4 << 16 | (0x1234 + at) << 24, counter, tag)
+        )
+        stop = {"code": 0x55AA, "cause": 1, "echo": echo}
+        found.append(frame(0x011, "RuntimeStop", stop, 0x55AA | 1 << 16 | echo << 24, counter, tag))
+        beat = {"code": 0x5555, "echo": echo, "epoch": 9, "cause": 0}
+        found.append(frame(0x080, "RuntimeHeartbeat", beat, 0x5555 | echo << 16 | 9 << 24, counter, tag))
+        state = {
+            "state": 0x6969,
+            "echo": echo,
+            "epoch": 9,
+            "cause": 26,
+            "device_pressed": 1,
+            "emergency_stop_ok": at % 2,
+            "cutting_mode": 1,
+        }
+        bits = 26 | 1 << 5 | (at % 2) << 6 | 1 << 7
+        found.append(
+            frame(
+                0x081, "ControllerHeartbeat", state, 0x6969 | echo << 16 | 9 << 24 | bits << 32, counter, tag
+            )
+        )
+        low = (1 << 20) - 1
+        q0, q1, q2, q3, q4 = (-524288, 524287, -1, 12345, -20000)
+        found.append(
+            frame(0x300, "Joints01", {"q0": q0, "q1": q1}, (q0 & low) | (q1 & low) << 20, counter, tag)
+        )
+        found.append(
+            frame(0x301, "Joints23", {"q2": q2, "q3": q3}, (q2 & low) | (q3 & low) << 20, counter, tag)
+        )
+        found.append(frame(0x302, "Joint4", {"q4": q4}, q4 & low, counter, tag))
+        progress = {"segment": 1999 + at, "fraction": 65535 - at}
+        found.append(frame(0x303, "Progress", progress, (1999 + at) | (65535 - at) << 24, counter, tag))
+    return found
+
+
+def envelope(code: int, session: int, sequence: int, body: bytes) -> str:
+    head = struct.pack("<BBHII", code, 0, len(body), session, sequence) + body
+    return (head + struct.pack("<I", zlib.crc32(head))).hex()
+
+
+def named(text: str) -> bytes:
+    return text.encode("ascii").ljust(16, b"\0")
+
+
+def signed() -> dict[str, object]:
+    """Permit, start and reset with their codes; session digest and tag."""
+    key, boot, runtime = patterned(32, 1), patterned(16, 2), patterned(16, 3)
+    session = hashlib.sha256(b"cutgate/session/1" + boot + runtime).digest()
+    derived = hkdf16(key, b"runtime to controller")
+    digests = {
+        name: patterned(32, 10 + at) for at, name in enumerate(("limits", "calibration", "tool", "path"))
+    }
+    digests |= {name: patterned(32, 20 + at) for at, name in enumerate(("registration", "configuration"))}
+    joints = (-80_000_000, 45_500_000, 250_000_001, -1, 90_000_000)
+    permit = (
+        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", 1, 200)
+        + b"".join(digests.values()) + named("certified/1") + struct.pack("<5q", *joints)
+        + struct.pack("<Bhh", 2, -1, 3) + struct.pack("<H", 120)
+    )  # fmt: skip
+    permit += cmac(derived, b"cutgate/permit/1\0" + permit)
+    start = (
+        patterned(16, 5)
+        + bytes([200])
+        + session
+        + hashlib.sha256(permit).digest()
+        + struct.pack("<5q", *joints)
+    )
+    start += cmac(derived, b"cutgate/start/1\0" + start)
+    reset = patterned(16, 6) + bytes([201]) + session + bytes([9])
+    reset += cmac(derived, b"cutgate/reset/1\0" + reset)
+    return {
+        "key": key.hex(),
+        "boot_nonce": boot.hex(),
+        "runtime_nonce": runtime.hex(),
+        "session_digest": session.hex(),
+        "session_tag": struct.unpack("<I", session[:4])[0],
+        "serial": "CG-0001",
+        "verifier_version": "certified/1",
+        "digests": {name: value.hex() for name, value in digests.items()},
+        "start_joints_u": list(joints),
+        "permit": envelope(0x07, 0xDEADBEEF, 41, permit),
+        "permit_digest": hashlib.sha256(permit).hexdigest(),
+        "start": envelope(0x08, 0xDEADBEEF, 42, start),
+        "reset": envelope(0x09, 0xDEADBEEF, 43, reset),
+    }
+
+
+def parameters() -> dict[str, object]:
+    """Limits, calibration and tool of the contract's example, from its decimals."""
+    low, high = (
+        (-80_000_000, 0, 50_000_000, -170_000_000, 0),
+        (80_000_000, 145_000_000, 450_000_000, 170_000_000, 110_000_000),
+    )
+    # 1 rad/s = 57.29577951... deg/s, rounded down
+    speed = (57_295_779, 57_295_779, 200_000_000, 114_591_559, 114_591_559)
+    limits = struct.pack("<20q", *low, *high, *speed, *(0,) * 5)
+    calibration = struct.pack(
+        "<13q",
+        450_000_000,
+        450_000_000,
+        123_457,
+        -50_000,
+        100_000,
+        0,
+        -250_000,
+        0,
+        1,
+        1_500_000,
+        -2_250_000,
+        300_001,
+        20_000,
+    )
+    tool = struct.pack("<q", 160_000_000)
+    return {
+        name: {"body": body.hex(), "sha256": hashlib.sha256(body).hexdigest(), "envelope": envelope(code, 7, code, body)}
+        for name, code, body in (("limits", 0x10, limits), ("calibration", 0x11, calibration), ("tool", 0x12, tool))
+    }  # fmt: skip
+
+
+def octahedral(axis: tuple[float, float, float]) -> tuple[int, int]:
+    x, y, z = axis
+    size = abs(x) + abs(y) + abs(z)
+    u, v = x / size, y / size
+    if z < 0:
+        u, v = (1 - abs(v)) * (-1 if u < 0 else 1), (1 - abs(u)) * (-1 if v < 0 else 1)
+    return round(u * 2**30), round(v * 2**30)
+
+
+def unfolded(u: int, v: int) -> list[str]:
+    """The decoded unit vector, each number as its exact hexadecimal float."""
+    z = 2**30 - abs(u) - abs(v)
+    x, y = u, v
+    if z < 0:
+        x = (2**30 - abs(v)) * (-1 if u < 0 else 1)
+        y = (2**30 - abs(u)) * (-1 if v < 0 else 1)
+    xf, yf, zf = float(x), float(y), float(z)
+    length = math.sqrt((xf * xf + yf * yf) + zf * zf)
+    return [(part / length + 0.0).hex() for part in (xf, yf, zf)]
+
+
+def path() -> dict[str, object]:
+    """A path whose axis turns from exactly +z to exactly -z through every octant, and its blocks."""
+    tips, axes = [], []
+    cosine, sine = 1.0, 0.0
+    for at in range(POSES):
+        # Products and square roots alone: the same bits on every machine. 9/41, 40/41: a turn of 12.7 deg.
+        height = 1.0 - 2.0 * at / (POSES - 1)
+        radius = math.sqrt(1.0 - height * height)
+        axes.append((radius * cosine, radius * sine, height))
+        tips.append((400.0 + 0.1237 * at, -20.0 + 0.01 * at, 300.0 - 0.2503 * at))
+        cosine, sine = (cosine * 40 - sine * 9) / 41, (sine * 40 + cosine * 9) / 41
+    codes = [octahedral(axis) for axis in axes]
+    header = b"cutgate.path" + struct.pack(
+        "<BBBBhhqqI", 1, 1, 1, 2, -1, 2, 12_345_678, 160_000_000, len(tips)
+    )
+    body = header + b"".join(
+        struct.pack("<5i", *(round(value * 1000) for value in tip), u, v)
+        for tip, (u, v) in zip(tips, codes, strict=True)
+    )
+    blocks = [body[at : at + 4000] for at in range(0, len(body), 4000)]
+    return {
+        "tips_mm": tips,
+        "axes": axes,
+        "feed_mm_s": 12.345678,
+        "tool_length_mm": 160.0,
+        "elbow": "left",
+        "q0_turns": -1,
+        "roll_turns": 2,
+        "decoded_axes": [unfolded(u, v) for u, v in codes],
+        "body": body.hex(),
+        "sha256": hashlib.sha256(body).hexdigest(),
+        "envelopes": [
+            envelope(
+                0x20,
+                7,
+                100 + at,
+                struct.pack("<HHIII", at, len(blocks), 4000 * at, len(body), zlib.crc32(block)) + block,
+            )
+            for at, block in enumerate(blocks)
+        ],
+    }
+
+
+def files() -> dict[str, str]:
+    """Names and texts of the vector files."""
+    made = {"frames": frames(), "signed": signed(), "parameters": parameters(), "path": path()}
+    return {f"{name}.json": json.dumps(value, indent=1) + "\n" for name, value in made.items()}
+
+
+if __name__ == "__main__":
+    for name, text in files().items():
+        (HERE / name).write_text(text, encoding="ascii")

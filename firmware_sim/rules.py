@@ -118,6 +118,12 @@ def _same_start_joints(case: Case) -> bool:
     )
 
 
+def _lifetime_as_opened(case: Case) -> bool:
+    """OPEN carries no authentication; the permit does, so the lifetimes must be the same."""
+    session = case.controller.session
+    return session is not None and case.request.lifetime_s == session.permit_lifetime_s
+
+
 def _permit_alive(case: Case) -> bool:
     session = case.controller.session
     age_s = case.now_s - case.controller.permit_issued_at_s
@@ -128,8 +134,8 @@ def _at_start(case: Case) -> bool:
     session = case.controller.session
     return (
         session is not None
-        and case.controller.start_offset_mm <= session.start_tolerance_mm
-        and case.controller.start_offset_deg <= session.start_tolerance_deg
+        and 0.0 <= case.controller.start_offset_mm <= session.start_tolerance_mm
+        and 0.0 <= case.controller.start_offset_deg <= session.start_tolerance_deg
     )
 
 
@@ -151,6 +157,7 @@ PERMIT_RULES: tuple[Rule, ...] = (
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     *HELD_RULES,
     (Refusal.REGISTRATION_DIGEST, _names_the_sessions_registration),
+    (Refusal.TIMING_OUT_OF_BOUNDS, _lifetime_as_opened),
     (Refusal.BRANCH, _same_branch),
     (Refusal.START_JOINTS, _same_start_joints),
 )
@@ -166,6 +173,7 @@ START_RULES: tuple[Rule, ...] = (
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     (Refusal.PERMIT_EXPIRED, _permit_alive),
     (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == digest(_permit(c).canonical())),
+    (Refusal.START_JOINTS, lambda c: c.request.start_joints_u == _permit(c).start_joints_u),
     *HELD_RULES,
     (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),
     (Refusal.NOT_AT_START, _at_start),

@@ -1,5 +1,6 @@
 """What the simulated controller remembers, what can happen to it and what it answers."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
@@ -90,8 +91,9 @@ class Controller:
     """The runtime's heartbeat has said CUT since the start; without it nothing moves."""
     started_at_s: float = 0.0
     heartbeat_fresh: bool = False
-    start_offset_mm: float = 0.0
-    start_offset_deg: float = 0.0
+    start_offset_mm: float = math.inf
+    start_offset_deg: float = math.inf
+    """Distance from the stored path's first pose; infinite until measured for this path."""
     withdrawn: frozenset[bytes] = frozenset()
     """Digests of registrations that may never be permitted again; survives reboots."""
     last_registration: bytes | None = None
@@ -181,7 +183,7 @@ class AcknowledgeReceived:
 
 @dataclass(frozen=True)
 class HeartbeatReceived:
-    """A checked runtime heartbeat. ``fresh`` is the link's word: its echo proves that it is young."""
+    """A checked runtime heartbeat. ``fresh`` is the link's word, with this heartbeat counted: not timed out."""
 
     code: RuntimeCode
     epoch: int
@@ -307,7 +309,7 @@ class AbortTransfers:
 
 @dataclass(frozen=True)
 class Persist:
-    """Write the withdrawn list to non-volatile memory before anything else."""
+    """Write the withdrawn list to non-volatile memory before the next event is looked at."""
 
     withdrawn: frozenset[bytes]
 

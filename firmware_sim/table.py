@@ -5,6 +5,7 @@ Everything that enables is judged here against what the controller holds at that
 that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -69,6 +70,8 @@ def step(state: Controller, event: Event, now_s: float) -> Outcome:
 
 def stop(state: Controller, cause: StopCause) -> Outcome:
     """Protective stop: no motion, no cutting mode, nothing outstanding survives, the first cause is kept."""
+    if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
+        cause = StopCause.PROTOCOL_VIOLATION
     latched = state.state is ControllerState.FAULT or cause in LATCHING
     stopped = replace(
         _void(state),
@@ -88,6 +91,8 @@ def _void(state: Controller) -> Controller:
         permit=None,
         device=DeviceCycle.UNSEEN,
         cut_ordered=False,
+        start_offset_mm=math.inf,
+        start_offset_deg=math.inf,
         holdings=replace(state.holdings, path=None, start_joints_u=None),
     )
 
@@ -100,14 +105,24 @@ def _withdraw(state: Controller) -> tuple[Controller, tuple[Effect, ...]]:
     return replace(state, withdrawn=listed), (Persist(listed),)
 
 
+WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED})
+"""Causes after which the registration may never be permitted again, by whatever way they arrive."""
+
+
+def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
+    """Stop; if the cause says that the bone is elsewhere, list its registration as well."""
+    if cause not in WITHDRAWING:
+        return stop(state, cause)
+    listed, persist = _withdraw(state)
+    stopped, effects = stop(listed, cause)
+    return stopped, (*effects, *persist)
+
+
 def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
-    if event.code is StopCode.END and state.state is not ControllerState.CUTTING:
+    ends = event.code is StopCode.END and event.cause not in WITHDRAWING
+    if ends and state.state is not ControllerState.CUTTING:
         return end_session(state)
-    if event.cause is StopCause.REGISTRATION_WITHDRAWN:
-        state, persist = _withdraw(state)
-        stopped, effects = stop(state, event.cause)
-        return stopped, (*effects, *persist)
-    return stop(state, event.cause if event.cause is not StopCause.NONE else StopCause.PROTOCOL_VIOLATION)
+    return stop_and_withdraw(state, event.cause)
 
 
 def end_session(state: Controller) -> Outcome:
@@ -127,13 +142,11 @@ def heartbeat_lost(state: Controller, _event: HeartbeatLost, _now_s: float) -> O
 
 
 def fault(state: Controller, event: Fault, _now_s: float) -> Outcome:
-    return stop(state, event.cause)
+    return stop_and_withdraw(state, event.cause)
 
 
 def bone_moved(state: Controller, _event: BoneMoved, _now_s: float) -> Outcome:
-    state, persist = _withdraw(state)
-    stopped, effects = stop(state, StopCause.BONE_MOVED)
-    return stopped, (*effects, *persist)
+    return stop_and_withdraw(state, StopCause.BONE_MOVED)
 
 
 def limits_changed(state: Controller, event: LimitsChanged, _now_s: float) -> Outcome:
@@ -235,6 +248,8 @@ def path_checked(state: Controller, event: PathChecked, _now_s: float) -> Outcom
             path=event.path if accepted else None,
             start_joints_u=event.start_joints_u if accepted else None,
         ),
+        start_offset_mm=math.inf,  # what was measured before, was measured against another path
+        start_offset_deg=math.inf,
     )
     answer = records.PathStored(digest=digest(event.path), refusal=event.refusal, pose=event.pose)
     return loaded, (Send(answer, state.session.tag, bulk=True),)
@@ -286,10 +301,11 @@ def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Out
 
 
 def acknowledge_received(state: Controller, event: AcknowledgeReceived, _now_s: float) -> Outcome:
-    """Only the cause that stands is acknowledged; the operator has to have seen it."""
+    """Only the cause that stands is acknowledged, once it is gone; the operator has to have seen it."""
     known = event.cause is state.cause and (state.session is not None and state.session.live)
-    refusal = Refusal.ACCEPTED if known else Refusal.NOT_IN_STATE
-    acknowledged = replace(state, cause=StopCause.NONE) if known else state
+    gone = event.cause is not StopCause.EMERGENCY_STOP or state.inputs.emergency_stop_clear
+    refusal = Refusal.NOT_IN_STATE if not known else Refusal.ACCEPTED if gone else Refusal.EMERGENCY_STOP
+    acknowledged = replace(state, cause=StopCause.NONE) if refusal is Refusal.ACCEPTED else state
     request = records.Acknowledge(cause=event.cause)
     return acknowledged, (_reply(acknowledged, request, event.sequence, refusal),)
 
@@ -320,19 +336,29 @@ def _reply(
 def heartbeat(state: Controller, event: HeartbeatReceived, _now_s: float) -> Outcome:
     """A stop cause is a level in the runtime's heartbeat: it stops even when the stop frame was lost."""
     if event.cause is not StopCause.NONE and state.session is not None and state.session.live:
-        return stop(state, event.cause)
+        return stop_and_withdraw(state, event.cause)
     return replace(state, heartbeat_fresh=event.fresh), ()
 
 
-def heartbeat_cutting(state: Controller, event: HeartbeatReceived, _now_s: float) -> Outcome:
-    """CUT with this epoch keeps the arm moving; once given, anything else stops it."""
-    orders_cut = (
-        event.code is RuntimeCode.CUT and event.epoch == state.epoch and event.cause is StopCause.NONE
-    )
+def heartbeat_permitted(state: Controller, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """Cutting mode is a level as well: it lasts while the heartbeats say READY or CUT with this epoch."""
+    upheld = event.code in (RuntimeCode.READY, RuntimeCode.CUT) and event.epoch == state.epoch
+    if not upheld and event.cause is StopCause.NONE:
+        return stop(state, StopCause.PROTOCOL_VIOLATION)
+    return heartbeat(state, event, now_s)
+
+
+def heartbeat_cutting(state: Controller, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """Fresh CUT with this epoch keeps the arm moving; once given, anything else stops it: there is no pause."""
+    orders_cut = event.code is RuntimeCode.CUT and event.epoch == state.epoch
+    seen, effects = heartbeat(state, event, now_s)
+    if seen.state is not ControllerState.CUTTING:
+        return seen, effects
     if state.cut_ordered and not orders_cut:
-        cause = event.cause if event.cause is not StopCause.NONE else StopCause.OPERATOR_STOP
-        return stop(state, cause)
-    return replace(state, cut_ordered=orders_cut and event.fresh, heartbeat_fresh=event.fresh), ()
+        return stop(seen, StopCause.PROTOCOL_VIOLATION)
+    if state.cut_ordered and not event.fresh:
+        return stop(seen, StopCause.HEARTBEAT_LOST)
+    return replace(seen, cut_ordered=orders_cut and event.fresh), ()
 
 
 def measured(state: Controller, event: PoseMeasured, _now_s: float) -> Outcome:
@@ -340,7 +366,9 @@ def measured(state: Controller, event: PoseMeasured, _now_s: float) -> Outcome:
 
 
 def finished(state: Controller, _event: PathFinished, _now_s: float) -> Outcome:
-    """The end of the path: cutting mode off, the permit is spent."""
+    """The end of the path: cutting mode off, the permit is spent. It counts only where the arm was free to move."""
+    if not state.may_move:
+        return state, ()
     done = replace(
         state,
         state=ControllerState.DONE,
@@ -375,6 +403,7 @@ TABLE: dict[tuple[ControllerState, type], Handler] = {
     (S.LOADED, CollectReceived): collect,
     (S.OPEN, PathChecked): path_checked,
     (S.LOADED, PathChecked): path_checked,
+    (S.PERMITTED, HeartbeatReceived): heartbeat_permitted,
     (S.PERMITTED, Tick): permit_ages,
     (S.CUTTING, HeartbeatReceived): heartbeat_cutting,
     (S.CUTTING, PathFinished): finished,

@@ -45,17 +45,14 @@ class LatchingSocketcanBus(SocketcanBus):
         """Bind to `channel`.
 
         Raises:
-            OSError: if the kernel has no such interface.
+            OSError: the kernel has no such interface; see `has_socketcan`.
         """
         self._failure: str | None = None
         super().__init__(channel=channel, fd=fd)
-        for option in (
-            _SO_RCVBUFFORCE,
-            socket.SO_RCVBUF,
-        ):  # the first needs CAP_NET_ADMIN, the second is capped
-            with suppress(OSError):
-                self.socket.setsockopt(socket.SOL_SOCKET, option, RECEIVE_BUFFER_BYTES)
-                break
+        # SO_RCVBUF never fails but is capped at net.core.rmem_max; SO_RCVBUFFORCE needs CAP_NET_ADMIN.
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        with suppress(OSError):
+            self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
 
     @property
     def receive_buffer_bytes(self) -> int:
@@ -173,13 +170,17 @@ def open_bus(interface: str, channel: str, *, fd: bool = False) -> can.BusABC:
         raise can.CanInitializationError(
             f"{place}: refused, it leaves this machine and the bus must be private; use {LOCAL_INTERFACE} or socketcan"
         )
+    if interface == "socketcan" and not has_socketcan(channel):
+        raise can.CanInitializationError(
+            f"{place}: the kernel has no such CAN interface; create it, or use {LOCAL_INTERFACE}"
+        )
     try:
         if interface == "socketcan":
             return LatchingSocketcanBus(channel, fd=fd)
         return can.Bus(channel=channel, interface=interface, fd=fd, ignore_config=True)
     except can.CanInitializationError:
         raise
-    except (can.CanError, OSError, ValueError, ImportError) as error:
+    except (can.CanError, NotImplementedError, OSError, ValueError, ImportError) as error:
         raise can.CanInitializationError(
             f"{place} cannot be opened: {error}; check that the interface exists and is up"
         ) from error

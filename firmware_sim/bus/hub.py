@@ -160,8 +160,8 @@ class Hub:
         client = _Client(sock, f"client {self._born} (process {_peer_process(sock)})")
         self._clients[sock.fileno()] = client
         self._poll.register(sock, _READ)
-        if len(self._clients) > MAX_CLIENTS:
-            self._refuse(client, f"the bus has {MAX_CLIENTS} clients already")
+        if len(self._clients) > 2 * MAX_CLIENTS:  # a crowd that does not even say HELLO
+            self._refuse(client, "too many connections")
 
     def _read(self, client: _Client) -> None:
         for _ in range(_READS_A_TURN):
@@ -184,6 +184,8 @@ class Hub:
         if client.joined and record.kind is Kind.FRAME:
             self._carry(client, record)
         elif not client.joined and record.kind is Kind.HELLO and record.data == wire.MAGIC:
+            if sum(other.joined for other in self._clients.values()) >= MAX_CLIENTS:
+                raise WireError(f"the bus has {MAX_CLIENTS} clients already")
             client.fd_frames = bool(record.flags & Flag.FD)
             client.own_frames = bool(record.flags & Flag.OWN)
             self._offer(client, Record(Kind.WELCOME).pack())

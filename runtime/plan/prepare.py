@@ -111,7 +111,6 @@ def prepare(
     _check_turns(plan, axes)
     try:
         path = Path.quantised(tips, axes, feed_mm_s=feed, tool_length_mm=tool.length_mm, elbow=robot.elbow)
-        _check_turns(plan, path.axes)
     except RecordError as error:
         remedy = "check units, registration and ct_T_implant"
         raise InputError(

@@ -383,3 +383,10 @@ def test_an_example_with_any_byte_changed_is_read_or_refused(place, byte):
     data[place] = byte
     error = error_of(lambda: robot_from_bytes("fuzz", bytes(data)))
     assert error is None or str(error).startswith("fuzz")
+
+
+def test_plain_json_is_read():
+    assert parse_json("f.json", b'{"a": [1, 2.5, null, true], "b": {"c": "d"}}') == {
+        "a": [1, 2.5, None, True],
+        "b": {"c": "d"},
+    }

@@ -1,0 +1,1 @@
+"""Tests of plans, tool paths and registrations."""

@@ -1,0 +1,302 @@
+"""Plans, tool paths and registrations: what is read, what is refused and how it is said."""
+
+import copy
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.load import InputError
+from runtime.plan.load import load_plan, load_registration, plan_from_bytes, registration_from_bytes
+
+EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+TURNED = [[0.0, -1.0, 0.0, 10.0], [1.0, 0.0, 0.0, -20.0], [0.0, 0.0, 1.0, 30.0], [0.0, 0.0, 0.0, 1.0]]
+PLAN = {
+    "schema": "cutgate.plan/1",
+    "id": "p",
+    "implant": "stem",
+    "side": "left",
+    "units": "mm",
+    "tool_length_mm": 160.0,
+    "feed_mm_s": 20.0,
+    "ct_T_implant": TURNED,
+    "ct_id": "ct",
+    "poses": [[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [1.0, 2.0, 3.0, 0.6, 0.0, 0.8], [1, 2, 4, 1, 0, 0]],
+}
+REGISTRATION = {
+    "schema": "cutgate.registration/1",
+    "id": "r",
+    "R_T_CT": TURNED,
+    "residual_rms_mm": 0.3,
+    "created_utc": "2026-01-02T03:04:05Z",
+    "ct_id": "ct",
+}
+CSV = "x,y,z,i,j,k\n0,0,0,0,0,1\n1,2,3,.6,0,0.8\n1e0,+2.,-4E-1,1,0,0\n"
+
+
+def changed(document, path, value):
+    """A copy with one value set; `del` removes the key."""
+    result = copy.deepcopy(document)
+    *place, last = path
+    target = result
+    for key in place:
+        target = target[key]
+    if value is del_:
+        del target[last]
+    else:
+        target[last] = value
+    return result
+
+
+def del_():
+    """Marks a key to remove."""
+
+
+def read_plan(document) -> object:
+    return plan_from_bytes(Path("some.json"), json.dumps(document).encode())
+
+
+def read_registration(document) -> object:
+    return registration_from_bytes(Path("some.json"), json.dumps(document).encode())
+
+
+def message_of(act) -> str:
+    with pytest.raises(InputError) as caught:
+        act()
+    return str(caught.value)
+
+
+def test_a_plan_is_what_its_file_says(tmp_path):
+    (tmp_path / "p.json").write_text(json.dumps(PLAN), encoding="utf-8")
+    loaded = load_plan(tmp_path / "p.json")
+    plan = loaded.value
+    assert (plan.id, plan.implant, plan.side, plan.ct_id) == ("p", "stem", "left", "ct")
+    assert (plan.tool_length_mm, plan.feed_mm_s) == (160.0, 20.0)
+    assert plan.ct_T_implant.tolist() == TURNED
+    assert plan.tips_mm.tolist() == [[0, 0, 0], [1, 2, 3], [1, 2, 4]]
+    assert np.allclose(plan.axes, [[0, 0, 1], [0.6, 0, 0.8], [1, 0, 0]], atol=1e-15)
+
+
+def test_tool_length_and_ct_may_be_absent():
+    plan = read_plan(changed(changed(PLAN, ["tool_length_mm"], del_), ["ct_id"], del_))
+    assert (plan.tool_length_mm, plan.ct_id) == (None, None)
+
+
+def test_axes_within_a_thousandth_are_normalised():
+    plan = read_plan(changed(PLAN, ["poses", 0], [0, 0, 0, 0, 0, 1.001]))
+    assert plan.axes[0].tolist() == [0, 0, 1]
+
+
+def test_a_tool_path_has_identity_placement_and_no_feed(tmp_path):
+    for name in ("blade.csv", "BLADE.CSV"):
+        (tmp_path / name).write_text(CSV, encoding="utf-8")
+        plan = load_plan(tmp_path / name).value
+        assert (plan.id.lower(), plan.implant, plan.feed_mm_s, plan.ct_id) == ("blade", None, None, None)
+        assert plan.ct_T_implant.tolist() == EYE
+        assert plan.tips_mm.tolist() == [[0, 0, 0], [1, 2, 3], [1, 2, -0.4]]
+
+
+def test_line_ends_of_windows_and_a_missing_last_one_are_read():
+    for text in (CSV.replace("\n", "\r\n"), CSV.rstrip("\n")):
+        assert len(plan_from_bytes(Path("p.csv"), text.encode()).tips_mm) == 3
+
+
+def test_a_registration_is_what_its_file_says(tmp_path):
+    (tmp_path / "r.json").write_text(json.dumps(REGISTRATION), encoding="utf-8")
+    found = load_registration(tmp_path / "r.json").value
+    assert found.matrix.tolist() == TURNED
+    assert found.created == datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    assert (found.id, found.residual_rms_mm, found.ct_id) == ("r", 0.3, "ct")
+
+
+def skewed(row, column, value):
+    return changed(TURNED, [row, column], value)
+
+
+BAD_TRANSFORMS = [
+    (skewed(3, 3, 2.0), "last row"),
+    (skewed(3, 0, 1e-9), "last row"),
+    (skewed(0, 1, -1.000002), "orthonormal"),
+    (skewed(2, 2, -1.0), "determinant"),
+    (skewed(0, 0, 1e200), "entry beyond 1"),
+    (skewed(0, 3, 2e5), "translated by at most"),
+    (skewed(0, 3, True), "number"),
+    (skewed(0, 3, "1"), "number"),
+    (TURNED[:3], "given"),
+    ([row[:3] for row in TURNED], "given"),
+    ([*TURNED, [0.0, 0.0, 0.0, 1.0]], "at most 4"),
+    (4, "list"),
+    ({"a": 1}, "list"),
+]
+
+
+@pytest.mark.parametrize(("matrix", "words"), BAD_TRANSFORMS)
+def test_a_transform_that_is_not_rigid_is_refused(matrix, words):
+    for message in (
+        message_of(lambda: read_plan(changed(PLAN, ["ct_T_implant"], matrix))),
+        message_of(lambda: read_registration(changed(REGISTRATION, ["R_T_CT"], matrix))),
+    ):
+        assert words in message
+        assert "ct_T_implant" in message or "R_T_CT" in message
+
+
+def test_a_transform_orthonormal_to_a_millionth_is_accepted():
+    assert read_registration(changed(REGISTRATION, ["R_T_CT"], skewed(0, 1, -1.0 + 4e-7))).id == "r"
+
+
+BAD_PLANS = [
+    (["schema"], "cutgate.plan/2", ("schema", "cutgate.plan/2", "cutgate.plan/1")),
+    (["schema"], "cutgate.registration/1", ("schema", "cutgate.registration/1", "cutgate.plan/1")),
+    (["schema"], del_, ("schema", "missing", "cutgate.plan/1")),
+    (["id"], del_, ("id", "missing", "given")),
+    (["id"], "", ("id", "''", "at least 1")),
+    (["side"], "middle", ("side", "middle", "'left' or 'right'")),
+    (["units"], "inch", ("units", "inch", "'mm'")),
+    (["feed_mm_s"], 0, ("feed_mm_s", "0", ">= 0.001")),
+    (["feed_mm_s"], del_, ("feed_mm_s", "missing")),
+    (["feed_mm_s"], "20", ("feed_mm_s", "20", "number")),
+    (["tool_length_mm"], -1, ("tool_length_mm", "-1", ">= 0")),
+    (["extra"], 1, ("extra", "1", "known keys")),
+    (["poses"], [], ("poses", "0 poses", ">= 2")),
+    (["poses"], [[0, 0, 0, 0, 0, 1]], ("poses", "1 poses", ">= 2")),
+    (["poses"], 3, ("poses", "3", "list")),
+    (["poses", 1], 3, ("poses.1", "3", "six numbers")),
+    (["poses", 1], [0, 0, 0, 0, 1], ("poses.1", "six numbers")),
+    (["poses", 1], [0, 0, 0, 0, 0, True], ("poses.1", "True", "six numbers")),
+    (["poses", 1], [0, 0, 0, 0, 0, "1"], ("poses.1", "'1'", "six numbers")),
+    (["poses", 1], [0, 0, 0, 0, 0, None], ("poses.1", "None", "six numbers")),
+    (["poses", 1], [[0], 0, 0, 0, 0, 1], ("poses.1", "[[0]", "six numbers")),
+    (["poses", 1], [10_001, 0, 0, 0, 0, 1], ("poses.1", "10001", "+-10000")),
+    (["poses", 1], [10**400, 0, 0, 0, 0, 1], ("poses", "integer", "+-10000")),
+    (["poses", 1], [0, 0, 0, 0, 0, 1.0011], ("poses.1", "1.0011", "length 1 within 0.001")),
+    (["poses", 1], [0, 0, 0, 0, 0, 0], ("poses.1", "of length 0", "length 1")),
+]
+
+
+@pytest.mark.parametrize(("place", "value", "parts"), BAD_PLANS)
+def test_a_bad_plan_is_refused_naming_file_key_value_and_bound(place, value, parts):
+    message = message_of(lambda: read_plan(changed(PLAN, place, value)))
+    assert all(part in message for part in ("some.json", *parts)), message
+
+
+def test_further_bad_poses_are_counted():
+    bad = changed(changed(PLAN, ["poses", 1], [0, 0, 0, 0, 0, 2]), ["poses", 2], [0, 0, 0, 0, 0, 3])
+    assert "of length 2 (1 more like it)" in message_of(lambda: read_plan(bad))
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_numbers_that_are_not_finite_are_refused(number):
+    text = json.dumps(PLAN).replace("20.0", number)
+    assert "finite" in message_of(lambda: plan_from_bytes(Path("p.json"), text.encode()))
+
+
+BAD_REGISTRATIONS = [
+    (["created_utc"], "yesterday", ("created_utc", "yesterday", "ISO-8601")),
+    (["created_utc"], "2026-01-02T03:04:05", ("created_utc", "2026-01-02", "UTC")),
+    (["created_utc"], "2026-01-02T03:04:05+01:00", ("created_utc", "+01:00", "UTC")),
+    (["created_utc"], 5, ("created_utc", "5", "string")),
+    (["residual_rms_mm"], -0.1, ("residual_rms_mm", "-0.1", ">= 0")),
+    (["residual_rms_mm"], del_, ("residual_rms_mm", "missing")),
+    (["age"], 1, ("age", "1", "known keys")),
+    (["schema"], "cutgate.plan/1", ("schema", "cutgate.plan/1", "cutgate.registration/1")),
+]
+
+
+@pytest.mark.parametrize(("place", "value", "parts"), BAD_REGISTRATIONS)
+def test_a_bad_registration_is_refused_naming_file_key_value_and_bound(place, value, parts):
+    message = message_of(lambda: read_registration(changed(REGISTRATION, place, value)))
+    assert all(part in message for part in ("some.json", *parts)), message
+
+
+BAD_CSVS = [
+    ("", ("line 1", "x,y,z,i,j,k")),
+    ("0,0,0,0,0,1\n", ("line 1", "'0,0,0,0,0,1'")),
+    ("X,Y,Z,I,J,K\n" + CSV, ("line 1", "X,Y,Z")),
+    ("\ufeff" + CSV, ("line 1", "header")),
+    ("x,y,z,i,j,k\n", ("poses", "0 poses", ">= 2")),
+    ("x,y,z,i,j,k\n0,0,0,0,0,1\n", ("poses", "1 poses", ">= 2")),
+    (CSV + "\n", ("line 5", "empty")),
+    (CSV.replace("1,2,3", "1,2,3,4"), ("line 3", "7 fields", "six numbers")),
+    (CSV.replace("1,2,3", "1,2"), ("line 3", "5 fields")),
+    (CSV.replace("1,2,3", "1,2,nan"), ("line 3 column z", "nan", "finite decimal")),
+    (CSV.replace("1,2,3", "1,2,inf"), ("line 3 column z", "inf")),
+    (CSV.replace("1,2,3", "1,1_0,3"), ("line 3 column y", "1_0")),
+    (CSV.replace("1,2,3", "1,,3"), ("line 3 column y", "''")),
+    (CSV.replace("1,2,3", "0x1,2,3"), ("line 3 column x", "0x1")),
+    (CSV.replace("1,2,3", "\u0661,2,3"), ("line 3 column x",)),
+    (CSV.replace("1,2,3", "1e999,2,3"), ("line 3", "inf", "finite")),
+    (CSV.replace("1,2,3", "10000.1,2,3"), ("line 3", "10000.1", "+-10000")),
+    (CSV.replace(".6,0,0.8", ".6,0,0.9"), ("line 3", "of length 1.08167", "length 1")),
+    (CSV.replace("\n1,", "\n# a comment\n1,"), ("line 3", "1 fields")),
+]
+
+
+@pytest.mark.parametrize(("text", "parts"), BAD_CSVS)
+def test_a_bad_tool_path_is_refused_naming_line_value_and_bound(text, parts):
+    message = message_of(lambda: plan_from_bytes(Path("some.csv"), text.encode()))
+    assert all(part in message for part in ("some.csv", *parts)), message
+
+
+@pytest.mark.parametrize("name", ["p.txt", "p", "p.apt", "p.ngc", "p.json.gz"])
+def test_another_extension_is_refused_naming_the_accepted_ones(name):
+    message = message_of(lambda: load_plan(name))
+    assert name in message
+    assert ".json or .csv" in message
+    assert ".json" in message_of(lambda: load_registration(name))
+
+
+def test_more_poses_than_the_limit_are_refused():
+    for name, data in (("p.json", json.dumps(PLAN)), ("p.csv", CSV)):
+        assert len(plan_from_bytes(Path(name), data.encode(), 3).tips_mm) == 3
+        message = message_of(lambda name=name, data=data: plan_from_bytes(Path(name), data.encode(), 2))
+        assert "3 poses" in message
+        assert "<= 2 poses" in message
+
+
+def test_a_file_over_the_size_limit_is_refused(tmp_path):
+    for name, load in (("p.json", load_plan), ("p.csv", load_plan), ("r.json", load_registration)):
+        (tmp_path / name).write_text(" " * 100, encoding="utf-8")
+        message = message_of(lambda name=name, load=load: load(tmp_path / name, size_limit=99))
+        assert "over 99 bytes" in message
+
+
+def error_of(act) -> InputError | None:
+    """The refusal, if there is one; any other exception is the test's failure."""
+    try:
+        act()
+    except InputError as error:
+        return error
+    return None
+
+
+JSONISH = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=6) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=10,
+)
+
+
+@given(st.sampled_from(sorted(PLAN)), JSONISH, st.integers(0, 5) | st.none())
+def test_a_plan_with_any_value_anywhere_is_read_or_refused(key, value, entry):
+    place = ["poses", 1, entry] if entry is not None else [key]
+    document = changed(PLAN, place, value)
+    error = error_of(lambda: plan_from_bytes(Path("f.json"), json.dumps(document).encode()))
+    assert error is None or str(error).startswith("f.json")
+
+
+@given(st.binary(max_size=100), st.sampled_from(["f.json", "f.csv"]))
+def test_any_bytes_are_read_or_refused(data, name):
+    for kind in (plan_from_bytes, registration_from_bytes):
+        assert error_of(lambda kind=kind: kind(Path(name), data)) is not None
+
+
+@given(st.integers(0, len(CSV) - 1), st.integers(0, 255))
+def test_a_tool_path_with_any_byte_changed_is_read_or_refused(place, byte):
+    data = bytearray(CSV.encode())
+    data[place] = byte
+    error = error_of(lambda: plan_from_bytes(Path("f.csv"), bytes(data)))
+    assert error is None or str(error).startswith("f.csv")

@@ -1,0 +1,104 @@
+"""The contract's ``verify --json`` document, written from the contract alone: an oracle for the tests."""
+
+from typing import Annotated, Literal
+
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, model_validator
+
+Real = Annotated[float, AllowInfNan(False)]
+Vector = tuple[Real, Real, Real]
+Hex = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Literal[
+    "inner", "outer", "left", "right", "top", "bottom",
+    "roll_min", "roll_max", "pitch_min", "pitch_max", "wrist_singularity",
+]  # fmt: skip
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class PathPart(Part):
+    poses: Annotated[int, Field(ge=2)]
+    tip_length_mm: Annotated[Real, Field(ge=0)]
+    wrist_length_mm: Annotated[Real, Field(ge=0)]
+    axis_angle_deg: Annotated[Real, Field(ge=0)]
+
+
+class DeadbandPart(Part):
+    arm_mm: Annotated[Real, Field(gt=0)]
+    wrist_deg: Annotated[Real, Field(gt=0)]
+
+
+class BranchPart(Part):
+    elbow: Literal["right", "left"]
+    q0_turns: int
+    roll_turns: int
+
+
+class EvaluationsPart(Part):
+    arm: Annotated[int, Field(ge=0)]
+    wrist: Annotated[int, Field(ge=0)]
+    worst_case: Annotated[int, Field(ge=0)]
+
+
+class BoundaryPart(Part):
+    unit: Literal["mm", "deg"]
+    clearance: Real | None
+    certified: Real | None
+    segment: int | None
+    fraction: Annotated[Real, Field(ge=0, le=1)] | None
+    tip_length_mm: Annotated[Real, Field(ge=0)] | None
+    violated: bool
+
+
+class SpeedPart(Part):
+    joint: Annotated[int, Field(ge=0, le=4)]
+    limit: Annotated[Real, Field(gt=0)]
+    peak: Annotated[Real, Field(ge=0)] | None
+    segment: int | None
+    ok: bool
+
+
+class MovePart(Part):
+    boundary: Name
+    kind: Literal["move", "turn"]
+    direction: Vector
+    distance_mm: Real | None = None
+    angle_deg: Real | None = None
+
+    @model_validator(mode="after")
+    def _one_amount(self):
+        given = self.model_fields_set & {"distance_mm", "angle_deg"}
+        assert given == {"distance_mm" if self.kind == "move" else "angle_deg"}
+        return self
+
+
+class GuidancePart(Part):
+    translation_mm: Vector | None
+    yaw_deg: Real
+    pivot_mm: Vector
+    moves: list[MovePart]
+    predicted_clearance_mm: Real | None
+    verified: bool
+
+
+class DigestsPart(Part):
+    path: Hex
+    limits: Hex
+    calibration: Hex
+    registration: Hex
+
+
+class VerdictDocument(Part):
+    schema_: Annotated[Literal["cutgate.verdict/1"], Field(alias="schema")]
+    verdict: Literal["admissible", "inadmissible"]
+    method: Literal["certified", "stocco"]
+    path: PathPart
+    deadband: DeadbandPart
+    branch: BranchPart | None
+    evaluations: EvaluationsPart
+    boundaries: dict[Name, BoundaryPart]
+    speed: list[SpeedPart]
+    guidance: GuidancePart | None
+    digests: DigestsPart
+    elapsed_ms: Annotated[Real, Field(ge=0)]

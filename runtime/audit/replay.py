@@ -1,0 +1,417 @@
+"""Deciding again from the log alone: same path, same limits, same verdict, and nothing enabled without it.
+
+The attachments are the bytes that the session decided on. The path is made again from plan, registration and
+robot; the verdict is computed again from the recorded path and parameters; and every permit and start that left
+is held against that verdict. A log in which a verdict was changed and the whole chain computed anew differs here.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import IntEnum
+from hashlib import sha256
+from pathlib import Path as FilePath
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from config.load import InputError, Loaded, robot_from_bytes
+from config.model import Robot
+from config.records import calibration_record, limits_record, tool_record
+from protocol.records import Path, RecordError
+from runtime.audit import names, records
+from runtime.audit.inspect import Log, Status
+from runtime.audit.log import cpu_dispatch
+from runtime.plan.load import plan_from_bytes, registration_from_bytes
+from runtime.plan.model import Registration
+from runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
+from runtime.verification.document import Digests, verdict_document
+from runtime.verification.problem import Problem
+from runtime.verification.recorded import problem_from_records
+from runtime.verification.verdict import Verdict
+
+TOLERANCE: Final = 1e-9
+"""mm, deg; relative for lengths above one."""
+NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance")
+BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm")
+"""Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
+
+Verify = Callable[[Problem], Verdict]
+R = TypeVar("R", bound=records.Record)
+
+
+class Outcome(IntEnum):
+    """What a replay shows; its number is the exit code."""
+
+    IDENTICAL = 0
+    DIFFERS = 1
+    BAD_INPUT = 2
+
+
+class ReplayError(Exception):
+    """The log does not hold what a replay needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What came of it.
+
+    Attributes:
+        outcome: identical, different, or not a log that can be replayed.
+        differences: each names what was recorded and what it should have been.
+        notes: what was not compared, and why.
+        verdict: the recomputed verdict document of the last verdict; None if there was none.
+    """
+
+    outcome: Outcome
+    differences: tuple[str, ...]
+    notes: tuple[str, ...]
+    verdict: dict[str, Any] | None = None
+
+
+@dataclass
+class _Findings:
+    differences: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    documents: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class _Inputs:
+    """The bytes that the session decided on."""
+
+    path: bytes
+    limits: bytes
+    calibration: bytes
+    tool: bytes
+    robot: Robot
+    registration_sha256: bytes
+
+
+def replay(log: Log, verify: Verify, *, verifier: str) -> Replay:
+    """Decide again what the log's session decided.
+
+    Args:
+        log: the log as read.
+        verify: the gate's verifier.
+        verifier: its version, as permits name it.
+    """
+    if log.report.status is Status.UNREADABLE:
+        return Replay(Outcome.BAD_INPUT, log.report.reasons, ())
+    found = _Findings()
+    if log.report.status is not Status.OK:
+        text = f"the log itself is {log.report.status.name}: {log.report.reasons[0]}"
+        (found.notes if log.report.status is Status.INCOMPLETE else found.differences).append(text)
+    try:
+        _replay(log, verify, verifier, found)
+    except ReplayError as error:
+        return Replay(Outcome.BAD_INPUT, (str(error),), tuple(found.notes))
+    outcome = Outcome.DIFFERS if found.differences else Outcome.IDENTICAL
+    verdict = found.documents[-1] if found.documents else None
+    return Replay(outcome, tuple(found.differences), tuple(found.notes), verdict)
+
+
+def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
+    opened = _typed(log, records.Open)
+    if not opened:
+        raise ReplayError("the log has no record 0")
+    verdicts = _typed(log, records.Verdict)
+    if verdicts:
+        inputs = _inputs(log)
+        found.differences += _derivation(log, inputs, opened[0])
+        comparable = _comparable(opened[0], verifier, found)
+        for recorded in verdicts:
+            document = _recompute(recorded, inputs, verify)
+            found.documents.append(document)
+            found.differences += _compare(recorded, document, inputs, comparable=comparable)
+        found.differences += _boundary_records(log, verdicts)
+        if any(document["verdict"] == "inadmissible" for document in found.documents):
+            found.notes.append("the guidance was not computed again")
+    else:
+        found.notes.append("the session ended before a verdict: there is nothing to compute again")
+    found.differences += _permits(log, [document["verdict"] for document in found.documents])
+
+
+# ---------------------------------------------------------------- what was decided on
+
+
+def _inputs(log: Log) -> _Inputs:
+    def needed(name: str) -> bytes:
+        data = log.scan.attachment(name)
+        if data is None:
+            raise ReplayError(f"attachment {name} is missing: the verdict cannot be computed again")
+        return data
+
+    try:
+        robot = robot_from_bytes(names.ROBOT, needed(names.ROBOT))
+    except InputError as error:
+        raise ReplayError(f"attachment {error}") from None
+    registration = _by_stem(log, names.REGISTRATION)
+    return _Inputs(
+        path=needed(names.PATH),
+        limits=needed(names.LIMITS),
+        calibration=needed(names.CALIBRATION),
+        tool=needed(names.TOOL),
+        robot=robot,
+        registration_sha256=sha256(registration[1] if registration else IDENTITY_REGISTRATION).digest(),
+    )
+
+
+def _derivation(log: Log, inputs: _Inputs, opened: records.Open) -> Iterator[str]:
+    """Whether the uploaded path is the one that plan, registration and robot give."""
+    plan, registration = _by_stem(log, names.PLAN), _by_stem(log, names.REGISTRATION)
+    if plan is None:
+        raise ReplayError(f"attachment {names.PLAN} is missing: the path cannot be made again")
+    try:
+        uploaded = Path.parse(inputs.path)
+        wanted = plan_from_bytes(plan[0], plan[1])
+        placed: Loaded[Registration] | None = None
+        if registration is not None:
+            value = registration_from_bytes(registration[0], registration[1])
+            placed = Loaded(value, registration[1], registration[0])
+        prepared = prepare(
+            Loaded(wanted, plan[1], plan[0]),
+            placed,
+            inputs.robot,
+            now=datetime.fromtimestamp(opened.utc.sec + 1, UTC),
+            feed_mm_s=uploaded.feed_mm_s if wanted.feed_mm_s is None else None,
+        )
+    except (InputError, RecordError) as error:
+        yield f"plan, registration and robot give no path: {error}"
+        return
+    made = with_branch(prepared.path, uploaded.q0_turns, uploaded.roll_turns)
+    if made.body() != inputs.path:
+        yield "the uploaded path is not the one that plan, registration and robot give"
+
+
+def _comparable(opened: records.Open, verifier: str, found: _Findings) -> bool:
+    """Whether last bits can be compared; says why not, and whether the verifier is another."""
+    if opened.verifier != verifier:
+        found.notes.append(f"verifier {opened.verifier} recorded, {verifier} recomputes")
+    there, here = (opened.numpy, opened.cpu_dispatch), (np.__version__, cpu_dispatch())
+    if there == here:
+        return True
+    found.notes.append(
+        f"evaluation counts and worst places are not comparable: numpy {there[0]} on {' '.join(there[1])} "
+        f"recorded, numpy {here[0]} on {' '.join(here[1])} recomputes"
+    )
+    return False
+
+
+# ---------------------------------------------------------------- the verdict
+
+
+def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> dict[str, Any]:
+    try:
+        problem = problem_from_records(
+            inputs.path, inputs.limits, inputs.calibration, inputs.tool, inputs.robot
+        )
+        verdict = verify(problem)
+    except (RecordError, ValueError) as error:
+        raise ReplayError(f"the attachments pose no problem that can be verified: {error}") from None
+    digests = Digests(
+        path=sha256(inputs.path).digest(),
+        limits=sha256(inputs.limits).digest(),
+        calibration=sha256(inputs.calibration).digest(),
+        registration=inputs.registration_sha256,
+    )
+    return verdict_document(
+        verdict,
+        poses=len(problem.tips_mm),
+        guidance=None,
+        digests=digests,
+        elapsed_ms=recorded.elapsed_ms or 0.0,
+    )
+
+
+def _compare(
+    recorded: records.Verdict, document: dict[str, Any], inputs: _Inputs, *, comparable: bool
+) -> Iterator[str]:
+    """The recorded verdict, as document and as flat fields, against the recomputed document."""
+    theirs = _document(recorded)
+    if theirs is None:
+        yield "verdict: the recorded document is not a JSON object"
+        return
+    before, after = _leaves(theirs), _leaves(document)
+    for key in sorted(before.keys() | after.keys()):
+        parts = key.split(".")
+        if parts[0] in NOT_RECOMPUTED or (not comparable and not {*parts}.isdisjoint(BIT_DEPENDENT)):
+            continue
+        if key not in before or key not in after:
+            yield f"verdict {key}: {'recorded' if key in before else 'recomputed'} only"
+        elif not _same(before[key], after[key], absolute=parts[0] == "boundaries"):
+            yield f"verdict {key}: recorded {before[key]}, recomputed {after[key]}"
+    yield from _flat(recorded, theirs, inputs)
+
+
+def _flat(recorded: records.Verdict, theirs: dict[str, Any], inputs: _Inputs) -> Iterator[str]:
+    """The record's flat fields must say what its document says."""
+    try:
+        again = records.Verdict.of(
+            theirs,
+            verifier=recorded.verifier,
+            tool_sha256=sha256(inputs.tool).hexdigest(),
+            reason=recorded.reason or "",
+        )
+    except (KeyError, TypeError, AttributeError, ValueError):
+        yield "verdict: the recorded document is not a verdict document"
+        return
+    for name in type(recorded).model_fields.keys() - records.AuditRecord.model_fields.keys() - {"document"}:
+        if getattr(recorded, name) != getattr(again, name):
+            yield f"verdict {name}: recorded {getattr(recorded, name)}, its document says {getattr(again, name)}"
+
+
+def _boundary_records(log: Log, verdicts: list[records.Verdict]) -> Iterator[str]:
+    """The boundary records are those of the recorded documents, in their order."""
+    expected: list[records.Boundary] = []
+    for verdict in verdicts:
+        document = _document(verdict)
+        try:
+            expected += records.boundaries_of(document or {})
+        except (KeyError, TypeError, AttributeError, ValueError):
+            return  # said already by _flat
+    found = _typed(log, records.Boundary)
+    if len(found) > len(expected) or (log.scan.finished and len(found) < len(expected)):
+        yield f"boundaries: {len(found)} recorded, the documents have {len(expected)}"
+    ignored = set(records.AuditRecord.model_fields)
+    for one, other in zip(found, expected, strict=False):
+        if one.model_dump(exclude=ignored) != other.model_dump(exclude=ignored):
+            yield f"boundary {one.name}: the record is not what the verdict's document says"
+
+
+def _document(recorded: records.Verdict) -> dict[str, Any] | None:
+    try:
+        document = json.loads(recorded.document)
+    except (ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _leaves(value: Any, place: str = "") -> dict[str, Any]:
+    """Every value of a document under its dotted key; an empty container is a value."""
+    if isinstance(value, Mapping) and value:
+        parts = value.items()
+    elif isinstance(value, list) and value:
+        parts = {str(number): item for number, item in enumerate(value)}.items()
+    else:
+        return {place: value}
+    found: dict[str, Any] = {}
+    for key, item in parts:
+        found |= _leaves(item, f"{place}.{key}" if place else str(key))
+    return found
+
+
+def _same(one: Any, other: Any, *, absolute: bool) -> bool:
+    if isinstance(one, bool) or isinstance(other, bool):
+        return one is other
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        scale = 1.0 if absolute else max(1.0, abs(other))
+        return abs(one - other) <= TOLERANCE * scale
+    return type(one) is type(other) and bool(one == other)
+
+
+# ---------------------------------------------------------------- what was enabled
+
+
+def _permits(log: Log, recomputed: list[str]) -> Iterator[str]:
+    """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
+    verdicts = iter(recomputed)
+    ledger = _Ledger()
+    for message in log.scan.messages:
+        data = message.link.data
+        if message.topic == records.Verdict.TOPIC:
+            ledger.verdict = (_model(records.Verdict, data), next(verdicts))
+        elif message.topic == records.Decision.TOPIC:
+            yield from _decision(_model(records.Decision, data))
+        elif message.topic == records.Permit.TOPIC:
+            yield from ledger.enter(_model(records.Permit, data))
+    if any(kind != "reset" for kind, _ in ledger.authorised):
+        yield from _approved(log)
+
+
+@dataclass
+class _Ledger:
+    """What has been proved, authorised and acknowledged up to a record."""
+
+    verdict: tuple[records.Verdict, str] | None = None
+    """The latest recorded verdict, and the word that was recomputed for it."""
+    authorised: set[tuple[str, int | None]] = field(default_factory=set)
+    permitted: bool = False
+
+    def enter(self, permit: records.Permit) -> Iterator[str]:
+        """One record of a permit, start or reset."""
+        if permit.stage == "authorised":
+            self.authorised.add((permit.kind, permit.token))
+        elif permit.stage == "acknowledged":
+            self.permitted |= permit.kind == "permit"
+        elif permit.stage == "sent":
+            yield from self._sent(permit)
+
+    def _sent(self, permit: records.Permit) -> Iterator[str]:
+        if (permit.kind, permit.token) not in self.authorised:
+            yield f"a {permit.kind} left without a record that authorised it"
+        if permit.kind != "reset":
+            yield from _enabled(permit, self.verdict)
+        if permit.kind == "start" and not self.permitted:
+            yield "a start left without an acknowledged permit"
+
+
+def _decision(decision: records.Decision) -> Iterator[str]:
+    if decision.disposition == "sent":
+        for permissive in decision.permissives:
+            if not permissive.holds:
+                yield f"decision {decision.sequence} sent although this did not hold: {permissive.name}"
+
+
+def _enabled(permit: records.Permit, current: tuple[records.Verdict, str] | None) -> Iterator[str]:
+    if current is None:
+        yield f"a {permit.kind} left without a verdict"
+        return
+    verdict, recomputed = current
+    if not (verdict.verdict == "admissible" and recomputed == "admissible"):
+        yield (
+            f"a {permit.kind} left; the verdict is recorded as {verdict.verdict} and recomputed as {recomputed}"
+        )
+    if permit.kind == "permit":
+        for name in ("path", "limits", "calibration", "tool", "registration"):
+            if getattr(permit, f"{name}_sha256") != getattr(verdict, f"{name}_sha256"):
+                yield f"the permit's {name} digest is not the verdict's"
+
+
+def _approved(log: Log) -> Iterator[str]:
+    """What the controller reported must equal what robot.toml approves, if anything was authorised on it."""
+    inputs = _inputs(log)
+    approved = {
+        names.LIMITS: limits_record(inputs.robot).body(),
+        names.CALIBRATION: calibration_record(inputs.robot).body(),
+        names.TOOL: tool_record(inputs.robot).body(),
+    }
+    for name, body in approved.items():
+        if log.scan.attachment(name) != body:
+            yield f"attachment {name} is not what {names.ROBOT} approves"
+
+
+# ---------------------------------------------------------------- reading
+
+
+def _typed(log: Log, model: type[R]) -> list[R]:
+    return [_model(model, message.link.data) for message in log.scan.messages if message.topic == model.TOPIC]
+
+
+def _model(model: type[R], data: bytes) -> R:
+    try:
+        return model.model_validate_json(data)
+    except ValidationError as error:
+        what = error.errors(include_url=False)[0]
+        place = ".".join(map(str, what["loc"]))
+        raise ReplayError(f"a record of {model.TOPIC} cannot be read: {place}: {what['msg']}") from None
+
+
+def _by_stem(log: Log, stem: str) -> tuple[FilePath, bytes] | None:
+    """The attachment of this name whatever its ending, with its name."""
+    for entry in log.scan.attachments:
+        if FilePath(entry.name).stem == stem:
+            return FilePath(entry.name), entry.data
+    return None

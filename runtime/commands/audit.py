@@ -1,0 +1,125 @@
+"""``cutgate audit``: review of session logs."""
+
+import json as json_format
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import click
+import typer
+from typer.core import TyperCommand
+
+from config.load import InputError, read_bytes
+from runtime.audit.inspect import Log, Status, read_log
+from runtime.audit.replay import Outcome, replay
+from runtime.commands.screen import output, working
+from runtime.review.show import print_story
+from runtime.review.story import story
+from runtime.session.job import VERIFIER
+from runtime.verification import certified
+
+SIZE_LIMIT: Final = 1 << 32
+"""Largest log that is read, bytes."""
+
+app = typer.Typer(help="Review session logs: what was decided, and whether it stands.", no_args_is_help=True)
+
+LogFile = Annotated[Path, typer.Argument(metavar="LOG", help="A session's log (.mcap).")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+
+
+class VerifyCommand(TyperCommand):
+    """A usage error of ``audit verify`` says UNREADABLE by its exit code: 2 would mean TAMPERED."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """Parse the arguments."""
+        try:
+            return super().make_context(*args, **kwargs)
+        except click.UsageError as error:
+            error.exit_code = Status.UNREADABLE
+            raise
+
+
+@app.command("verify", cls=VerifyCommand)
+def verify(log: LogFile, *, json: Json = False) -> None:
+    """Check structure, chain and attachments of a log.
+
+    Exit code: 0 OK, 1 INCOMPLETE, 2 TAMPERED, 3 UNREADABLE (or no such file).
+    """
+    try:
+        report = _read(log).report
+    except InputError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(Status.UNREADABLE) from None
+    if json:
+        typer.echo(_json({**asdict(report), "status": report.status.name, "headline": report.headline}))
+    else:
+        typer.echo(f"{report.headline}: {log}")
+        for line in (*report.reasons, *report.notes):
+            typer.echo(f"  {line}")
+        typer.echo(f"  {report.messages} records, chain head {report.head}")
+        if report.dropped_bytes:
+            typer.echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
+    raise typer.Exit(report.status)
+
+
+@app.command("show")
+def show(log: LogFile, *, json: Json = False) -> None:
+    """Show a session: verdicts with every boundary, the time line of decisions, and where the files are.
+
+    Exit code: 0, or 2 for a file that is no log.
+    """
+    read = _read(log)
+    if read.report.status is Status.UNREADABLE:
+        raise InputError(log, "", None, read.report.reasons[0], "name a session's .mcap file")
+    candump = _candump(log)
+    document = story(read, log, candump if candump.is_file() else None)
+    if json:
+        typer.echo(_json(document))
+    else:
+        print_story(output(), document)
+
+
+@app.command("replay")
+def replay_command(log: LogFile, *, json: Json = False) -> None:
+    """Decide again from the log alone, and compare.
+
+    Exit code: 0 identical, 1 differs, 2 not a log that can be replayed.
+    """
+    read = _read(log)
+    with working(f"deciding {log} again"):
+        result = replay(read, certified.verify, verifier=VERIFIER)
+    if json:
+        typer.echo(_json({**asdict(result), "outcome": result.outcome.name}))
+    else:
+        word = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
+        typer.echo(f"{word[result.outcome]}: {log}")
+        for line in (*result.differences, *result.notes):
+            typer.echo(f"  {line}")
+        if result.verdict is not None:
+            typer.echo(f"  recomputed verdict: {result.verdict['verdict']}")
+    raise typer.Exit(result.outcome)
+
+
+def register(root: typer.Typer) -> None:
+    """Adds the command."""
+    root.add_typer(app, name="audit")
+
+
+def _read(log: Path) -> Log:
+    """The log and, where it is there, the file of raw frames beside it.
+
+    Raises:
+        InputError: no such file, or it cannot be read.
+    """
+    with working(f"reading {log}"):
+        data = read_bytes(log, SIZE_LIMIT)
+        candump = _candump(log)
+        return read_log(data, read_bytes(candump, SIZE_LIMIT) if candump.is_file() else None)
+
+
+def _candump(log: Path) -> Path:
+    return log.with_suffix(".candump.log")
+
+
+def _json(document: dict[str, Any]) -> str:
+    return json_format.dumps(document, allow_nan=False, indent=2, default=str)

@@ -1,0 +1,210 @@
+"""The story of a log on a terminal: readable at 100 columns, and as plain text when piped."""
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import groupby
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from runtime.review.story import failing
+
+GOOD: Final = "bold green"
+BAD: Final = "bold red"
+_DIGEST: Final = 16
+
+
+def print_story(console: Console, story: Mapping[str, Any]) -> None:
+    """Print the document that ``story`` makes."""
+    _head(console, story)
+    for verdict in story["verdicts"]:
+        _verdict(console, verdict)
+    _time_line(console, story["decisions"])
+    _facts(console, story)
+    _files(console, story)
+
+
+def _head(console: Console, story: Mapping[str, Any]) -> None:
+    opened, closed = story["opened"], story["closed"]
+    utc_ns = opened.get("utc_ns", 0)
+    moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC) if 0 <= utc_ns < 2**62 else None
+    style = GOOD if story["judgement"].startswith("OK") else BAD
+    console.print(
+        f"Session log {_text(opened, 'log_id')[:_DIGEST]}: [{style}]{escape(story['judgement'])}[/]"
+    )
+    for reason in (*story["reasons"], *story["notes"]):
+        console.print(f"  {escape(str(reason))}")
+    rows = {
+        "opened": f"{moment:%Y-%m-%d %H:%M:%S} UTC" if moment else "",
+        "software": f"{_text(opened, 'software')}, verifier {_text(opened, 'verifier')}",
+        "previous session": _previous(opened),
+        "simulation": ", ".join(
+            f"{_text(option, 'name')} {_text(option, 'value')}" for option in _entries(opened, "simulation")
+        ),
+        "ended": _ending(closed) if closed else "no close record",
+    }
+    _pairs(console, rows)
+
+
+def _previous(opened: Mapping[str, Any]) -> str:
+    if opened.get("previous_crashed") is True:
+        note = _text(opened, "previous_note")
+        return f"{_text(opened, 'previous_log')} CRASHED" + (f" ({note})" if note else "")
+    return _text(opened, "previous_log") or "none in this directory"
+
+
+def _ending(closed: Mapping[str, Any]) -> str:
+    parts = [_text(closed, "final_state"), _text(closed, "outcome")]
+    clean = "" if closed.get("clean") is True else "NOT in order"
+    return ", ".join(filter(None, [*parts, f"after {closed['offset_s']:.3f} s", clean]))
+
+
+def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
+    word = _text(verdict, "verdict")
+    style = GOOD if word == "admissible" else BAD
+    console.print()
+    console.print(
+        f"Verdict: [{style}]{escape(word.upper())}[/] ({escape(_text(verdict, 'method'))}, "
+        f"{verdict.get('poses', '?')} poses, {_number(verdict.get('elapsed_ms'))} ms)"
+    )
+    if verdict.get("reason"):
+        console.print(f"  {escape(_text(verdict, 'reason'))}")
+    table = _table("boundary", "certified", "clearance", "deadband", "unit", "worst place", "")
+    for column in (1, 2, 3):
+        table.columns[column].justify = "right"
+    for entry in verdict["boundaries"]:
+        violated = entry.get("violated") is not False
+        table.add_row(
+            escape(_text(entry, "name")),
+            _number(entry.get("certified")),
+            _number(entry.get("clearance")),
+            _number(entry.get("deadband")),
+            escape(_text(entry, "unit")),
+            f"segment {entry['segment']} at {_number(entry.get('fraction'))}" if "segment" in entry else "",
+            f"[{BAD}]VIOLATED[/]" if violated else "",
+        )
+    console.print(table)
+
+
+def _time_line(console: Console, decisions: list[dict[str, Any]]) -> None:
+    console.print()
+    console.print("Time line of decisions")
+    table = _table("time s", "state", "event", "", "why")
+    table.columns[0].justify = "right"
+    table.columns[4].ratio = 1
+    for first, count in _runs(decisions):
+        before, after = _text(first, "from_state"), _text(first, "to_state")
+        disposition = _text(first, "disposition")
+        table.add_row(
+            f"{first['offset_s']:.3f}",
+            escape(before if before == after else f"{before} -> {after}"),
+            escape(_text(first, "event")) + (f" (x{count})" if count > 1 else ""),
+            "" if disposition == "decided" else escape(disposition.upper()),
+            escape(_why(first)),
+        )
+    console.print(table)
+
+
+def _runs(decisions: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], int]]:
+    """Equal steps that follow each other as one line: the first, and how many."""
+
+    def key(decision: dict[str, Any]) -> tuple[str, ...]:
+        names = ("from_state", "to_state", "event", "disposition", "first_out")
+        shown = tuple(_text(decision, name) for name in names)
+        return shown if shown[0] == shown[1] else (*shown, str(decision.get("sequence")))
+
+    for _, group in groupby(decisions, key):
+        entries = list(group)
+        yield entries[0], len(entries)
+
+
+def _why(decision: Mapping[str, Any]) -> str:
+    """First-out, reason, and each permissive that does not hold with its value, bound and remedy."""
+    parts = [_text(decision, "reason")]
+    first_out = _text(decision, "first_out")
+    if first_out:
+        parts.insert(0, f"first-out {first_out}")
+    parts += [
+        f"{_text(entry, 'name')}: {_shown(entry)} (required: {_text(entry, 'bound')})"
+        for entry in failing(decision)
+    ]
+    return "\n".join(filter(None, parts))
+
+
+def _shown(permissive: Mapping[str, Any]) -> str:
+    return _number(permissive["value"]) if "value" in permissive else _text(permissive, "text")
+
+
+def _facts(console: Console, story: Mapping[str, Any]) -> None:
+    """Faults, operator words and the controller's records, as far as there are any."""
+    lines = [
+        *(
+            (entry["offset_s"], f"operator: {_text(entry, 'word')}" + _refused(entry))
+            for entry in story["operator"]
+        ),
+        *(
+            (
+                entry["offset_s"],
+                f"fault of the {_text(entry, 'source')}: {_text(entry, 'cause')} {_text(entry, 'detail')}",
+            )
+            for entry in story["faults"]
+        ),
+        *(
+            (entry["offset_s"], f"the controller's {_text(entry, 'kind')} are not the approved ones")
+            for entry in story["collected"]
+            if entry.get("matches_approved") is not True
+        ),
+    ]
+    if not lines:
+        return
+    console.print()
+    for offset_s, text in sorted(lines):
+        console.print(f"{offset_s:9.3f}  {escape(text.strip())}")
+
+
+def _refused(entry: Mapping[str, Any]) -> str:
+    return "" if entry.get("accepted") is True else f" (refused: {_text(entry, 'reason')})"
+
+
+def _files(console: Console, story: Mapping[str, Any]) -> None:
+    console.print()
+    rows = {
+        "log": story["log"],
+        "raw frames": story["candump"] or "not beside the log",
+        "attachments": ", ".join(_text(entry, "name") for entry in story["attachments"]),
+        "records": f"{story['messages']}, chain head {story['head'][:_DIGEST]}",
+    }
+    _pairs(console, rows)
+
+
+def _pairs(console: Console, rows: Mapping[str, str]) -> None:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for label, value in rows.items():
+        if value:
+            table.add_row(f"  {label}", escape(value))
+    console.print(table)
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column)
+    return table
+
+
+def _entries(record: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    value = record.get(key)
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+
+def _text(record: Mapping[str, Any], key: str) -> str:
+    value = record.get(key)
+    return "" if value is None else str(value)
+
+
+def _number(value: object) -> str:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return f"{value:.3f}"
+    return "undefined"

@@ -1,0 +1,98 @@
+"""A log as one document for people: what was decided, when, why, and where the files are."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from runtime.audit.inspect import Log
+from runtime.audit.records import (
+    Attachment,
+    AuditRecord,
+    Boundary,
+    Close,
+    Collected,
+    Decision,
+    Fault,
+    Open,
+    Operator,
+    Permit,
+    Process,
+    Verdict,
+)
+
+SCHEMA = "cutgate.audit-show/1"
+_STAMPS = set(AuditRecord.model_fields)
+
+
+def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
+    """What ``cutgate audit show --json`` prints. Never raises, whatever the log holds.
+
+    Args:
+        log: the log as read.
+        path: its file.
+        candump: the raw frames beside it, or None if they are not there.
+    """
+    opened = _first(log, Open)
+    start_ns = _nanoseconds(opened.get("monotonic"))
+    timed = {
+        model: [_entry(record, start_ns) for record in log.of(model.TOPIC)]
+        for model in (Decision, Collected, Verdict, Boundary, Permit, Fault, Operator, Process, Attachment)
+    }
+    return {
+        "schema": SCHEMA,
+        "log": str(path),
+        "candump": None if candump is None else str(candump),
+        "judgement": log.report.headline,
+        "reasons": list(log.report.reasons),
+        "notes": list(log.report.notes),
+        "messages": log.report.messages,
+        "head": log.report.head,
+        "opened": _entry(opened, start_ns) | {"utc_ns": _nanoseconds(opened.get("utc"))},
+        "verdicts": _verdicts(timed[Verdict], timed[Boundary]),
+        "decisions": timed[Decision],
+        "collected": timed[Collected],
+        "permits": timed[Permit],
+        "faults": timed[Fault],
+        "operator": timed[Operator],
+        "processes": timed[Process],
+        "attachments": timed[Attachment],
+        "closed": _entry(_first(log, Close), start_ns) or None,
+    }
+
+
+def failing(decision: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The permissives of a decision that did not hold."""
+    permissives = decision.get("permissives")
+    entries = permissives if isinstance(permissives, list) else []
+    return [entry for entry in entries if isinstance(entry, dict) and entry.get("holds") is not True]
+
+
+def _verdicts(verdicts: list[dict[str, Any]], boundaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each verdict with the boundaries recorded from it until the next one."""
+    starts = [verdict["offset_s"] for verdict in verdicts[1:]] + [float("inf")]
+    found = []
+    rest = list(boundaries)
+    for verdict, end in zip(verdicts, starts, strict=True):
+        own = [entry for entry in rest if entry["offset_s"] < end]
+        rest = rest[len(own) :]
+        found.append({**verdict, "boundaries": own})
+    return found
+
+
+def _first(log: Log, model: type[AuditRecord]) -> dict[str, Any]:
+    return next(iter(log.of(model.TOPIC)), {})
+
+
+def _entry(record: Mapping[str, Any], start_ns: int) -> dict[str, Any]:
+    """A record without its chain and clocks, but with seconds since record 0."""
+    if not record:
+        return {}
+    offset_s = (_nanoseconds(record.get("monotonic")) - start_ns) / 1e9
+    return {"offset_s": offset_s} | {key: value for key, value in record.items() if key not in _STAMPS}
+
+
+def _nanoseconds(time: object) -> int:
+    """A stored time; 0 where it is none."""
+    if isinstance(time, dict) and isinstance(time.get("sec"), int) and isinstance(time.get("nsec"), int):
+        return int(time["sec"]) * 1_000_000_000 + int(time["nsec"])
+    return 0

@@ -1,0 +1,175 @@
+"""The command line of the simulated controller."""
+
+import argparse
+import hashlib
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import can
+
+from config.bus import RuntimeDirectoryError, default_interface, open_bus
+from config.constants import CONSTANTS
+from config.load import InputError, load_robot
+from config.model import Robot
+from config.records import calibration_record, limits_record, tool_record
+from config.terminal import WordReader
+from firmware_sim import memory
+from firmware_sim.faults import FaultSpec
+from firmware_sim.process import Options, Process, Word
+from firmware_sim.state import Controller, Holdings, Identity
+from protocol.endpoint import Endpoint
+from protocol.frames import FRAMES, TRANSFER_IDS
+from protocol.permit import KeyFileError, load_key
+from protocol.port import Port
+from protocol.records import Side
+
+EXIT_OK: Final = 0
+EXIT_BAD_INPUT: Final = 2
+LISTEN_S: Final = 0.6
+"""How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
+TIME_SCALE_MAX: Final = 1000.0
+TRANSFER_TIMEOUT_S: Final = 2.0
+
+
+class RefusedError(Exception):
+    """Bad input, key or bus; one line for the user."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the simulated controller until SIGINT or SIGTERM.
+
+    Returns:
+        0 after a clean end, 2 on bad input, key or bus.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        _run(options)
+    except (
+        InputError,
+        KeyFileError,
+        RefusedError,
+        RuntimeDirectoryError,
+        memory.ControllerMemoryError,
+    ) as error:
+        print(f"cutgate sim: {error}", file=sys.stderr)  # noqa: T201 - the command's output
+        return EXIT_BAD_INPUT
+    except (can.CanInitializationError, can.CanError) as error:
+        print(f"cutgate sim: bus: {error}", file=sys.stderr)  # noqa: T201 - the command's output
+        return EXIT_BAD_INPUT
+    return EXIT_OK
+
+
+def _run(options: argparse.Namespace) -> None:
+    robot = load_robot(options.robot).value
+    if options.key is None:
+        raise RefusedError("no key file is given (--key); make one with: cutgate key new FILE")
+    key, memory_file = load_key(options.key), memory.beside(options.key)
+    settings = _options(options, robot)
+    controller = _controller(robot, key, memory.load(memory_file), options.serial)
+    interface, channel = _bus_of(options)
+    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def wake(_number: int, _frame: Any) -> None:
+        os.write(writing, b"\0")
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, wake)
+    with open_bus(interface, channel) as bus:
+        _refuse_a_used_bus(bus)
+        _say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
+        _say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
+        process = Process(
+            controller,
+            Port(bus, _endpoint()),
+            memory_file,
+            options=settings,
+            words=WordReader(sys.stdin.fileno(), Word) if sys.stdin and not sys.stdin.closed else None,
+            say=_say,
+        )
+        process.run(reading)
+
+
+def _controller(robot: Robot, key: bytes, withdrawn: frozenset[bytes], serial: str | None) -> Controller:
+    holdings = Holdings(
+        limits=limits_record(robot).body(),
+        calibration=calibration_record(robot).body(),
+        tool=tool_record(robot).body(),
+    )
+    number = serial or f"SIM-{hashlib.sha256(robot.name.encode()).hexdigest()[:8].upper()}"
+    return Controller(Identity(number, key, os.urandom(16)), holdings, withdrawn=withdrawn)
+
+
+def _options(options: argparse.Namespace, robot: Robot) -> Options:
+    if not 0.0 < options.time_scale <= TIME_SCALE_MAX:
+        raise RefusedError(
+            f"--time-scale is {options.time_scale}, must be > 0 and at most {TIME_SCALE_MAX:g}"
+        )
+    try:
+        faults = tuple(FaultSpec.parse(text) for text in options.fault)
+    except ValueError as error:
+        raise RefusedError(f"--fault: {error}") from None
+    hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
+    return Options(options.time_scale, CONSTANTS["announce_ms"].default / 1000, faults, hold)
+
+
+def _bus_of(options: argparse.Namespace) -> tuple[str, str]:
+    if options.interface is None:
+        interface, channel = default_interface()
+        return interface, options.channel or channel
+    if options.channel is None:
+        raise RefusedError("--interface needs --channel as well")
+    return options.interface, options.channel
+
+
+def _endpoint() -> Endpoint:
+    """Timing until a session agrees on its own."""
+    return Endpoint(
+        Side.CONTROLLER,
+        heartbeat_s=CONSTANTS["heartbeat_ms"].default / 1000,
+        timeout_s=CONSTANTS["timeout_ms"].default / 1000,
+        transfer_timeout_s=TRANSFER_TIMEOUT_S,
+    )
+
+
+def _refuse_a_used_bus(bus: can.BusABC) -> None:
+    """A bus that already carries cutgate frames has a controller or a session on it."""
+    ours = set(FRAMES) | {can_id for side in TRANSFER_IDS.values() for can_id in side.values()}
+    until_s = time.monotonic() + LISTEN_S
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        message = bus.recv(timeout=left_s)
+        if message is not None and not message.is_extended_id and message.arbitration_id in ours:
+            raise RefusedError(
+                f"the bus already carries cutgate frames (0x{message.arbitration_id:03X}); end the other controller"
+            )
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)  # noqa: T201 - the command's output
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cutgate sim",
+        description="A simulated robot controller on the bus. Words on its terminal: "
+        + ", ".join(Word)
+        + ".",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--robot", type=Path, required=True, help="robot.toml: the limits it reports")
+    parser.add_argument("--key", type=Path, help="pre-shared key; its memory is kept beside it")
+    parser.add_argument("--interface", help="python-can interface; default vcan0, else the local virtual bus")
+    parser.add_argument("--channel", help="channel of the interface")
+    parser.add_argument("--serial", help="serial number; default made from the robot's name")
+    parser.add_argument(
+        "--time-scale", type=float, default=1.0, help="the plant runs this many times faster than the clock"
+    )
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="NAME@STATE", help="a fault to have in that state"
+    )
+    return parser

@@ -1,0 +1,190 @@
+"""``cutgate run``: one session with a controller, from announcement to the end of the cut."""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import can
+import typer
+
+from config.bus import RuntimeDirectoryError, default_interface, open_bus
+from config.load import InputError
+from config.terminal import WordReader
+from protocol.endpoint import Endpoint
+from protocol.permit import KeyFileError, load_key
+from protocol.port import Port
+from protocol.records import Side
+from runtime.audit.log import AuditLog, OpenInfo, Paths
+from runtime.commands.screen import working
+from runtime.commands.session_view import SessionView, print_outcome, run_document
+from runtime.interlock.state import Interlock, Phase, Word
+from runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
+from runtime.session.journal import Journal
+from runtime.session.loop import Session, wake_pipe
+from runtime.session.worker import Request, Worker
+from runtime.verification.document import document_text
+
+EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
+SOFTWARE: Final = "cutgate 0.1.0"
+
+
+def run(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv).")],
+    robot: Annotated[Path, typer.Option(help="The site's approved robot.toml.")],
+    registration: Annotated[Path, typer.Option(help="Where the bone stands.")],
+    site: Annotated[
+        Path | None, typer.Option(help="Timing, bus and log directory; see docs/files.md.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option(help="Pre-shared key; else key_file of site.toml.")] = None,
+    interface: Annotated[str | None, typer.Option(help="python-can interface.")] = None,
+    channel: Annotated[str | None, typer.Option(help="Its channel.")] = None,
+    log_dir: Annotated[Path | None, typer.Option(help="Where the audit log goes.")] = None,
+    feed_mm_s: Annotated[
+        float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
+
+    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit.
+    Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped or fault.
+    """
+    with working(f"reading {path}"):
+        files = read_files(path, robot, registration, site, feed_mm_s)
+        secret = _key(key, files)
+        job = make_job(files, now=utc_now())
+    view = SessionView(quiet_output=json)
+    bus, name = _bus(interface, channel, files)
+    try:
+        log = _log(log_dir or Path(files.settings.log.directory), files, name)
+        session, paths = _session(files, Interlock(job), secret, bus, name, log, view)
+    finally:
+        bus.shutdown()
+    if json:
+        typer.echo(document_text(run_document(session.state, session.answer, paths)))
+    else:
+        print_outcome(session.state, paths)
+    raise typer.Exit(EXIT[session.state.phase])
+
+
+def _session(
+    files: Files,
+    state: Interlock,
+    key: bytes,
+    bus: can.BusABC,
+    bus_name: str,
+    log: AuditLog,
+    view: SessionView,
+) -> tuple[Session, Paths]:
+    """Run one session; the log is closed and the worker ended whatever happens."""
+    timing = state.job.timing
+    journal = Journal(log, bus_name.partition("/")[2].rpartition("/")[2] or "can0")
+    endpoint = Endpoint(
+        Side.RUNTIME,
+        heartbeat_s=timing.heartbeat_ms / 1000,
+        timeout_s=timing.timeout_ms / 1000,
+        transfer_timeout_s=timing.reply_timeout_s,
+    )
+    worker = Worker()
+    clean = False
+    session = Session(
+        state,
+        request=Request(0, state.job.path, b"", b"", b"", state.job.registration, files.robot.value),
+        key=key,
+        port=Port(bus, endpoint, journal.frame),
+        journal=journal,
+        worker=worker,
+        view=view,
+        words=WordReader(sys.stdin.fileno(), Word)
+        if sys.stdin is not None and not sys.stdin.closed
+        else None,
+        checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
+    )
+    try:
+        with _signals(session) as wake:
+            journal.processes(worker.pid)
+            session.run(wake)
+            clean = True
+    finally:
+        worker.close()
+        paths = log.close(
+            final_state=session.state.phase,
+            verdict=session.answer.document["verdict"] if session.answer else None,
+            outcome=session.state.reason or session.state.phase,
+            clean=clean,
+        )
+    return session, paths
+
+
+@contextmanager
+def _signals(session: Session) -> Iterator[int]:
+    """SIGINT and SIGTERM only wake the loop; the table decides what they mean."""
+    reading, writing = wake_pipe()
+
+    def wake(_number: int, _frame: Any) -> None:
+        session.interrupt()
+        os.write(writing, b"\0")
+
+    previous = {number: signal.signal(number, wake) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield reading
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        os.close(reading)
+        os.close(writing)
+
+
+def _bus(interface: str | None, channel: str | None, files: Files) -> tuple[can.BusABC, str]:
+    """The bus of the options, of site.toml, or the default; and its name."""
+    site = files.settings.bus
+    chosen = (interface or site.interface, channel or site.channel)
+    try:
+        if chosen[0] is None:
+            default = default_interface()
+            chosen = (default[0], chosen[1] or default[1])
+        elif chosen[1] is None:
+            raise InputError("--channel", "", None, "is needed with --interface", "name the channel")
+        name = f"{chosen[0]}/{chosen[1]}"
+        return open_bus(str(chosen[0]), str(chosen[1])), name
+    except (can.CanInitializationError, RuntimeDirectoryError) as error:
+        raise InputError("bus", "", None, str(error)) from None
+
+
+def _key(option: Path | None, files: Files) -> bytes:
+    """The pre-shared key; there is no built-in one."""
+    file = option or (Path(files.settings.key_file) if files.settings.key_file else None)
+    if file is None:
+        raise InputError("--key", "", None, "no key file is given", "make one with: cutgate key new FILE")
+    try:
+        return load_key(file)
+    except KeyFileError as error:
+        name, _, rest = str(error).partition(": ")
+        raise InputError(name, "", None, rest) from None
+
+
+def _log(directory: Path, files: Files, bus: str) -> AuditLog:
+    """A new log with every input file attached: the bytes that were parsed."""
+    log = AuditLog.create(
+        directory,
+        log_id=os.urandom(16).hex(),
+        opened=OpenInfo(SOFTWARE, VERIFIER, (("bus", bus),)),
+        chunk_period_s=files.settings.log.chunk_period_ms / 1000,
+    )
+    prepared = files.prepared
+    log.attach(f"plan{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
+    if prepared.registration is not None:
+        log.attach("registration.json", "application/json", prepared.registration.data)
+    log.attach("robot.toml", "application/toml", files.robot.data)
+    if files.site is not None:
+        log.attach("site.toml", "application/toml", files.site.data)
+    return log
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("run")(run)

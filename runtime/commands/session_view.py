@@ -1,0 +1,158 @@
+"""A session for people as it goes: one line per step that matters, what to do next, and the outcome."""
+
+import time
+from typing import Any, Final
+
+from rich.text import Text
+
+from protocol.states import ControllerState, StopCause
+from runtime.audit.log import Paths
+from runtime.commands.screen import messages, output
+from runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
+from runtime.interlock.permissives import FOR_START, failing
+from runtime.interlock.state import (
+    Announced,
+    Effect,
+    Event,
+    Interlock,
+    Phase,
+    Refused,
+)
+from runtime.session.worker import Answer
+
+SCHEMA: Final = "cutgate.run/1"
+PERCENT_STEP: Final = 10
+
+SAYS: Final = {
+    Phase.OPENING: "controller found, opening a session",
+    Phase.COLLECTING: "collecting limits, calibration and tool",
+    Phase.UPLOADING: "limits, calibration and tool equal the approved; uploading the path",
+    Phase.VERIFYING: "path stored by the controller; verifying it",
+    Phase.NONCE_PERMIT: "every permissive for the permit holds",
+    Phase.AUTHORISING_PERMIT: "permit authorised, its record is being made durable",
+    Phase.PERMITTING: "record durable, permit sent",
+    Phase.PERMITTED: "permitted: cutting mode is on. Release the enabling device, hold it, then say start",
+    Phase.AUTHORISING_START: "start authorised, its record is being made durable",
+    Phase.STARTING: "record durable, start sent",
+    Phase.CUTTING: "cutting",
+    Phase.STOPPING: "STOP sent",
+}
+"""What a person is told on entering a phase."""
+
+OUTCOME: Final = {
+    Phase.DONE: ("CUT COMPLETED", GOOD),
+    Phase.REFUSED: ("NOT ADMITTED", BAD),
+    Phase.STOPPED: ("STOPPED", BAD),
+}
+
+
+class SessionView:
+    """Writes to standard error; the verdict goes to standard output unless that is kept for JSON.
+
+    Args:
+        quiet_output: keep standard output free.
+    """
+
+    def __init__(self, *, quiet_output: bool) -> None:
+        self._console = messages()
+        self._output = messages() if quiet_output else output()
+        self._began_s = time.monotonic()
+        self._percent = 0
+        self._pressed = False
+
+    def note(self, text: str, style: str = "") -> None:
+        """One line with the time since the beginning."""
+        elapsed = f"{time.monotonic() - self._began_s:8.2f} s  "
+        self._console.print(Text.assemble((elapsed, "dim"), (text, style)), soft_wrap=True)
+
+    def step(self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...]) -> None:
+        """One step of the interlock."""
+        for effect in effects:
+            if isinstance(effect, Refused):
+                self.note(f"{effect.word} refused: {effect.reason}", "yellow")
+        if isinstance(event, Announced) and after.session is not None and before.session is None:
+            announce = event.announce
+            self.note(f"controller {announce.serial}, firmware {announce.firmware_version}")
+        if after.phase is not before.phase:
+            self._entered(after)
+        self._watch_device(after)
+
+    def _entered(self, state: Interlock) -> None:
+        if state.phase is Phase.HELD:
+            self._held(state)
+        elif state.phase is Phase.STOPPING:
+            self.note(f"{SAYS[state.phase]}: {state.reason}", BAD)
+        elif state.phase is Phase.ADMITTED:
+            self.note("admitted; waiting for the permissives of the permit", GOOD)
+        elif state.phase in SAYS:
+            self.note(SAYS[state.phase])
+
+    def _held(self, state: Interlock) -> None:
+        self.note(
+            "the controller carries a stop or a latched fault; say acknowledge, then reset if it is latched"
+        )
+        if state.controller is not None and state.controller.cause is not StopCause.NONE:
+            self.note(f"its cause is {state.controller.cause.name}")
+
+    def _watch_device(self, state: Interlock) -> None:
+        pressed = state.controller is not None and state.controller.device_pressed
+        if state.phase is Phase.PERMITTED and pressed and not self._pressed:
+            missing = failing(FOR_START, state, state.since_s)
+            if missing:
+                self.note("; ".join(map(str, missing)), "yellow")
+            else:
+                self.note("enabling device is held: say start", GOOD)
+        self._pressed = pressed
+
+    def verdict(self, answer: Answer) -> None:
+        """The worker's verdict, with every boundary and, if it is no, where to move the bone."""
+        self._output.print(headline(answer.proved))
+        self._output.print(boundaries_table(answer.proved))
+        if answer.guidance is not None:
+            self._output.print()
+            self._output.print(guidance_lines(answer.guidance))
+
+    def progress(self, segment: int, segments: int) -> None:
+        """A line every ten percent."""
+        percent = 100 * segment // max(1, segments)
+        if percent >= self._percent + PERCENT_STEP:
+            self._percent = percent - percent % PERCENT_STEP
+            self.note(f"cutting: {self._percent} %, segment {segment} of {segments}")
+
+
+def print_outcome(state: Interlock, paths: Paths) -> None:
+    """The last lines: what came of it, why, and where the log is."""
+    word, style = OUTCOME[state.phase]
+    console = output()
+    console.print()
+    console.print(Text.assemble((word, style), f": {state.reason}" if state.reason else ""), soft_wrap=True)
+    if state.controller is not None:
+        console.print(f"controller: {_controller(state.controller.state, state.controller.cause)}")
+    console.print(f"audit log:  {paths.log}" + ("" if paths.closed else f"  NOT CLOSED: {paths.reason}"))
+    console.print(f"raw frames: {paths.candump}")
+
+
+def _controller(state: ControllerState, cause: StopCause) -> str:
+    return state.name if cause is StopCause.NONE else f"{state.name} ({cause.name}, to be acknowledged)"
+
+
+def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[str, Any]:
+    """What ``run --json`` prints."""
+    view = state.controller
+    return {
+        "schema": SCHEMA,
+        "outcome": {Phase.DONE: "completed", Phase.REFUSED: "not_admitted", Phase.STOPPED: "stopped"}[
+            state.phase
+        ],
+        "cause": state.cause.name,
+        "reason": state.reason,
+        "controller": view and {"state": view.state.name, "cause": view.cause.name, "epoch": view.epoch},
+        "session": state.session.digest.hex() if state.session else None,
+        "verdict": answer.document if answer else None,
+        "log": {
+            "mcap": str(paths.log),
+            "candump": str(paths.candump),
+            "closed": paths.closed,
+            "reason": paths.reason,
+        },
+    }

@@ -185,7 +185,7 @@ class Path:
             raise RecordError(f"path tips are {tips.shape} and axes {directions.shape}, both must be (n, 3)")
         _refuse_first(~np.all(np.isfinite(tips) & np.isfinite(directions), axis=1), "is not finite")
         micrometres = np.rint(tips * 1000.0)
-        _refuse_first(~np.all(np.abs(micrometres) < 2.0**31, axis=1), "tip is beyond +-2147.483647 mm")
+        _refuse_first(~np.all(np.abs(micrometres) < 2.0**31, axis=1), "tip is beyond +-2147483.647 mm")
         lengths = np.linalg.norm(directions, axis=1)
         _refuse_first(~(np.abs(lengths - 1.0) <= 1e-3), "axis length is not within 0.001 of 1")
         poses = np.column_stack((micrometres.astype(np.int64), encode_axes(directions))).astype("<i4")

@@ -1,0 +1,76 @@
+"""Hypothesis strategies for everything that is sent: built from each field's codec."""
+
+import zlib
+from typing import Any
+
+from hypothesis import strategies as st
+
+from protocol.path import BLOCK_BYTES, PathBlock
+from protocol.records import RECORDS, Record
+from protocol.wire import (
+    Ascii,
+    Blob,
+    Block,
+    Choice,
+    Codec,
+    Enumeration,
+    Integer,
+    Integers,
+    Nested,
+    layout,
+)
+
+PRINTABLE = "".join(chr(code) for code in range(0x21, 0x7F))
+
+
+def values(codec: Codec) -> st.SearchStrategy[Any]:
+    """Everything a field may hold."""
+    match codec:
+        case Integer():
+            return st.integers(*codec.bounds)
+        case Integers():
+            return st.tuples(*[st.integers(*Integer(8, signed=True).bounds)] * codec.count)
+        case Blob():
+            return st.binary(min_size=codec.size, max_size=codec.size)
+        case Ascii():
+            return st.text(PRINTABLE, min_size=1, max_size=codec.size)
+        case Enumeration():
+            return st.sampled_from(list(codec.kind))
+        case Choice():
+            return st.sampled_from(codec.words)
+        case Nested():
+            return blocks(codec.kind)
+    raise AssertionError(codec)
+
+
+def blocks(kind: type[Block]) -> st.SearchStrategy[Block]:
+    """Any instance of a block; turns within their bound."""
+    fields = {
+        name: st.integers(-100, 100) if name.endswith("_turns") else values(codec)
+        for name, codec in layout(kind)
+    }
+    return st.builds(kind, **fields)
+
+
+@st.composite
+def path_blocks(draw: st.DrawFn) -> PathBlock:
+    """A block of some path, with its true offset, total and CRC."""
+    count = draw(st.integers(1, 5000))
+    index = draw(st.integers(0, count - 1))
+    last = draw(st.integers(1, BLOCK_BYTES))
+    length = last if index == count - 1 else BLOCK_BYTES
+    data = draw(st.binary(min_size=1, max_size=8)).ljust(length, b"\x5a")[:length]
+    return PathBlock(
+        index, count, index * BLOCK_BYTES, (count - 1) * BLOCK_BYTES + last, zlib.crc32(data), data
+    )
+
+
+def records(kinds: list[type[Record]] | None = None) -> st.SearchStrategy[Record]:
+    """Any record that can be sent."""
+    chosen = list(RECORDS.values()) if kinds is None else kinds
+    return st.one_of([path_blocks() if kind is PathBlock else blocks(kind) for kind in chosen])  # type: ignore[arg-type]
+
+
+def session_of(kind: type[Record]) -> int:
+    """A tag with which this kind may be sent."""
+    return 0xC0FFEE if kind.INSIDE_SESSION else 0

@@ -1,0 +1,221 @@
+"""The quantised path: small errors, exact poles, strict blocks."""
+
+import math
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from protocol.path import (
+    BLOCK_BYTES,
+    HEADER_BYTES,
+    PATH_BYTES_MAX,
+    POSE_BYTES,
+    POSES_MAX,
+    SCALE,
+    Assembly,
+    Path,
+    PathBlock,
+    block_of_pose,
+    decode_axes,
+    encode_axes,
+    split,
+)
+from protocol.wire import RecordError, digest
+
+UP = [0.0, 0.0, 1.0]
+TIPS = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+def quantised(tips=TIPS, axes=(UP, UP), **changes) -> Path:
+    values = {"feed_mm_s": 10.0, "tool_length_mm": 160.0, "elbow": "right"} | changes
+    return Path.quantised(tips, axes, **values)
+
+
+def long_path(poses: int) -> Path:
+    line = np.linspace(0.0, 1.0, poses)[:, np.newaxis]
+    return quantised(line * [100.0, -50.0, 25.0], np.tile(UP, (poses, 1)))
+
+
+unit_axes = hnp.arrays(np.float64, (8, 3), elements=st.floats(-1.0, 1.0)).map(
+    lambda axes: axes[np.linalg.norm(axes, axis=1) > 1e-3]
+)
+
+
+def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return 2.0 * np.arctan2(np.linalg.norm(first - second, axis=1), np.linalg.norm(first + second, axis=1))
+
+
+@given(unit_axes)
+def test_axes_move_by_less_than_a_microradian_and_stay_unit(axes: np.ndarray):
+    unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    decoded = decode_axes(encode_axes(unit))
+    assert np.all(angles(unit, decoded) <= 1e-8)
+    assert np.allclose(np.linalg.norm(decoded, axis=1), 1.0, rtol=0.0, atol=4e-16)
+
+
+@given(unit_axes)
+def test_quantising_twice_changes_nothing(axes: np.ndarray):
+    once = decode_axes(encode_axes(axes))
+    assert decode_axes(encode_axes(once)).tobytes() == once.tobytes()
+
+
+@given(
+    st.lists(st.floats(-2147483.0, 2147483.0), min_size=6, max_size=6),
+    st.integers(-5, 5),
+    st.integers(-5, 5),
+)
+def test_path_round_trip_moves_tips_by_at_most_half_a_micrometre(values: list[float], q0: int, roll: int):
+    tips = np.reshape(values, (2, 3))
+    path = quantised(tips, q0_turns=q0, roll_turns=roll, elbow="left")
+    assert Path.parse(path.body()) == path
+    assert np.all(np.abs(path.tips_mm - tips) <= 0.5e-3 + 1e-8)
+    again = quantised(path.tips_mm, path.axes, q0_turns=q0, roll_turns=roll, elbow="left")
+    assert again == path
+    assert again.digest == digest(path.body())
+
+
+def test_poles_are_exact():
+    assert encode_axes(np.array([UP])).tolist() == [[0, 0]]
+    assert encode_axes(np.array([[0.0, 0.0, -1.0]])).tolist() == [[SCALE, SCALE]]
+    corners = np.array(
+        [[0, 0], [SCALE, SCALE], [-SCALE, SCALE], [SCALE, -SCALE], [-SCALE, -SCALE]], dtype=np.int32
+    )
+    assert decode_axes(corners).tolist() == [UP] + 4 * [[0.0, 0.0, -1.0]]
+
+
+def test_properties_give_units():
+    path = quantised()
+    assert (path.feed_mm_s, path.tool_length_mm, len(path)) == (10.0, 160.0, 2)
+    assert path.poses.shape == (2, 5)
+    for array in (path.poses, path.tips_mm, path.axes):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1
+
+
+def test_twenty_bytes_a_pose():
+    assert len(quantised().body()) == HEADER_BYTES + 2 * POSE_BYTES
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"tips": [[0.0, 0.0, 0.0]], "axes": [UP]}, "1 poses"),
+        ({"tips": [0.0, 0.0, 0.0], "axes": UP}, r"must be \(n, 3\)"),
+        ({"tips": [[0.0, 0.0]] * 2, "axes": [[0.0, 1.0]] * 2}, r"must be \(n, 3\)"),
+        ({"axes": [UP]}, r"must be \(n, 3\)"),
+        ({"tips": [TIPS[0], [0.0, math.nan, 0.0]]}, "pose 1: is not finite"),
+        ({"axes": [[math.inf, 0.0, 0.0], UP]}, "pose 0: is not finite"),
+        ({"tips": [TIPS[0], [0.0, 2147483.648, 0.0]]}, "pose 1: tip is beyond"),
+        ({"axes": [UP, [0.0, 0.0, 1.0011]]}, "pose 1: axis length"),
+        ({"axes": [UP, [0.0, 0.0, 0.0]]}, "pose 1: axis length"),
+        ({"axes": [UP, [0.0, 0.0, -1.0]]}, "pose 0: axis is more than 179"),
+        ({"feed_mm_s": 0.0}, "feed is 0.0"),
+        ({"feed_mm_s": -1.0}, "feed is -1.0"),
+        ({"feed_mm_s": math.nan}, "feed is nan"),
+        ({"tool_length_mm": -0.1}, "tool length is -0.1"),
+        ({"q0_turns": 101}, "q0_turns is 101"),
+        ({"roll_turns": -101}, "roll_turns is -101"),
+        ({"elbow": "up"}, "must be one of right, left"),
+    ],
+)
+def test_path_that_cannot_be_executed_is_refused(changes, why: str):
+    with pytest.raises(RecordError, match=why):
+        quantised(**changes)
+
+
+@pytest.mark.parametrize(("degrees", "admitted"), [(178.999, True), (179.001, False)])
+def test_neighbouring_axes_at_most_179_degrees_apart(degrees: float, admitted: bool):
+    angle = math.radians(degrees)
+    axes = [UP, [math.sin(angle), 0.0, math.cos(angle)]]
+    if admitted:
+        assert quantised(axes=axes)
+    else:
+        with pytest.raises(RecordError, match="more than 179"):
+            quantised(axes=axes)
+
+
+def test_too_many_poses_are_refused():
+    with pytest.raises(RecordError, match=f"{POSES_MAX + 1} poses"):
+        replace(quantised(), pose_bytes=bytes(POSE_BYTES * (POSES_MAX + 1)))
+
+
+def test_half_a_pose_is_refused():
+    with pytest.raises(RecordError, match="multiple of 20"):
+        replace(quantised(), pose_bytes=bytes(50))
+
+
+def test_axis_code_beyond_its_scale_is_refused():
+    poses = quantised().poses.copy()
+    poses[1, 3] = -SCALE - 1
+    with pytest.raises(RecordError, match="pose 1: axis code"):
+        replace(quantised(), pose_bytes=poses.tobytes())
+
+
+@pytest.mark.parametrize("at", [0, 12, 13, 14])
+def test_another_format_is_refused(at: int):
+    body = bytearray(quantised().body())
+    body[at] ^= 0x40
+    with pytest.raises(RecordError, match="path format"):
+        Path.parse(bytes(body))
+
+
+def test_another_count_is_refused():
+    body = quantised().body()
+    for wrong in (body[:-POSE_BYTES], body + bytes(POSE_BYTES), body[:-1], body[:39], b""):
+        with pytest.raises(RecordError):
+            Path.parse(wrong)
+
+
+@pytest.mark.parametrize("poses", [2, 198, 199, 398, 399, 2000])
+def test_blocks_assemble_to_the_path(poses: int):
+    path = long_path(poses)
+    assembly = Assembly()
+    for block in split(path.body()):
+        assert not assembly.complete
+        assembly = assembly.add(PathBlock.parse(block.body()))
+    assert assembly.complete
+    assert assembly.data == path.body()
+    assert [zlib.crc32(block) for block in assembly.blocks] == list(assembly.crc32s)
+    for pose in (0, poses // 2, poses - 1):
+        start = HEADER_BYTES + POSE_BYTES * pose - BLOCK_BYTES * block_of_pose(pose)
+        assert assembly.blocks[block_of_pose(pose)][start : start + POSE_BYTES] == path.poses[pose].tobytes()
+
+
+def test_incomplete_assembly_gives_no_path():
+    assembly = Assembly().add(split(long_path(2000).body())[0])
+    for incomplete in (Assembly(), assembly):
+        with pytest.raises(RecordError, match="not complete"):
+            _ = incomplete.data
+
+
+def test_block_out_of_order_or_of_another_path_is_refused():
+    blocks = split(long_path(2000).body())
+    assembly = Assembly().add(blocks[0])
+    for block in (blocks[0], blocks[2]):
+        with pytest.raises(RecordError, match="where 1 was due"):
+            assembly.add(block)
+    with pytest.raises(RecordError, match="the path of"):
+        assembly.add(split(long_path(1999).body())[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"total": PATH_BYTES_MAX + 1}, "at most"),
+        ({"total": 0, "count": 0, "index": 0}, "does not fit"),
+        ({"count": 12}, "does not fit"),
+        ({"index": 11, "offset": 44000}, "does not fit"),
+        ({"offset": 1}, "offset and length"),
+        ({"data": b"x"}, "offset and length"),
+        ({"block_crc32": 0}, "CRC-32"),
+    ],
+)
+def test_block_that_does_not_lie_where_it_says_is_refused(change: dict[str, object], why: str):
+    block = split(long_path(2000).body())[3]
+    with pytest.raises(RecordError, match=why):
+        replace(block, **change)

@@ -1,0 +1,36 @@
+"""The codes keep their distance."""
+
+from itertools import combinations
+
+import pytest
+
+from protocol.states import (
+    LATCHING,
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+
+WORDS = [int(code) for kind in (RuntimeCode, ControllerState, StopCode, FaultCode) for code in kind]
+
+
+def test_all_codes_differ_in_at_least_eight_bits_also_from_all_zeros_and_all_ones():
+    for first, second in combinations([0x0000, 0xFFFF, *WORDS], 2):
+        assert (first ^ second).bit_count() >= 8, (hex(first), hex(second))
+
+
+def test_stop_causes_fit_five_bits():
+    assert all(0 <= cause < 32 for cause in StopCause)
+
+
+@pytest.mark.parametrize("kind", [Purpose, Refusal])
+def test_small_codes_fit_one_byte(kind: type[Purpose | Refusal]):
+    assert all(0 <= code < 256 for code in kind)
+
+
+def test_only_real_causes_latch():
+    assert StopCause.NONE not in LATCHING

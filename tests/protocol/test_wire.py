@@ -1,0 +1,171 @@
+"""Fields to bytes and back; everything that does not fit is refused."""
+
+import contextlib
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.states import Purpose
+from protocol.wire import (
+    I16,
+    U8,
+    U16,
+    Ascii,
+    Ascii16,
+    Blob,
+    Block,
+    Choice,
+    Codec,
+    Enumeration,
+    Integer,
+    Integers,
+    Nested,
+    RecordError,
+    Rest,
+    Side,
+    digest,
+)
+
+
+@dataclass(frozen=True)
+class Inner(Block):
+    small: U8
+
+    def check(self) -> None:
+        if self.small == 13:
+            raise RecordError("Inner.small is 13")
+
+
+@dataclass(frozen=True)
+class Outer(Block):
+    number: U16
+    turns: I16
+    name: Ascii16
+    inner: Annotated[Inner, Nested(Inner)]
+    tail: Annotated[bytes, Rest(4)]
+
+
+OUTER = Outer(0x1234, -2, "abc", Inner(7), b"xy")
+
+
+def test_fields_follow_each_other_little_endian():
+    assert OUTER.body() == b"\x34\x12\xfe\xffabc" + bytes(13) + b"\x07xy"
+    assert Outer.parse(OUTER.body()) == OUTER
+
+
+@pytest.mark.parametrize(
+    ("codec", "value"),
+    [
+        (Integer(1), 256),
+        (Integer(1), -1),
+        (Integer(1), True),
+        (Integer(1), 1.0),
+        (Integer(2, signed=True), -32769),
+        (Integers(2), (1, 2, 3)),
+        (Integers(2), [1, 2]),
+        (Integers(1), (1 << 63,)),
+        (Integers(1), (0.5,)),
+        (Blob(2), b"x"),
+        (Blob(2), "xy"),
+        (Rest(2), b""),
+        (Rest(2), b"xyz"),
+        (Rest(2), None),
+        (Ascii(2), ""),
+        (Ascii(2), "abc"),
+        (Ascii(2), b"ab"),
+        (Ascii(2), "é"),
+        (Ascii(2), "\n"),
+        (Ascii(2), " a"),
+        (Enumeration(Purpose, 1), 1),
+        (Choice(("a", "b")), "c"),
+        (Nested(Inner), 5),
+    ],
+)
+def test_value_that_does_not_fit_is_refused(codec: Codec, value: object):
+    with pytest.raises(RecordError):
+        codec.pack(value)
+
+
+@pytest.mark.parametrize(
+    ("codec", "value", "data"),
+    [
+        (Integer(4), 1, b"\x01\0\0\0"),
+        (Integers(1), (-1,), b"\xff" * 8),
+        (Blob(2), b"xy", b"xy"),
+        (Rest(2), b"x", b"x"),
+        (Ascii(4), "a b", b"a b\0"),
+        (Enumeration(Purpose, 1), Purpose.START, b"\x02"),
+        (Choice(("a", "b")), "b", b"\x02"),
+        (Nested(Inner), Inner(7), b"\x07"),
+    ],
+)
+def test_codec_round_trip(codec: Codec, value: object, data: bytes):
+    assert codec.pack(value) == data
+    assert codec.parse(data) == value
+    assert codec.size in (len(data), 0)
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (b"", "ends inside number"),
+        (OUTER.body()[:19], "ends inside name"),
+        (OUTER.body()[:21], "tail must be 1..4 bytes"),
+        (OUTER.body() + b"abc", "tail must be 1..4 bytes"),
+        (OUTER.body()[:4] + b"a\0b" + OUTER.body()[7:], "name must be printable"),
+        (OUTER.body()[:4] + b"\xff" * 16 + OUTER.body()[20:], "name must be printable"),
+        (OUTER.body()[:20] + b"\x0d" + OUTER.body()[21:], "inner Inner.small is 13"),
+    ],
+)
+def test_malformed_body_is_refused_by_name(body: bytes, why: str):
+    with pytest.raises(RecordError, match=why):
+        Outer.parse(body)
+
+
+def test_trailing_bytes_are_refused():
+    with pytest.raises(RecordError, match="followed by 1 bytes"):
+        Inner.parse(b"\x01\x02")
+
+
+def test_codes_not_listed_are_refused():
+    with pytest.raises(RecordError, match="no Purpose"):
+        Enumeration(Purpose, 1).parse(b"\x63")
+    for code in (b"\0", b"\x03"):
+        with pytest.raises(RecordError, match=r"must be in 1\.\.2"):
+            Choice(("a", "b")).parse(code)
+
+
+def test_another_byte_form_of_the_same_value_is_refused():
+    @dataclass(frozen=True)
+    class Lenient:
+        size: int = 1
+
+        def pack(self, value: int) -> bytes:
+            return bytes([value])
+
+        def parse(self, data: bytes) -> int:
+            return data[0] & 0x7F
+
+    annotations = {"__annotations__": {"field": Annotated[int, Lenient()]}}
+    loose = dataclass(frozen=True)(type("Loose", (Block,), annotations))
+    assert loose.parse(b"\x01").field == 1
+    with pytest.raises(RecordError, match="canonical"):
+        loose.parse(b"\x81")
+
+
+@given(st.binary(max_size=64))
+def test_any_bytes_parse_or_are_refused(body: bytes):
+    with contextlib.suppress(RecordError):
+        assert Outer.parse(body).body() == body
+
+
+def test_sides_are_each_others_peers():
+    assert Side.RUNTIME.peer is Side.CONTROLLER
+    assert Side.CONTROLLER.peer is Side.RUNTIME
+
+
+def test_digest_is_sha256():
+    assert digest(b"abc").hex() == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

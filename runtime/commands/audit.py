@@ -5,7 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import click
 import typer
 from typer.core import TyperCommand
 
@@ -30,11 +29,11 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on standar
 class VerifyCommand(TyperCommand):
     """A usage error of ``audit verify`` says UNREADABLE by its exit code: 2 would mean TAMPERED."""
 
-    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """Parse the arguments."""
         try:
-            return super().make_context(*args, **kwargs)
-        except click.UsageError as error:
+            return super().make_context(info_name, args, parent, **extra)
+        except typer.TyperException as error:
             error.exit_code = Status.UNREADABLE
             raise
 

@@ -1,0 +1,224 @@
+"""A verdict for people: the answer in one line, every boundary, the speeds, and how to move the bone."""
+
+import math
+from typing import Final
+
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from runtime.verification.document import Digests
+from runtime.verification.guidance import Guidance, Move
+from runtime.verification.verdict import Boundary, Verdict
+
+MEANING: Final = {
+    "inner": "reach, near",
+    "outer": "reach, far",
+    "left": "q0 upper",
+    "right": "q0 lower",
+    "top": "slide upper",
+    "bottom": "slide lower",
+    "roll_min": "q3 lower",
+    "roll_max": "q3 upper",
+    "pitch_min": "q4 lower",
+    "pitch_max": "q4 upper",
+    "wrist_singularity": "tool vertical",
+}
+PLACE: Final = ("at segment", "path mm")
+JOINT_UNIT: Final = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
+GOOD: Final = "bold green"
+BAD: Final = "bold red"
+
+
+def print_verdict(
+    console: Console, verdict: Verdict, guidance: Guidance | None, digests: Digests, facts: dict[str, str]
+) -> None:
+    """Prints everything about one verdict.
+
+    Args:
+        console: where to.
+        verdict: the answer.
+        guidance: how to move the bone; None where it was not asked for or there is none.
+        digests: what the verdict was made for.
+        facts: further lines, label and value, for example the plan and the registration.
+    """
+    console.print(headline(verdict))
+    parts: list[RenderableType] = [boundaries_table(verdict), speed_table(verdict)]
+    if verdict.reasons:
+        parts.append(reason_lines(verdict))
+    if guidance is not None:
+        parts.append(guidance_lines(guidance))
+    parts.append(_facts({**_path_facts(verdict), **facts, **_digest_facts(digests)}))
+    for part in parts:
+        console.print()
+        console.print(part)
+
+
+def headline(verdict: Verdict) -> Text:
+    """The answer, in one line, and what decided it."""
+    word, style = ("ADMISSIBLE", GOOD) if verdict.admissible else ("INADMISSIBLE", BAD)
+    return Text.assemble((word, style), f": {_decisive(verdict)}")
+
+
+def _decisive(verdict: Verdict) -> str:
+    """The smallest margin, or what is violated: known shortfalls first, worst first."""
+    known = [b for b in verdict.boundaries.values() if b.certified is not None]
+    if verdict.admissible:
+        if not known:
+            return "the whole path keeps every deadband"
+        tightest = min(known, key=_relative)
+        return (
+            f"the whole path keeps every deadband; tightest is {tightest.name}, "
+            f"{_value(tightest.certified)} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
+        )
+    parts = [
+        f"{b.name} short by {_value(None if b.certified is None else b.deadband - b.certified)} {b.unit}"
+        for b in sorted(known, key=_relative)
+        if b.violated
+    ]
+    parts += [
+        f"joint {line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None
+    ]
+    undefined = [name for name, b in verdict.boundaries.items() if b.certified is None]
+    undefined += [
+        f"speed of joint {line.joint}" for line in verdict.speed if not line.ok and line.peak is None
+    ]
+    parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
+    return "; ".join(parts) if parts else "see the reasons below"
+
+
+def _relative(boundary: Boundary) -> float:
+    """Margin per deadband, to compare over units."""
+    return (
+        -math.inf
+        if boundary.certified is None
+        else (boundary.certified - boundary.deadband) / boundary.deadband
+    )
+
+
+def boundaries_table(verdict: Verdict) -> Table:
+    """Every boundary's worst place on the whole path."""
+    values = ("certified", "clearance", "deadband", "margin")
+    table = _plain_table("boundary", "limit", *values, "", *PLACE, numbers=(*values, *PLACE))
+    for boundary in verdict.boundaries.values():
+        margin = None if boundary.certified is None else boundary.certified - boundary.deadband
+        style = BAD if boundary.violated else GOOD
+        table.add_row(
+            Text(boundary.name, style=style),
+            MEANING[boundary.name],
+            _value(boundary.certified),
+            _value(boundary.clearance),
+            f"{boundary.deadband:.3f}",
+            Text(_value(margin), style=style),
+            boundary.unit,
+            _value(boundary.segment, digits=0),
+            _value(boundary.tip_length_mm, digits=1),
+        )
+    return table
+
+
+def _plain_table(*columns: str, numbers: tuple[str, ...]) -> Table:
+    """A table without lines; the columns in ``numbers`` are right-aligned."""
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column, justify="right" if column in numbers else "left", no_wrap=True)
+    return table
+
+
+def speed_table(verdict: Verdict) -> Table:
+    """Each joint's largest speed at the planned feed."""
+    table = _plain_table("joint", "speed", "peak", "limit", "", PLACE[0], numbers=("peak", "limit", PLACE[0]))
+    for line in verdict.speed:
+        state = (
+            "ok" if line.ok else "undefined on this path" if line.peak is None else "too fast: lower the feed"
+        )
+        table.add_row(
+            f"q{line.joint}",
+            Text(state, style=GOOD if line.ok else BAD),
+            _value(line.peak),
+            f"{line.limit:.3f}",
+            JOINT_UNIT[line.joint],
+            _value(line.segment, digits=0),
+        )
+    return table
+
+
+def reason_lines(verdict: Verdict) -> RenderableType:
+    """The verifier's own sentences, each with a hanging indent."""
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for reason in verdict.reasons:
+        table.add_row("  -", reason)
+    return Group(Text("Reasons", style="bold"), table)
+
+
+def guidance_lines(guidance: Guidance) -> RenderableType:
+    """How to move the bone: the combined move first, then each boundary's own hint."""
+    lines: list[RenderableType] = [Text("How to move the bone (robot frame, z up)", style="bold")]
+    if guidance.translation_mm is None:
+        lines.append(Text("  No translation of the bone cures this path.", style=BAD))
+    else:
+        distance = math.hypot(*guidance.translation_mm)
+        x, y, z = guidance.translation_mm
+        turn = f" and turn it by {guidance.yaw_deg:+.2f} deg about the vertical" if guidance.yaw_deg else ""
+        lines.append(
+            Text.assemble(
+                "  Move it ", (f"x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm", "bold"), f" ({distance:.1f} mm){turn}: ",
+                ("verified", GOOD) if guidance.verified else ("not verified", BAD),
+                "" if guidance.predicted_clearance_mm is None
+                else f", smallest clearance then {guidance.predicted_clearance_mm:.2f} mm",
+            )
+        )  # fmt: skip
+        lines.append(Text("  A moved bone needs a new registration, and any permit is void."))
+    if guidance.text:
+        lines.append(Text(f"  {guidance.text}"))
+    if guidance.moves:
+        lines.append(Text("  For each violated boundary's worst place alone (a hint, not verified):"))
+        lines += [Text(f"    {_move(move)}") for move in guidance.moves]
+    return Group(*lines)
+
+
+def _move(move: Move) -> str:
+    """One boundary's hint as a sentence."""
+    direction = "({:+.2f}, {:+.2f}, {:+.2f})".format(*move.direction)
+    if move.kind == "turn":
+        return f"{move.boundary}: turn by {_value(move.angle_deg)} deg about the axis {direction}"
+    return f"{move.boundary}: move by {_value(move.distance_mm)} mm along {direction}"
+
+
+def _path_facts(verdict: Verdict) -> dict[str, str]:
+    """What was measured on the path, and how."""
+    branch = verdict.branch
+    turns = (
+        f"{branch.elbow} elbow, q0 turns {branch.q0_turns}, roll turns {branch.roll_turns}"
+        if branch
+        else "none"
+    )
+    evaluations = verdict.evaluations
+    return {
+        "path": f"{verdict.tip_length_mm:.1f} mm at the tip, {verdict.wrist_length_mm:.1f} mm at the wrist centre, "
+        f"tool axis turns {math.degrees(verdict.axis_angle_rad):.1f} deg",
+        "joint branch": turns,
+        "method": f"{verdict.method}: {evaluations.arm} arm and {evaluations.wrist} wrist evaluations of at most "
+        f"{evaluations.worst_case}",
+    }
+
+
+def _digest_facts(digests: Digests) -> dict[str, str]:
+    """The digests in full: they are compared by eye with the controller's and the log's."""
+    names = ("path", "limits", "calibration", "registration")
+    return {f"{name} SHA-256": getattr(digests, name).hex() for name in names}
+
+
+def _facts(facts: dict[str, str]) -> Table:
+    """Label and value, aligned."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, value in facts.items():
+        table.add_row(label, value)
+    return table
+
+
+def _value(value: float | None, digits: int = 3) -> str:
+    """A number as people read it; a dash where it is undefined."""
+    return "-" if value is None else f"{value:.{digits}f}"

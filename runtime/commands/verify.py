@@ -1,0 +1,145 @@
+"""``cutgate verify``: off-line verification of a plan or tool path."""
+
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from config.load import load_robot
+from config.model import Robot
+from config.records import calibration_record, limits_record, tool_record
+from protocol.records import digest
+from runtime.commands.screen import output, working
+from runtime.commands.verdict_view import print_verdict
+from runtime.plan.load import load_plan, load_registration
+from runtime.plan.prepare import Prepared, prepare, with_branch
+from runtime.verification import certified, stocco
+from runtime.verification.document import Digests, document_text, verdict_document
+from runtime.verification.guidance import Guidance, guide
+from runtime.verification.problem import Problem
+from runtime.verification.recorded import problem_from_records
+from runtime.verification.verdict import Verdict
+
+ADMISSIBLE, INADMISSIBLE = 0, 1
+
+
+class Method(StrEnum):
+    """How to decide; the gate uses ``certified``."""
+
+    certified = "certified"
+    stocco = "stocco"
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A verdict and what it was made for.
+
+    ``guidance`` is present only for an inadmissible path of the certified method.
+    """
+
+    verdict: Verdict
+    guidance: Guidance | None
+    digests: Digests
+    poses: int
+    elapsed_ms: float
+
+
+def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -> Checked:
+    """Verifies off-line exactly what the controller would be given.
+
+    Args:
+        prepared: the quantised path.
+        robot: limits, calibration, deadband.
+        method: which verifier decides.
+    """
+    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
+    tool = tool_record(robot, prepared.path.tool_length_mm).body()
+    problem = problem_from_records(prepared.path.body(), limits, calibration, tool, robot, any_branch=True)
+    decide = certified.verify if method is Method.certified else stocco.verify
+    with working(f"verifying {len(prepared.path)} poses"):
+        began = time.perf_counter()
+        verdict = decide(problem)
+        elapsed_ms = (time.perf_counter() - began) * 1000.0
+    branch = verdict.branch
+    path = with_branch(prepared.path, branch.q0_turns, branch.roll_turns) if branch else prepared.path
+    digests = Digests(path.digest, digest(limits), digest(calibration), prepared.registration_sha256)
+    guidance = _guidance(problem, verdict, prepared) if method is Method.certified else None
+    return Checked(verdict, guidance, digests, len(path), elapsed_ms)
+
+
+def _guidance(problem: Problem, verdict: Verdict, prepared: Prepared) -> Guidance | None:
+    """How to move the bone, where the path is not admitted."""
+    if verdict.admissible:
+        return None
+    with working("looking for the smallest move of the bone"):
+        return guide(problem, verdict, prepared.quantise)
+
+
+def verify(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv: x,y,z,i,j,k).")
+    ],
+    *,
+    robot: Annotated[Path, typer.Option(help="The robot's description, robot.toml.")],
+    registration: Annotated[
+        Path | None, typer.Option(help="Where the bone stands; identity if left out.")
+    ] = None,
+    tool_length_mm: Annotated[
+        float | None, typer.Option(min=0.0, max=2000.0, help="Replaces the robot's tool length.")
+    ] = None,
+    feed_mm_s: Annotated[
+        float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
+    ] = None,
+    method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Check off-line whether a whole cut path keeps its distance from every limit of the robot.
+
+    Exit code: 0 admissible, 1 inadmissible, 2 refused input.
+    """
+    with working(f"reading {path}"):
+        arm = load_robot(robot)
+        plan = load_plan(path)
+        placed = load_registration(registration) if registration else None
+        prepared = prepare(
+            plan, placed, arm.value, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
+        )
+    checked = check(prepared, arm.value, method)
+    if json:
+        document = verdict_document(
+            checked.verdict,
+            poses=checked.poses,
+            guidance=checked.guidance,
+            digests=checked.digests,
+            elapsed_ms=checked.elapsed_ms,
+        )
+        typer.echo(document_text(document))
+    else:
+        print_verdict(output(), checked.verdict, checked.guidance, checked.digests, _facts(prepared, checked))
+    raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
+
+
+def _facts(prepared: Prepared, checked: Checked) -> dict[str, str]:
+    """What was verified, for the reader."""
+    registration = prepared.registration
+    placed = (
+        f"{registration.value.id} ({registration.path}), CT {prepared.ct_link}, "
+        f"residual {registration.value.residual_rms_mm:g} mm rms"
+        if registration
+        else "none given: identity"
+    )
+    return {
+        "plan": f"{prepared.plan.value.id} ({prepared.plan.path}), {checked.poses} poses, "
+        f"feed {prepared.path.feed_mm_s:g} mm/s, tool {prepared.path.tool_length_mm:g} mm",
+        "registration": placed,
+        "elapsed": f"{checked.elapsed_ms:.1f} ms",
+    }
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("verify")(verify)

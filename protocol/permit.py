@@ -18,6 +18,8 @@ from protocol.conversation import SignedRecord
 
 KEY_BYTES = 32
 MODE = 0o600
+FILE_BYTES_MAX = 2 * KEY_BYTES + 2
+"""The digits and one line end."""
 RUNTIME_TO_CONTROLLER = b"runtime to controller"
 
 Signed = TypeVar("Signed", bound=SignedRecord)
@@ -87,14 +89,18 @@ def load_key(path: Path) -> bytes:
         ) from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
-    with os.fdopen(descriptor, "rb") as file:
+    try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise KeyFileError(f"{path}: is not a plain file; name a file made with: cutgate key new")
         if stat.S_IMODE(status.st_mode) != MODE:
             mode = stat.S_IMODE(status.st_mode)
             raise KeyFileError(f"{path}: mode is {mode:04o}, must be {MODE:04o}; run: chmod 600 {path}")
-        text = file.read(4 * KEY_BYTES).strip()
+        if not status.st_size <= FILE_BYTES_MAX:
+            raise KeyFileError(f"{path}: is {status.st_size} bytes, must be at most {FILE_BYTES_MAX}")
+        text = os.read(descriptor, FILE_BYTES_MAX).strip()
+    finally:
+        os.close(descriptor)
     try:
         key = bytes.fromhex(text.decode("ascii"))
     except ValueError:

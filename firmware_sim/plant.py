@@ -254,9 +254,10 @@ class _Motion:
     def run(self, left_s: float) -> Advance:
         """Move for that many seconds of the plant."""
         fault = None
+        spent_s = 1e-6 * left_s
         try:
             fault = self._off_path()
-            while fault is None and not self._state.done:
+            while fault is None and left_s > spent_s and not self._state.done:
                 segment = self._segment(self._state.segment)
                 step = self._next_step(segment, left_s)
                 if step is None:
@@ -283,15 +284,19 @@ class _Motion:
         """The longest stretch, of those tried, that fits the time left; None if none does."""
         at = self._state.fraction
         size = min(1.0 - at, segment.longest_step)
+        reserve = (
+            1.0 - 1e-9
+        )  # for rounding; a stretch whose time is not proportional needs more the next time
         while size > SHORTEST_STEP:
             step = self._stretch(segment, 1.0 if at + size > 1.0 - SHORTEST_STEP else at + size)
             if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
                 size *= 0.5
             elif step.time_s > left_s:
-                size *= min(0.98, left_s / step.time_s)
+                size *= reserve * left_s / step.time_s
+                reserve = 0.95
             else:
                 return step
-        if left_s > 0.0 and largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
+        if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
             raise KinematicsError(f"a joint jumps at fraction {at:.9f}: the path runs through a singularity")
         return None
 

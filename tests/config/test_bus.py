@@ -119,6 +119,11 @@ def test_a_bus_that_cannot_be_opened_says_which_and_what_to_do(interface, channe
         open_bus(interface, channel)
 
 
+def test_a_local_bus_without_a_hub_says_how_to_start_one():
+    with pytest.raises(can.CanInitializationError, match="start one with `cutgate bus serve`"):
+        open_bus("cutgate", "/nowhere/none.sock")
+
+
 def test_a_socketcan_interface_that_the_kernel_does_not_have_is_refused():
     with pytest.raises(can.CanInitializationError, match="socketcan/nocan9: the kernel has no such"):
         open_bus("socketcan", "nocan9")

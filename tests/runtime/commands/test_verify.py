@@ -1,0 +1,248 @@
+"""``cutgate verify`` as people and programs call it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime import cli
+from tests.runtime.commands.contract import VerdictDocument
+
+ROOT = Path(__file__).parents[3]
+EXAMPLES = ROOT / "examples"
+REAL = ROOT.parent / "shared" / "paths"
+ROBOT = EXAMPLES / "robot.toml"
+PLAN = EXAMPLES / "hip-stem.plan.json"
+FIRST, SECOND = EXAMPLES / "registration-first.json", EXAMPLES / "registration-second.json"
+
+MOUNTED = ["--robot", str(ROBOT)]
+
+
+@pytest.fixture
+def cutgate(capsys):
+    """Runs a command in this process: exit code, standard output, standard error."""
+
+    def call(*arguments):
+        code = cli.execute([str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+        return code, said.out, said.err
+
+    return call
+
+
+@pytest.fixture
+def verdict(cutgate):
+    """Runs ``verify --json``: exit code and the document, checked against the contract."""
+
+    def call(*arguments):
+        code, out, _ = cutgate("verify", *arguments, "--json")
+        return code, VerdictDocument.model_validate_json(out)
+
+    return call
+
+
+def placed(folder, translation, name="placed.json"):
+    """A registration that only shifts."""
+    rows = [[1, 0, 0, translation[0]], [0, 1, 0, translation[1]], [0, 0, 1, translation[2]], [0, 0, 0, 1]]
+    document = {
+        "schema": "cutgate.registration/1",
+        "id": "placed",
+        "R_T_CT": rows,
+        "residual_rms_mm": 0.1,
+        "created_utc": "2026-01-01T00:00:00Z",
+    }
+    (folder / name).write_text(json.dumps(document), encoding="utf-8")
+    return folder / name
+
+
+def test_the_first_registration_is_inadmissible_with_a_verified_way_out(verdict):
+    code, found = verdict(PLAN, *MOUNTED, "--registration", FIRST)
+    assert (code, found.verdict, found.method) == (1, "inadmissible", "certified")
+    violated = {name for name, boundary in found.boundaries.items() if boundary.violated}
+    assert {"outer", "top"} <= violated
+    assert found.guidance.verified
+    assert 10 <= sum(x * x for x in found.guidance.translation_mm) ** 0.5 <= 60
+    assert {"outer", "top"} <= {move.boundary for move in found.guidance.moves}
+
+
+def test_the_second_registration_is_admissible_with_room_to_spare(verdict):
+    code, found = verdict(PLAN, *MOUNTED, "--registration", SECOND)
+    assert (code, found.verdict, found.guidance) == (0, "admissible", None)
+    assert found.path.poses == 2000
+    assert found.path.tip_length_mm == pytest.approx(5000, abs=10)
+    assert min(boundary.certified for boundary in found.boundaries.values() if boundary.unit == "mm") >= 20
+    assert max(line.peak / line.limit for line in found.speed) <= 0.5
+    assert all(0 <= boundary.segment < 1999 for boundary in found.boundaries.values())
+
+
+def test_verdicts_are_reproducible_but_for_the_time_they_took(verdict):
+    first, again = (verdict(PLAN, *MOUNTED, "--registration", SECOND)[1] for _ in range(2))
+    assert first.model_copy(update={"elapsed_ms": 0}) == again.model_copy(update={"elapsed_ms": 0})
+
+
+def test_only_the_registration_digest_and_the_path_digest_change_with_the_registration(verdict):
+    first, second = (verdict(PLAN, *MOUNTED, "--registration", r)[1].digests for r in (FIRST, SECOND))
+    assert (first.limits, first.calibration) == (second.limits, second.calibration)
+    assert first.path != second.path
+    assert first.registration != second.registration
+
+
+def test_the_papers_method_is_offered_beside_the_gates(verdict):
+    code, found = verdict(PLAN, *MOUNTED, "--registration", SECOND, "--method", "stocco")
+    assert code == (0 if found.verdict == "admissible" else 1)
+    assert (found.method, found.guidance) == ("stocco", None)
+
+
+def test_for_people_the_answer_comes_first_and_the_way_out_is_shown(cutgate):
+    code, out, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", FIRST)
+    lines = out.splitlines()
+    assert code == 1
+    assert lines[0].startswith("INADMISSIBLE: outer short by")
+    assert any("How to move the bone" in line for line in lines)
+    assert any("verified" in line and "mm" in line for line in lines)
+    assert any("needs a new registration" in line for line in lines)
+    assert max(map(len, lines)) <= 100
+    assert "\x1b" not in out
+
+
+def test_for_people_every_boundary_speed_and_digest_is_listed(cutgate):
+    code, out, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)
+    assert code == 0
+    assert out.startswith("ADMISSIBLE: the whole path keeps every deadband; tightest is top")
+    names = "inner outer left right top bottom roll_min roll_max pitch_min pitch_max wrist_singularity q0 q1 q2 q3 q4"
+    starts = {line.split()[0] for line in out.splitlines() if line.strip()}
+    assert set(names.split()) <= starts
+    assert "CT linked" in out
+    for name in ("path", "limits", "calibration", "registration"):
+        assert f"{name} SHA-256" in out
+
+
+def test_a_plan_without_a_registration_is_said_to_stand_as_it_is(cutgate, tmp_path):
+    (tmp_path / "p.csv").write_text(
+        "x,y,z,i,j,k\n600,0,200,0.6,0,0.8\n610,0,200,0.6,0,0.8\n", encoding="utf-8"
+    )
+    code, out, _ = cutgate("verify", tmp_path / "p.csv", *MOUNTED)
+    assert code == 0
+    assert "none given: identity" in out
+    assert "feed 10 mm/s" in out
+
+
+def test_feed_and_tool_options_reach_the_verdict(verdict, tmp_path):
+    (tmp_path / "p.csv").write_text(
+        "x,y,z,i,j,k\n600,0,200,0.6,0,0.8\n610,0,200,0.6,0,0.8\n", encoding="utf-8"
+    )
+    slow = verdict(tmp_path / "p.csv", *MOUNTED, "--feed-mm-s", 5)[1]
+    fast = verdict(tmp_path / "p.csv", *MOUNTED, "--feed-mm-s", 500)[1]
+    assert fast.speed[0].peak == pytest.approx(100 * slow.speed[0].peak)
+    longer = verdict(tmp_path / "p.csv", *MOUNTED, "--tool-length-mm", 260)[1]
+    assert longer.boundaries["top"].certified == pytest.approx(
+        slow.boundaries["top"].certified - 80, abs=1e-2
+    )
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
+def test_a_real_five_axis_path_is_admitted(verdict, tmp_path):
+    code, found = verdict(
+        REAL / "impeller-blade.csv", *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200))
+    )
+    assert (code, found.verdict, found.path.poses) == (0, "admissible", 484)
+    assert found.path.tip_length_mm == pytest.approx(330.8, abs=0.1)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
+def test_a_real_path_that_goes_round_is_refused_naming_roll(verdict, cutgate, tmp_path):
+    arguments = (REAL / "impeller-op1.csv", *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200)))
+    code, found = verdict(*arguments)
+    assert (code, found.verdict) == (1, "inadmissible")
+    violated = {name for name, boundary in found.boundaries.items() if boundary.violated}
+    assert violated
+    assert violated <= {"roll_min", "roll_max"}
+    assert "roll_m" in cutgate("verify", *arguments)[1].splitlines()[0]
+
+
+BAD = {
+    "missing plan": (["nowhere.json", *MOUNTED], ["nowhere.json", "no such file"]),
+    "missing robot": ([PLAN, "--robot", "nowhere.toml"], ["nowhere.toml", "no such file"]),
+    "missing registration": (
+        [PLAN, *MOUNTED, "--registration", "nowhere.json"],
+        ["nowhere.json", "no such file"],
+    ),
+    "folder as plan": ([EXAMPLES.with_suffix(".json"), *MOUNTED], ["no such file"]),
+    "robot as plan": ([ROBOT, *MOUNTED], ["robot.toml", ".toml", ".json or .csv"]),
+    "plan as robot": ([PLAN, "--robot", PLAN], ["hip-stem.plan.json", "TOML"]),
+    "plan as registration": ([PLAN, *MOUNTED, "--registration", PLAN], ["schema", "cutgate.plan/1"]),
+    "registration as plan": ([FIRST, *MOUNTED], ["schema", "cutgate.registration/1", "cutgate.plan/1"]),
+    "G-code": (["path.ngc", *MOUNTED], ["path.ngc", ".ngc", ".json or .csv"]),
+    "APT": (["path.apt", *MOUNTED], ["path.apt", ".apt"]),
+    "ITK transform": ([PLAN, *MOUNTED, "--registration", "r.tfm"], ["r.tfm", ".tfm", ".json"]),
+    "another tool": ([PLAN, *MOUNTED, "--tool-length-mm", "150"], ["tool_length_mm", "160", "150"]),
+    "another feed": ([PLAN, *MOUNTED, "--feed-mm-s", "5"], ["feed_mm_s", "20", "5 mm/s"]),
+    "no robot": ([PLAN], ["--robot"]),
+    "no path": ([*MOUNTED], ["PATH"]),
+    "unknown option": ([PLAN, *MOUNTED, "--force"], ["--force"]),
+    "unknown method": ([PLAN, *MOUNTED, "--method", "guess"], ["guess", "certified"]),
+    "tool out of bounds": ([PLAN, *MOUNTED, "--tool-length-mm", "-1"], ["--tool-length-mm", "0"]),
+    "tool not a number": ([PLAN, *MOUNTED, "--tool-length-mm", "nan"], ["--tool-length-mm"]),
+    "feed not finite": ([PLAN, *MOUNTED, "--feed-mm-s", "inf"], ["--feed-mm-s", "10000"]),
+    "null character": (["a\0b.json", *MOUNTED], ["cannot be read"]),
+}
+
+
+@pytest.mark.parametrize(("arguments", "parts"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_refused_with_exit_2_and_nothing_on_standard_output(cutgate, arguments, parts):
+    code, out, err = cutgate("verify", *arguments, "--json")
+    assert (code, out) == (2, "")
+    for part in parts:
+        assert part in err
+
+
+def test_an_internal_error_is_one_line_and_exit_70(cutgate, monkeypatch):
+    def broken(problem):
+        raise RuntimeError("first line\nsecond line")
+
+    monkeypatch.setattr("runtime.verification.certified.verify", broken)
+    code, out, err = cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)
+    assert (code, out) == (70, "")
+    assert err.count("\n") == 1
+    assert "internal error: RuntimeError: first line second line" in err
+
+
+def test_an_interrupt_is_exit_130(cutgate, monkeypatch):
+    def interrupted(problem):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("runtime.verification.certified.verify", interrupted)
+    assert cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)[0] == 130
+
+
+def test_usage_errors_and_help(cutgate):
+    assert cutgate("nonsense")[0] == 2
+    assert cutgate()[0] == 2
+    code, out, _ = cutgate("verify", "--help")
+    assert code == 0
+    assert "--registration" in out
+
+
+def test_the_installed_program_does_the_same():
+    result = subprocess.run(
+        [sys.executable, "-m", "runtime.cli", "verify", PLAN, *MOUNTED, "--registration", FIRST, "--json"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert result.returncode == 1
+    assert VerdictDocument.model_validate_json(result.stdout).verdict == "inadmissible"
+
+
+def test_the_example_files_come_out_of_their_script_byte_by_byte(tmp_path):
+    subprocess.run([sys.executable, EXAMPLES / "make_hip_stem.py", tmp_path], check=True, timeout=60)
+    written = sorted(os.listdir(tmp_path))
+    assert written == ["hip-stem.plan.json", "registration-first.json", "registration-second.json"]
+    for name in written:
+        assert (tmp_path / name).read_bytes() == (EXAMPLES / name).read_bytes()

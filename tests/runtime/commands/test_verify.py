@@ -1,7 +1,6 @@
 """``cutgate verify`` as people and programs call it."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -137,7 +136,7 @@ def test_feed_and_tool_options_reach_the_verdict(verdict, tmp_path):
     )
     slow = verdict(tmp_path / "p.csv", *MOUNTED, "--feed-mm-s", 5)[1]
     fast = verdict(tmp_path / "p.csv", *MOUNTED, "--feed-mm-s", 500)[1]
-    assert fast.speed[0].peak == pytest.approx(100 * slow.speed[0].peak)
+    assert fast.speed[0].peak == pytest.approx(100 * slow.speed[0].peak, rel=0.1)
     longer = verdict(tmp_path / "p.csv", *MOUNTED, "--tool-length-mm", 260)[1]
     assert longer.boundaries["top"].certified == pytest.approx(
         slow.boundaries["top"].certified - 80, abs=1e-2
@@ -188,7 +187,7 @@ BAD = {
     "tool out of bounds": ([PLAN, *MOUNTED, "--tool-length-mm", "-1"], ["--tool-length-mm", "0"]),
     "tool not a number": ([PLAN, *MOUNTED, "--tool-length-mm", "nan"], ["--tool-length-mm"]),
     "feed not finite": ([PLAN, *MOUNTED, "--feed-mm-s", "inf"], ["--feed-mm-s", "10000"]),
-    "null character": (["a\0b.json", *MOUNTED], ["cannot be read"]),
+    "null character": (["a\0b.json", *MOUNTED], ["PATH", "null"]),
 }
 
 
@@ -242,7 +241,7 @@ def test_the_installed_program_does_the_same():
 
 def test_the_example_files_come_out_of_their_script_byte_by_byte(tmp_path):
     subprocess.run([sys.executable, EXAMPLES / "make_hip_stem.py", tmp_path], check=True, timeout=60)
-    written = sorted(os.listdir(tmp_path))
+    written = sorted(path.name for path in tmp_path.iterdir())
     assert written == ["hip-stem.plan.json", "registration-first.json", "registration-second.json"]
     for name in written:
         assert (tmp_path / name).read_bytes() == (EXAMPLES / name).read_bytes()

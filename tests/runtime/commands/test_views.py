@@ -1,0 +1,125 @@
+"""What people see of a verdict, and the sign of life while work is going on."""
+
+import io
+import threading
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from runtime.commands import screen
+from runtime.commands.verdict_view import print_verdict
+from runtime.verification.guidance import Guidance, Move
+from tests.runtime.verification.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
+
+
+def printed(verdict=VERDICT, guidance=None) -> str:
+    out = io.StringIO()
+    print_verdict(Console(file=out, width=100, no_color=True), verdict, guidance, DIGESTS, {"plan": "p"})
+    return out.getvalue()
+
+
+def first_line(verdict) -> str:
+    return printed(verdict).splitlines()[0]
+
+
+def test_an_admissible_path_names_its_tightest_boundary_across_units():
+    near = replace(GOOD, name="roll_max", unit="deg", certified=2.5, deadband=2.0)
+    verdict = replace(
+        VERDICT, admissible=True, boundaries={"outer": GOOD, "roll_max": near}, speed=(), reasons=()
+    )
+    assert first_line(verdict).startswith(
+        "ADMISSIBLE: the whole path keeps every deadband; tightest is roll_max, 2.500 deg"
+    )
+    assert "Reasons" not in printed(verdict)
+
+
+def test_an_admissible_verdict_without_any_boundary_is_still_said():
+    assert (
+        first_line(replace(VERDICT, admissible=True, boundaries={}))
+        == "ADMISSIBLE: the whole path keeps every deadband"
+    )
+
+
+def test_an_inadmissible_path_names_known_shortfalls_before_what_is_undefined():
+    short = replace(GOOD, certified=4.0, violated=True)
+    fast = replace(VERDICT.speed[1], joint=1, peak=7.0)
+    verdict = replace(
+        VERDICT, boundaries={**VERDICT.boundaries, "outer": short}, speed=(*VERDICT.speed, fast)
+    )
+    said = "INADMISSIBLE: outer short by 1.000 mm; joint 3 too fast; joint 1 too fast; undefined: roll_min"
+    assert printed(verdict).split("\n\n")[0].split() == said.split()
+
+
+def test_a_path_refused_for_another_reason_points_to_the_reasons():
+    verdict = replace(VERDICT, boundaries={"outer": GOOD}, speed=())
+    assert first_line(verdict) == "INADMISSIBLE: see the reasons below"
+    assert "roll_min is undefined" in printed(verdict)
+
+
+def test_guidance_shows_the_combined_move_and_each_boundarys_own():
+    text = printed(guidance=GUIDANCE)
+    assert "x -3.5  y +0.2  z +0.0 mm (3.5 mm): verified, smallest clearance then 6.50 mm" in text
+    assert "outer: move by 3.500 mm along (-1.00, +0.00, +0.00)" in text
+    assert "roll_min: turn by 2.500 deg about the axis (+0.00, +0.00, +1.00)" in text
+
+
+def test_an_unverified_move_is_never_shown_as_verified():
+    text = printed(
+        guidance=replace(GUIDANCE, verified=False, yaw_deg=1.5, predicted_clearance_mm=None, moves=())
+    )
+    assert "turn it by +1.50 deg about the vertical: not verified" in " ".join(text.split())
+    assert "smallest clearance" not in text
+    assert "hint" not in text
+
+
+def test_no_translation_helps_is_an_answer():
+    guidance = Guidance(
+        None, 0.0, (0.0, 0.0, 0.0), (Move("outer", "move", (1, 0, 0), distance_mm=1),), None, False, ""
+    )
+    text = printed(guidance=guidance)
+    assert "No translation of the bone cures this path." in text
+    assert "verified" not in text.split("For each")[0]
+
+
+def test_a_path_without_a_joint_branch_says_so():
+    assert "joint branch" in printed(replace(VERDICT, branch=None))
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(screen, "PATIENCE_S", 0.0)
+
+
+def wait_for(condition):
+    for _ in range(5000):
+        if condition():
+            return
+        threading.Event().wait(0.002)
+    raise AssertionError("did not happen")
+
+
+def test_long_work_is_announced_on_standard_error(impatient, capsys):
+    heard = []
+    with screen.working("doing it"):
+        wait_for(lambda: heard.append(capsys.readouterr().err) or "doing it ..." in "".join(heard))
+
+
+def test_short_work_is_silent(capsys):
+    with screen.working("doing it"):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_on_a_terminal_long_work_shows_a_spinner_that_goes_away(impatient, monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(screen, "messages", lambda: Console(file=out, force_terminal=True, width=80))
+    with screen.working("doing it"):
+        wait_for(lambda: "doing it" in out.getvalue())
+    assert "\x1b[2K" in out.getvalue()
+
+
+def test_colours_are_only_for_terminals(monkeypatch):
+    for terminal in (True, False):
+        monkeypatch.setattr("sys.stdout.isatty", lambda terminal=terminal: terminal)
+        assert screen.output().no_color is not terminal

@@ -14,7 +14,6 @@ from runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
 from runtime.verification.enclosures import (
     COLUMNS,
     OUTER,
-    RIGHT,
     ROLL_MIN,
     SPEED,
     Scope,
@@ -31,7 +30,7 @@ Bools = NDArray[np.bool_]
 SMALLEST = 2.0**-40
 """No interval is split below this part of its segment."""
 
-COARSE = 2.0**-4
+COARSE = 2.0**-10
 """Where the arm or the singularity has lost its deadband the wrist is not followed finer than this."""
 
 
@@ -60,7 +59,7 @@ class Survey:
         segment: where ``attained`` was found.
         fraction: place in that segment.
         evaluations: intervals bounded.
-        budget: intervals allowed.
+        budget: at most as many could have been.
     """
 
     attained: Floats
@@ -72,7 +71,7 @@ class Survey:
 
 
 def budget(segments: int) -> int:
-    """Intervals that a survey may look at before it gives up, undecided."""
+    """Intervals that a survey may look at before it splits no more and leaves the rest undecided."""
     return 64 * segments + 200_000
 
 
@@ -112,6 +111,9 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
     while True:
         if stack:
             parts = _pop(stack)
+            if spent > allowed:  # undecided: what the parents proved must do
+                certified = np.minimum(certified, parts.bound.min(axis=0))
+                continue
         elif (start := next(roots, None)) is not None:
             parts = chain.intervals(start, min(start + BLOCK, len(chain)), COLUMNS)
         else:
@@ -133,7 +135,9 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
             place = children.s0[len(rows) :]
             best.offer(0, attained(geometry, scope, middle), children.segment[: len(rows)], place)
             stack.append(children)
-    return Survey(best.value, np.minimum(certified, best.value), best.segment, best.fraction, spent, allowed)
+    bound = np.minimum(certified, best.value)
+    most = allowed + len(chain) + 4 * BLOCK
+    return Survey(best.value, bound, best.segment, best.fraction, spent, most)
 
 
 def _pop(stack: list[Intervals]) -> Intervals:
@@ -155,11 +159,12 @@ def _open(geometry: Geometry, parts: Intervals, bounds: Floats, best: Floats, ai
     """Which intervals must be split: the bound is too far below, or a deadband is not yet decided."""
     straddles = (bounds < aim.target) & (best >= aim.target) & (bounds < best - aim.fine)
     wanting = (bounds < best - aim.gap) | straddles
-    wanting[:, : RIGHT + 1] &= best[: RIGHT + 1] >= 0.0  # outside the reach no bracket is asked for
+    if (best[:ROLL_MIN] < 0.0).any():  # outside the reach no bracket is asked for
+        within: Bools = (bounds[:, :ROLL_MIN] >= 0.0).all(axis=1)
+        wanting[:, :ROLL_MIN] &= within[:, None]
     width = parts.s1 - parts.s0
-    followed = _keeps(geometry, parts.a) & _keeps(geometry, parts.b)
-    reached = parts.a.inside & parts.b.inside & (width > COARSE)
-    wanting[:, ROLL_MIN:] &= (followed | reached)[:, None]
+    followed = (width > COARSE) | (_keeps(geometry, parts.a) & _keeps(geometry, parts.b))
+    wanting[:, ROLL_MIN:] &= (parts.a.inside & parts.b.inside & followed)[:, None]
     out: Bools = wanting.any(axis=1) & (width > SMALLEST)
     return out
 

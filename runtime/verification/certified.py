@@ -79,7 +79,7 @@ def verify(problem: Problem) -> Verdict:
         return _refused(problem, wrong)
     geometry, segments = canonical(problem)
     chain = build(geometry, segments)
-    limits = extremes(geometry, segments, chain.points)
+    limits = extremes(geometry, segments, chain.poses)
     return _Verification(problem, geometry, segments, chain, limits).verdict()
 
 

@@ -91,6 +91,13 @@ class Chain:
     def __len__(self) -> int:
         return len(self.segment)
 
+    @property
+    def poses(self) -> Points:
+        """The programmed poses alone, without the places where segments were split."""
+        if len(self) == self.segment[-1] + 1:
+            return self.points
+        return self.points.take(np.append(np.flatnonzero(self.s0 == 0.0), len(self)))
+
     def intervals(self, start: int, stop: int, columns: int) -> Intervals:
         """A block of the chain."""
         return Intervals(

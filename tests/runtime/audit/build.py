@@ -1,0 +1,308 @@
+"""Builders for tests: whole session logs on real inputs, a disk that can be made to misbehave, and forgeries."""
+
+import json
+import os
+import select
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from threading import Event as ThreadEvent
+from typing import Any
+
+from config.load import Loaded, robot_from_bytes
+from config.model import Robot
+from config.records import calibration_record, limits_record, tool_record
+from runtime.audit import names, records
+from runtime.audit.disk import Reservation, SystemDisk
+from runtime.audit.inspect import read_log
+from runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
+from runtime.audit.scan import scan
+from runtime.audit.writer import LogWriter
+from runtime.plan.load import plan_from_bytes, registration_from_bytes
+from runtime.plan.prepare import prepare, with_branch
+from runtime.verification import certified
+from runtime.verification.document import Digests, verdict_document
+from runtime.verification.recorded import problem_from_records
+
+VERIFIER = "cutgate 0.1.0"
+OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))
+LOG_ID = "0123456789abcdef0123456789abcdef"
+PATIENCE_S = 30.0
+ROBOT = Path("config/presets/example.toml")
+MODELS = {model.TOPIC: model for model in records.MODELS}
+
+
+class Ticking:
+    """Two clocks that go on by a millisecond whenever one is read."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000_000_000
+
+    def monotonic_ns(self) -> int:
+        self.now_ns += 1_000_000
+        return self.now_ns
+
+    def utc_ns(self) -> int:
+        return 1_790_000_000_000_000_000 + self.monotonic_ns()
+
+    def clock(self) -> Clock:
+        return Clock(utc_ns=self.utc_ns, monotonic_ns=self.monotonic_ns)
+
+
+@dataclass
+class WatchedDisk(SystemDisk):
+    """The real disk, with its operations counted, and trouble where a test wants it.
+
+    ``trouble`` is asked before each operation with its name and how often it was done before; it may raise.
+    ``hung`` lists operations that do not return before ``release``.
+    """
+
+    trouble: Callable[[str, int], None] = lambda _operation, _count: None
+    hung: set[str] = field(default_factory=set)
+    counts: dict[str, int] = field(default_factory=dict)
+    synced: dict[int, int] = field(default_factory=dict)
+    short: int | None = None
+    released: ThreadEvent = field(default_factory=ThreadEvent)
+
+    def _before(self, operation: str) -> None:
+        count = self.counts.get(operation, 0)
+        self.counts[operation] = count + 1
+        if operation in self.hung:
+            self.released.wait()
+            raise OSError(5, "released")
+        self.trouble(operation, count)
+
+    def write(self, descriptor: int, data: memoryview) -> int:
+        self._before("write")
+        return super().write(descriptor, data[: self.short])
+
+    def sync(self, descriptor: int) -> None:
+        self._before("sync")
+        super().sync(descriptor)
+        self.synced[descriptor] = os.fstat(descriptor).st_size
+
+    def reserve(self, descriptor: int, path: Path, size: int) -> Reservation:
+        self._before("reserve")
+        return super().reserve(descriptor, path, size)
+
+    def trim(self, descriptor: int) -> None:
+        self._before("trim")
+        super().trim(descriptor)
+
+    def replace(self, path: Path, data: bytes) -> None:
+        self._before("replace")
+        super().replace(path, data)
+
+
+@contextmanager
+def hanging(disk: WatchedDisk, *operations: str) -> Iterator[None]:
+    """These operations do not return while the block runs."""
+    disk.hung.update(operations)
+    try:
+        yield
+    finally:
+        disk.hung.clear()
+        disk.released.set()
+
+
+def wait_for(log: AuditLog, wanted: Callable[[Any], bool]) -> Any:
+    """The first event like this; fails if it does not come."""
+    while True:
+        ready, _, _ = select.select([log.fileno()], [], [], PATIENCE_S)
+        assert ready, "the event did not come"
+        for event in log.events():
+            if wanted(event):
+                return event
+
+
+def decision(number: int, **changes: Any) -> records.Decision:
+    values = {
+        "sequence": number,
+        "event": "Tick",
+        "from_state": "a",
+        "to_state": "b",
+        "disposition": "decided",
+    }
+    return records.Decision(**(values | changes))
+
+
+def small_log(directory: Path, *, decisions: int = 3, **options: Any) -> Paths:
+    """A short log of made-up records, closed in order."""
+    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, **({"clock": Ticking().clock()} | options))
+    log.attach("plan.csv", "text/csv", b"x,y,z\n" * 20)
+    for number in range(decisions):
+        log.write(records.Operator(word="start", accepted=True))
+        log.raw_frame(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
+        log.write(decision(number))
+    return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
+
+
+# ---------------------------------------------------------------- a session on real inputs
+
+
+@dataclass(frozen=True)
+class Inputs:
+    robot: Loaded[Robot]
+    plan: bytes
+    registration: bytes
+    path: bytes
+    limits: bytes
+    calibration: bytes
+    tool: bytes
+
+
+@cache
+def inputs(bone_x_mm: float = 500.0) -> Inputs:
+    """A short plan with a tilted tool, registered so far from the column; 500 is admissible, 850 is not."""
+    data = ROBOT.read_bytes()
+    robot = robot_from_bytes(ROBOT, data)
+    rows = [f"{2 * i},{i},{-i},0.5,0,0.8660254" for i in range(6)]
+    plan = ("x,y,z,i,j,k\n" + "\n".join(rows) + "\n").encode()
+    matrix = [[1, 0, 0, bone_x_mm], [0, 1, 0, 50], [0, 0, 1, 120], [0, 0, 0, 1]]
+    registration = json.dumps(
+        {
+            "schema": "cutgate.registration/1",
+            "id": "test",
+            "R_T_CT": matrix,
+            "residual_rms_mm": 0.2,
+            "created_utc": "2026-01-01T00:00:00Z",
+        }
+    ).encode()
+    prepared = prepare(
+        Loaded(plan_from_bytes(Path("plan.csv"), plan), plan, Path("plan.csv")),
+        Loaded(
+            registration_from_bytes(Path("registration.json"), registration),
+            registration,
+            Path("registration.json"),
+        ),
+        robot,
+        now=datetime(2026, 9, 1, tzinfo=UTC),
+    )
+    return Inputs(
+        Loaded(robot, data, ROBOT),
+        plan,
+        registration,
+        with_branch(prepared.path, 0, 0).body(),
+        limits_record(robot).body(),
+        calibration_record(robot).body(),
+        tool_record(robot).body(),
+    )
+
+
+@cache
+def verdict_of(given: float = 500.0) -> str:
+    """The verdict document of these inputs, as JSON text."""
+    i = inputs(given)
+    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    document = verdict_document(
+        certified.verify(problem),
+        poses=6,
+        guidance=None,
+        digests=Digests(
+            *(sha256(part).digest() for part in (i.path, i.limits, i.calibration, i.registration))
+        ),
+        elapsed_ms=1.25,
+    )
+    return json.dumps(document)
+
+
+def permit_record(given: float, kind: str, stage: str, **changes: Any) -> records.Permit:
+    i = inputs(given)
+    digests = {
+        f"{name}_sha256": sha256(getattr(i, name)).hexdigest()
+        for name in ("path", "limits", "calibration", "tool", "registration")
+    }
+    values = {"kind": kind, "stage": stage, "token": 1 if kind == "permit" else 2}
+    return records.Permit(**(values | (digests if kind == "permit" else {}) | changes))
+
+
+def session_log(directory: Path, bone_x_mm: float = 500.0, *, disk: SystemDisk | None = None) -> Paths:
+    """A log as a session writes it: admitted, cut and closed, or refused."""
+    i = inputs(bone_x_mm)
+    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock(), disk=disk)
+    for name, data in (
+        (names.ROBOT, i.robot.data),
+        ("plan.csv", i.plan),
+        ("registration.json", i.registration),
+        (names.PATH, i.path),
+        (names.LIMITS, i.limits),
+        (names.CALIBRATION, i.calibration),
+        (names.TOOL, i.tool),
+    ):
+        log.attach(name, "application/octet-stream", data)
+    document = json.loads(verdict_of(bone_x_mm))
+    log.write(
+        records.Verdict.of(document, verifier=VERIFIER, tool_sha256=sha256(i.tool).hexdigest(), reason="")
+    )
+    for boundary in records.boundaries_of(document):
+        log.write(boundary)
+    admitted = document["verdict"] == "admissible"
+    log.write(decision(1, event=f"verdict {document['verdict']}", from_state="verifying"))
+    if admitted:
+        _enable(log, bone_x_mm)
+    return log.close(
+        final_state="done" if admitted else "refused",
+        verdict=document["verdict"],
+        clean=True,
+        timeout_s=PATIENCE_S,
+    )
+
+
+def _enable(log: AuditLog, given: float) -> None:
+    stands = records.PermissiveValue(
+        name="verdict", holds=True, text="admissible", bound="admissible", remedy=""
+    )
+    for token, kind in ((1, "permit"), (2, "start")):
+        log.write(permit_record(given, kind, "authorised"))
+        log.write(
+            decision(2 * token, event=f"authorise {kind}", disposition="authorised", permissives=(stands,))
+        )
+        log.commit(token)
+        log.write(permit_record(given, kind, "sent"))
+        log.write(decision(2 * token + 1, event="RecordDurable", disposition="sent", permissives=(stands,)))
+        log.write(permit_record(given, kind, "acknowledged"))
+
+
+Edit = Callable[[records.Record], "records.Record | None"]
+
+
+def forge(
+    data: bytes,
+    edit: Edit = lambda record: record,
+    attachments: Callable[[str, bytes], bytes | None] = lambda _name, data: data,
+) -> bytes:
+    """The log written again with changed records and attachments, every digest, link and count made to fit."""
+    old = scan(data)
+    log = read_log(data)
+    writer = LogWriter(log.report.log_id, {"software": old.metadata[0].metadata["software"]})
+    changed = [(entry, attachments(entry.name, entry.data)) for entry in old.attachments]
+    kept = {entry.name: content for entry, content in changed if content is not None}
+    for entry, content in changed:
+        if content is not None:
+            writer.attach(entry.name, entry.media_type, content, log_time_ns=entry.log_time)
+    for message in old.messages:
+        record: records.Record | None = MODELS[message.topic].model_validate_json(message.link.data)
+        if isinstance(record, records.Attachment):
+            record = _digest_again(record, kept)
+        record = record and edit(record)
+        if isinstance(record, records.Close):
+            record = record.model_copy(update={"message_count": writer.count + 1})
+        if record is not None:
+            writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=_monotonic(record))
+    writer.finish()
+    return writer.take()
+
+
+def _digest_again(record: records.Attachment, kept: dict[str, bytes]) -> records.Attachment | None:
+    if record.name not in kept:
+        return None
+    content = kept[record.name]
+    return record.model_copy(update={"sha256": sha256(content).hexdigest(), "size": len(content)})
+
+
+def _monotonic(record: records.Record) -> int:
+    return record.monotonic.nanoseconds if isinstance(record, records.AuditRecord) else 0

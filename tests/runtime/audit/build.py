@@ -66,12 +66,14 @@ class WatchedDisk(SystemDisk):
     counts: dict[str, int] = field(default_factory=dict)
     synced: dict[int, int] = field(default_factory=dict)
     short: int | None = None
+    entered: ThreadEvent = field(default_factory=ThreadEvent)
     released: ThreadEvent = field(default_factory=ThreadEvent)
 
     def _before(self, operation: str) -> None:
         count = self.counts.get(operation, 0)
         self.counts[operation] = count + 1
         if operation in self.hung:
+            self.entered.set()
             self.released.wait()
             raise OSError(5, "released")
         self.trouble(operation, count)
@@ -100,10 +102,11 @@ class WatchedDisk(SystemDisk):
 
 @contextmanager
 def hanging(disk: WatchedDisk, *operations: str) -> Iterator[None]:
-    """These operations do not return while the block runs."""
+    """These operations do not return while the block runs; one of them is begun before it ends."""
     disk.hung.update(operations)
     try:
         yield
+        assert disk.entered.wait(PATIENCE_S), "no such operation was begun"
     finally:
         disk.hung.clear()
         disk.released.set()

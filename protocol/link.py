@@ -41,11 +41,19 @@ PERIODS_MIN = 3
 
 @dataclass(frozen=True)
 class Accepted:
-    """A frame that may be acted on."""
+    """A frame that may be acted on.
+
+    Attributes:
+        frame: what was sent.
+        counter: its counter.
+        lost: how many frames are missing before it.
+        fresh: False for a heartbeat that answers nothing we sent within the time-out: it enables nothing.
+    """
 
     frame: Frame
     counter: int
     lost: int = 0
+    fresh: bool = True
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,7 @@ class Statistics:
     stale_heartbeats: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointSample:
     """Measured joints of one counter value, (rad, rad, mm, rad, rad), and when the last part came."""
 
@@ -250,8 +258,7 @@ class Link:
         except FrameError as error:
             return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
         self._count(accepted=1, losses=lost)
-        self._note(can_id, frame, data[2], now_s)
-        return Accepted(frame, data[2], lost)
+        return Accepted(frame, data[2], lost, fresh=self._note(can_id, frame, data[2], now_s))
 
     def _corrupt(self, can_id: int, now_s: float) -> Outcome:
         self._count(crc_failures=1)
@@ -261,24 +268,26 @@ class Link:
             StopCause.CORRUPTION, f"{can_id:#05x} corrupted, more than the tolerated number in a second"
         )
 
-    def _note(self, can_id: int, frame: Frame, counter: int, now_s: float) -> None:
-        """Remember what an accepted frame says about age and joints."""
+    def _note(self, can_id: int, frame: Frame, counter: int, now_s: float) -> bool:
+        """Remember what an accepted frame says about age and joints; whether it is fresh."""
         if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
             self._peer_counter = counter
-            self._age(frame.echo, now_s)
-        elif isinstance(frame, Joints01 | Joints23 | Joint4):
+            return self._refresh(frame.echo, now_s)
+        if isinstance(frame, Joints01 | Joints23 | Joint4):
             self._parts[can_id] = (counter, frame)
             self._complete(counter, now_s)
+        return True
 
-    def _age(self, echo: int, now_s: float) -> None:
+    def _refresh(self, echo: int, now_s: float) -> bool:
         """Refresh only for an echo of a heartbeat that we sent no longer than the time-out ago."""
         none_yet = echo == ECHO_NONE and not self._heard
         sent_s = None if none_yet else self._sent_s.get(echo)
         if sent_s is not None and 0.0 <= now_s - sent_s <= self.timeout_s:
             self._heard = True
             self._refreshed_s = now_s
-        else:
-            self._count(stale_heartbeats=1)
+            return True
+        self._count(stale_heartbeats=1)
+        return False
 
     def _complete(self, counter: int, now_s: float) -> None:
         """Keep the sample once all three parts of one counter are here."""

@@ -20,7 +20,7 @@ TIMEOUT_S = 1.0
 
 _NEVER_MS = 2**31 - 1
 _LOGGER = "cutgate.isotp"
-_FLOW_CONTROL, _CONTINUE = 0x3, 0x0
+_FIRST_FRAME, _FLOW_CONTROL, _CONTINUE = 0x1, 0x3, 0x0
 
 _SENDING_ENDED = (isotp.OverflowError, isotp.UnsupportedWaitFrameError, isotp.MaximumWaitFrameReachedError)
 _RECEPTION_ENDED = (
@@ -45,6 +45,12 @@ class TransferError:
 
     reason: str
     lost: bool
+
+
+def _announces_a_record(data: bytes) -> bool:
+    """Whether a first frame's length needs more than one frame, in the shortest form of length there is."""
+    short = (data[0] & 0xF) << 8 | data[1]
+    return short >= FRAME_BYTES or (short == 0 and int.from_bytes(data[2:6], "big") > PAYLOAD_BYTES_MAX)
 
 
 @dataclass(frozen=True)
@@ -151,6 +157,9 @@ class Transfer:
                 )
             )
             self._stop_sending()
+            return
+        if data[0] >> 4 == _FIRST_FRAME and not _announces_a_record(data):
+            self._errors.append(TransferError("first frame announces a length that needs none", lost=False))
             return
         self._inbox.append(isotp.CanMessage(arbitration_id=self.rx_id, data=data))
         self._run()

@@ -1,0 +1,467 @@
+"""One side's single frames: age, counters, session, second node, stop."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.e2e import protect
+from protocol.frames import (
+    DATA_IDS,
+    FRAMES,
+    IDS,
+    SENT_BY,
+    ControllerFault,
+    ControllerHeartbeat,
+    FrameError,
+    Joints01,
+    Progress,
+    RuntimeHeartbeat,
+    RuntimeStop,
+    encode_frame,
+    joint_frames,
+)
+from protocol.link import (
+    Accepted,
+    Discarded,
+    ForTransfer,
+    Link,
+    Outcome,
+    Unlisted,
+    Violation,
+)
+from protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
+from protocol.wire import Channel, Side
+
+TAG = 0xC0FFEE
+TIMEOUT_S = 0.1
+PERIOD_S = 0.02
+
+CUT = RuntimeHeartbeat(RuntimeCode.CUT, 3)
+CUTTING = ControllerHeartbeat(ControllerState.CUTTING, 3, StopCause.NONE, True, True, True)
+BEATS = {Side.RUNTIME: CUT, Side.CONTROLLER: CUTTING}
+
+
+def link(side: Side = Side.CONTROLLER, now_s: float = 0.0) -> Link:
+    made = Link(side, TIMEOUT_S, PERIOD_S)
+    made.open(TAG, now_s)
+    return made
+
+
+def pair() -> tuple[Link, Link]:
+    """The runtime's and the controller's link."""
+    return link(Side.RUNTIME), link(Side.CONTROLLER)
+
+
+def deliver(sender: Link, receiver: Link, frame, now_s: float) -> Outcome:
+    return receiver.receive(*sender.encode(frame, now_s), now_s=now_s)
+
+
+def exchange(runtime: Link, controller: Link, turns: int, start_s: float = 0.0) -> float:
+    """Both sides beat once a period; the time of the last beat."""
+    now_s = start_s
+    for _ in range(turns):
+        now_s += PERIOD_S
+        deliver(runtime, controller, CUT, now_s)
+        deliver(controller, runtime, CUTTING, now_s)
+    return now_s
+
+
+# ------------------------------------------------------------------ opening
+
+
+@pytest.mark.parametrize(
+    ("timeout_s", "heartbeat_s"),
+    [(0.1, 0.0), (0.1, 0.04), (0.1, -1.0), (6.0, 0.02), (math.nan, 0.02), (0.1, math.nan), (math.inf, 0.02)],
+)
+def test_timing_that_cannot_show_age_is_refused(timeout_s: float, heartbeat_s: float):
+    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
+        Link(Side.RUNTIME, timeout_s, heartbeat_s)
+
+
+@pytest.mark.parametrize("tag", [0, -1, 1 << 32])
+def test_session_needs_a_tag(tag: int):
+    with pytest.raises(ValueError, match="session tag"):
+        Link(Side.RUNTIME, TIMEOUT_S, PERIOD_S).open(tag, 0.0)
+
+
+def test_opening_begins_anew():
+    runtime, controller = pair()
+    exchange(runtime, controller, 5)
+    controller.open(TAG, 1.0)
+    assert controller.statistics == link().statistics
+    assert not controller.fresh(1.0)
+    assert controller.encode(CUTTING, 1.0)[1][2] == 0
+    assert controller.encode(CUTTING, 1.0)[1][5] == 255
+
+
+def test_closed_link_accepts_nothing_and_expires_nothing():
+    runtime, controller = pair()
+    exchange(runtime, controller, 5)
+    controller.close()
+    assert not controller.is_open
+    for frame in (CUT, RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP)):
+        assert deliver(runtime, controller, frame, 0.2) == Discarded("no session")
+    assert not controller.fresh(0.2)
+    assert controller.expire(1e9) is None
+    assert controller.sample is None
+
+
+# ------------------------------------------------------------------ identifiers
+
+
+@pytest.mark.parametrize("side", Side)
+@pytest.mark.parametrize("opened", [True, False])
+def test_whole_identifier_space(side: Side, opened: bool):
+    listed = SENT_BY[Side.RUNTIME] | SENT_BY[Side.CONTROLLER]
+    watched = link(side)
+    if not opened:
+        watched.close()
+    for can_id in range(0x800):
+        outcome = watched.receive(can_id, bytes(8), now_s=0.0)
+        if can_id not in listed:
+            assert outcome == Unlisted()
+        elif can_id in SENT_BY[side]:
+            assert isinstance(outcome, Violation)
+            assert outcome.cause is StopCause.SECOND_NODE
+        elif can_id not in FRAMES:
+            assert isinstance(outcome, ForTransfer)
+        elif not opened:
+            assert isinstance(outcome, Discarded)
+
+
+@pytest.mark.parametrize("side", Side)
+def test_second_node_is_seen_whatever_its_frame(side: Side):
+    for flags in ({}, {"is_remote": True}, {"is_fd": True}):
+        for can_id in SENT_BY[side]:
+            outcome = link(side).receive(can_id, b"", **flags, now_s=0.0)
+            assert isinstance(outcome, Violation)
+            assert outcome.cause is StopCause.SECOND_NODE
+
+
+def test_extended_identifiers_are_not_ours():
+    for can_id in SENT_BY[Side.RUNTIME] | SENT_BY[Side.CONTROLLER]:
+        assert link().receive(can_id, bytes(8), is_extended=True, now_s=0.0) == Unlisted()
+
+
+def test_error_frames_are_discarded():
+    assert isinstance(link().receive(0x011, b"", is_error=True, now_s=0.0), Discarded)
+
+
+@pytest.mark.parametrize(("can_id", "channel"), [(0x600, Channel.CONTROL), (0x640, Channel.BULK)])
+def test_transfer_frames_go_to_their_channel(can_id: int, channel: Channel):
+    assert link().receive(can_id, bytes(8), now_s=0.0) == ForTransfer(channel)
+    assert isinstance(link().receive(can_id, bytes(7), now_s=0.0), Discarded)
+    assert isinstance(link().receive(can_id, bytes(8), is_fd=True, now_s=0.0), Discarded)
+    assert isinstance(link().receive(can_id, bytes(8), is_remote=True, now_s=0.0), Discarded)
+
+
+@pytest.mark.parametrize("side", Side)
+def test_frames_of_the_other_side_are_never_sent(side: Side):
+    with pytest.raises(FrameError, match="never sent by"):
+        link(side).encode(BEATS[side.peer], 0.0)
+
+
+# ------------------------------------------------------------------ counters and protection
+
+
+def test_losses_up_to_three_steps_are_counted_and_more_is_a_violation():
+    for lost, accepted in ((0, True), (1, True), (2, True), (3, False), (200, False)):
+        runtime, controller = pair()
+        deliver(runtime, controller, CUT, 0.0)
+        for _ in range(lost):
+            runtime.encode(CUT, 0.0)
+        outcome = deliver(runtime, controller, CUT, 0.0)
+        if accepted:
+            assert isinstance(outcome, Accepted)
+            assert (outcome.lost, controller.statistics.losses) == (lost, lost)
+        else:
+            assert isinstance(outcome, Violation)
+            assert outcome.cause is StopCause.SEQUENCE_ERROR
+
+
+def test_repetition_is_discarded_and_refreshes_nothing():
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 5)
+    frame = runtime.encode(CUT, now_s)
+    assert isinstance(controller.receive(*frame, now_s=now_s), Accepted)
+    for _ in range(10):
+        now_s += PERIOD_S
+        assert isinstance(controller.receive(*frame, now_s=now_s), Discarded)
+    assert controller.statistics.repetitions == 10
+    assert controller.expire(now_s) is StopCause.HEARTBEAT_LOST
+
+
+def test_same_counter_with_other_content_is_a_violation():
+    controller = link()
+    for frame, kind in ((CUT, Accepted), (replace(CUT, epoch=4), Violation)):
+        assert isinstance(controller.receive(*encode_frame(frame, 0, TAG), now_s=0.0), kind)
+
+
+@given(st.integers(0, 63), st.sampled_from([0x080]))
+def test_one_flipped_bit_is_discarded_and_counted(bit: int, can_id: int):
+    runtime, controller = pair()
+    _, data = runtime.encode(CUT, 0.0)
+    damaged = bytearray(data)
+    damaged[bit // 8] ^= 1 << bit % 8
+    assert isinstance(controller.receive(can_id, bytes(damaged), now_s=0.0), Discarded)
+    assert controller.statistics.crc_failures == 1
+    assert isinstance(controller.receive(can_id, data, now_s=0.0), Accepted)
+
+
+def test_third_corruption_in_a_second_is_a_violation_over_all_identifiers():
+    runtime = link(Side.RUNTIME)
+    assert isinstance(runtime.receive(0x081, bytes(8), now_s=0.0), Discarded)
+    assert isinstance(runtime.receive(0x300, bytes(8), now_s=0.5), Discarded)
+    outcome = runtime.receive(0x010, bytes(8), now_s=1.0)
+    assert isinstance(outcome, Violation)
+    assert outcome.cause is StopCause.CORRUPTION
+
+
+def test_two_corruptions_a_second_are_tolerated_for_ever():
+    runtime = link(Side.RUNTIME)
+    for at in range(50):
+        assert isinstance(runtime.receive(0x081, bytes(8), now_s=0.6 * at), Discarded)
+
+
+@pytest.mark.parametrize("flags", [{"is_remote": True}, {"is_fd": True}])
+def test_frame_of_another_kind_counts_as_corrupt(flags: dict[str, bool]):
+    runtime, controller = pair()
+    can_id, data = runtime.encode(CUT, 0.0)
+    assert isinstance(controller.receive(can_id, data, **flags, now_s=0.0), Discarded)
+    assert controller.statistics.crc_failures == 1
+
+
+def test_frame_of_another_session_counts_as_corrupt():
+    controller = link()
+    controller.receive(*encode_frame(CUT, 0, TAG + 1), now_s=0.0)
+    assert controller.statistics.crc_failures == 1
+
+
+def test_frame_sent_outside_any_session_is_discarded_and_never_accepted():
+    controller = link()
+    for counter in range(10):
+        outcome = controller.receive(*encode_frame(CUT, counter, 0), now_s=0.0)
+        assert isinstance(outcome, Discarded)
+        assert "outside the session" in outcome.reason
+    assert controller.statistics.outside_session == 10
+    assert not controller.fresh(0.0)
+
+
+def test_frame_under_another_identifier_is_corrupt():
+    controller, runtime = link(), link(Side.RUNTIME)
+    _, data = controller.encode(Progress(1, 2), 0.0)
+    assert isinstance(runtime.receive(IDS[Joints01], data, now_s=0.0), Discarded)
+    assert runtime.statistics.crc_failures == 1
+
+
+def test_sound_frame_with_unlisted_content_is_a_violation():
+    data = protect(b"\x54\x55\xff\x03\x00", 0, DATA_IDS[0x080], TAG)
+    outcome = link().receive(0x080, data, now_s=0.0)
+    assert isinstance(outcome, Violation)
+    assert outcome.cause is StopCause.PROTOCOL_VIOLATION
+    assert "0x5554" in outcome.detail
+
+
+@pytest.mark.parametrize(
+    "frame", [Progress(7, 8), ControllerFault(FaultCode.LATCHED, StopCause.SECOND_NODE, 9)]
+)
+def test_progress_and_fault_are_accepted_and_refresh_nothing(frame):
+    runtime, controller = pair()
+    assert deliver(controller, runtime, frame, 0.0) == Accepted(frame, 0)
+    assert not runtime.fresh(0.0)
+
+
+def test_each_message_has_its_own_counter():
+    controller = link()
+    assert controller.encode(CUTTING, 0.0)[1][2] == 0
+    assert controller.encode(Progress(0, 0), 0.0)[1][2] == 0
+    assert controller.encode(CUTTING, 0.0)[1][2] == 1
+    assert controller.encode(ControllerFault(FaultCode.STOPPED, StopCause.BONE_MOVED), 0.0)[1][2] == 0
+
+
+def test_counter_rolls_over():
+    runtime, controller = pair()
+    exchange(runtime, controller, 600)
+    assert controller.statistics.accepted == 600
+    assert controller.statistics.losses == controller.statistics.repetitions == 0
+    assert controller.statistics.stale_heartbeats == 1
+
+
+# ------------------------------------------------------------------ stop
+
+
+def test_stop_and_end_are_accepted_as_sent():
+    for code in StopCode:
+        runtime, controller = pair()
+        outcome = deliver(runtime, controller, RuntimeStop(code, StopCause.OPERATOR_STOP), 0.0)
+        assert outcome == Accepted(RuntimeStop(code, StopCause.OPERATOR_STOP), 0)
+
+
+@given(st.binary(max_size=64), st.booleans(), st.booleans())
+def test_anything_on_the_stop_identifier_stops(data: bytes, is_remote: bool, is_fd: bool):
+    outcome = link().receive(0x011, data, is_remote=is_remote, is_fd=is_fd, now_s=0.0)
+    assert isinstance(outcome, Accepted)
+    assert isinstance(outcome.frame, RuntimeStop)
+    assert outcome.frame.code is StopCode.STOP
+
+
+@given(st.integers(0, 63))
+def test_end_with_one_flipped_bit_is_a_stop(bit: int):
+    data = bytearray(link(Side.RUNTIME).encode(RuntimeStop(StopCode.END, StopCause.SESSION_ENDED), 0.0)[1])
+    data[bit // 8] ^= 1 << bit % 8
+    outcome = link().receive(0x011, bytes(data), now_s=0.0)
+    assert isinstance(outcome, Accepted)
+    assert outcome.frame == RuntimeStop(StopCode.STOP, StopCause.CORRUPTION)
+
+
+def test_sound_stop_frame_with_unlisted_code_is_a_stop():
+    data = protect(b"\x00\x00\x00\xff\x00", 0, DATA_IDS[0x011], TAG)
+    assert link().receive(0x011, data, now_s=0.0) == Accepted(
+        RuntimeStop(StopCode.STOP, StopCause.PROTOCOL_VIOLATION), 0
+    )
+
+
+def test_repeated_stop_stops_again():
+    runtime, controller = pair()
+    frame = runtime.encode(RuntimeStop(StopCode.STOP, StopCause.BONE_MOVED), 0.0)
+    for _ in range(3):
+        assert isinstance(controller.receive(*frame, now_s=0.0), Accepted)
+
+
+# ------------------------------------------------------------------ age
+
+
+def test_never_seen_is_stale():
+    assert not link().fresh(0.0)
+    assert link().expire(TIMEOUT_S) is None
+    assert link().expire(TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
+
+
+def test_answered_heartbeats_keep_the_link_fresh():
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 3)
+    for one in (runtime, controller):
+        assert one.fresh(now_s)
+        assert one.fresh(now_s + TIMEOUT_S)
+        assert not one.fresh(now_s + TIMEOUT_S + 1e-6)
+        assert one.expire(now_s + TIMEOUT_S) is None
+        assert one.expire(now_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
+
+
+def test_clock_that_runs_backward_or_is_nan_is_stale():
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 3)
+    for bad_s in (now_s - 0.01, math.nan):
+        assert not controller.fresh(bad_s)
+        assert controller.expire(bad_s) is StopCause.HEARTBEAT_LOST
+
+
+def test_heartbeat_that_answers_nothing_does_not_refresh():
+    runtime, controller = pair()
+    for at in range(10):
+        outcome = deliver(runtime, controller, CUT, at * PERIOD_S)
+        assert isinstance(outcome, Accepted)
+        assert not outcome.fresh
+    assert controller.statistics.stale_heartbeats == 10
+    assert not controller.fresh(10 * PERIOD_S)
+
+
+@pytest.mark.parametrize(("late_s", "fresh"), [(TIMEOUT_S, True), (TIMEOUT_S + 1e-6, False)])
+def test_answer_counts_only_if_we_sent_within_the_timeout(late_s: float, fresh: bool):
+    runtime, controller = pair()
+    runtime.receive(*controller.encode(CUTTING, 0.0), now_s=0.0)
+    answer = runtime.encode(CUT, 0.0)
+    outcome = controller.receive(*answer, now_s=late_s)
+    assert isinstance(outcome, Accepted)
+    assert outcome.fresh is fresh
+    assert controller.fresh(late_s) is fresh
+
+
+def test_26_queued_stale_heartbeats_do_not_refresh():
+    """The controller's reader pauses half a second, then finds 26 sound heartbeats at once."""
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 5)
+    queued = []
+    for _ in range(26):
+        now_s += PERIOD_S
+        queued.append(runtime.encode(CUT, now_s))
+    assert controller.expire(now_s) is StopCause.HEARTBEAT_LOST
+    for frame in queued:
+        outcome = controller.receive(*frame, now_s=now_s)
+        assert isinstance(outcome, Accepted)
+        assert not outcome.fresh
+    assert not controller.fresh(now_s)
+    assert controller.expire(now_s) is StopCause.HEARTBEAT_LOST
+    assert controller.statistics.stale_heartbeats == 26 + 1
+
+
+def test_steady_delay_beyond_the_timeout_does_not_refresh():
+    """Every frame of the runtime comes eight periods late; counters are perfect all the while."""
+    runtime, controller = pair()
+    pipe = []
+    fresh = []
+    for turn in range(60):
+        now_s = turn * PERIOD_S
+        runtime.receive(*controller.encode(CUTTING, now_s), now_s=now_s)
+        pipe.append(runtime.encode(CUT, now_s))
+        if turn >= 8:
+            assert isinstance(controller.receive(*pipe[turn - 8], now_s=now_s), Accepted)
+        fresh.append(controller.fresh(now_s))
+    assert not any(fresh)
+
+
+def test_echo_255_before_any_is_not_taken_for_the_heartbeat_255():
+    """The peer has heard nothing of us; that our 255th heartbeat has just left must not make it fresh."""
+    runtime, controller = pair()
+    for turn in range(256):
+        controller.encode(CUTTING, turn * PERIOD_S)
+    now_s = 255 * PERIOD_S
+    assert runtime.encode(CUT, now_s)[1][5] == 255
+    outcome = deliver(runtime, controller, CUT, now_s)
+    assert isinstance(outcome, Accepted)
+    assert not outcome.fresh
+
+
+def test_heartbeat_255_refreshes_once_an_answer_was_heard():
+    runtime, controller = pair()
+    exchange(runtime, controller, 256)
+    now_s = 257 * PERIOD_S
+    outcome = deliver(runtime, controller, CUT, now_s)
+    assert isinstance(outcome, Accepted)
+    assert isinstance(outcome.frame, RuntimeHeartbeat)
+    assert outcome.frame.echo == 255
+    assert outcome.fresh
+
+
+# ------------------------------------------------------------------ joints
+
+JOINTS = [0.1, 0.2, 300.0, -0.3, 1.5]
+
+
+def test_three_joint_frames_of_one_counter_are_one_sample():
+    runtime, controller = pair()
+    for turn in range(300):
+        for frame in joint_frames([0.001 * turn, *JOINTS[1:]]):
+            assert isinstance(deliver(controller, runtime, frame, 0.02 * turn), Accepted)
+        assert runtime.sample is not None
+        assert runtime.sample.counter == turn % 256
+        assert runtime.sample.received_s == 0.02 * turn
+        assert np.allclose(runtime.sample.joints, [0.001 * turn, *JOINTS[1:]], rtol=0.0, atol=0.006)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_parts_of_different_samples_are_never_joined(missing: int):
+    runtime, controller = pair()
+    for frame in joint_frames(JOINTS):
+        deliver(controller, runtime, frame, 0.0)
+    for part, frame in enumerate(joint_frames([0.5] * 5)):
+        encoded = controller.encode(frame, 0.1)
+        if part != missing:
+            runtime.receive(*encoded, now_s=0.1)
+    assert runtime.sample is not None
+    assert runtime.sample.received_s == 0.0
+    assert np.allclose(runtime.sample.joints, JOINTS, rtol=0.0, atol=0.006)

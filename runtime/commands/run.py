@@ -1,5 +1,6 @@
 """``cutgate run``: one session with a controller, from announcement to the end of the cut."""
 
+import importlib.resources
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ from protocol.endpoint import Endpoint
 from protocol.permit import KeyFileError, load_key
 from protocol.port import Port
 from protocol.records import Side
+from runtime.audit import names
 from runtime.audit.log import AuditLog, OpenInfo, Paths
 from runtime.commands.screen import working
 from runtime.commands.session_view import SessionView, print_outcome, run_document
@@ -60,7 +62,7 @@ def run(
     view = SessionView(quiet_output=json)
     bus, name = _bus(interface, channel, files)
     try:
-        log = _log(log_dir or Path(files.settings.log.directory), files, name)
+        log = _log(log_dir or Path(files.settings.log.directory), files, job.path, name)
         session, paths = _session(files, Interlock(job), secret, bus, name, log, view)
     finally:
         bus.shutdown()
@@ -167,7 +169,7 @@ def _key(option: Path | None, files: Files) -> bytes:
         raise InputError(name, "", None, rest) from None
 
 
-def _log(directory: Path, files: Files, bus: str) -> AuditLog:
+def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     """A new log with every input file attached: the bytes that were parsed."""
     log = AuditLog.create(
         directory,
@@ -176,12 +178,15 @@ def _log(directory: Path, files: Files, bus: str) -> AuditLog:
         chunk_period_s=files.settings.log.chunk_period_ms / 1000,
     )
     prepared = files.prepared
-    log.attach(f"plan{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
+    log.attach(f"{names.PLAN}{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
     if prepared.registration is not None:
-        log.attach("registration.json", "application/json", prepared.registration.data)
-    log.attach("robot.toml", "application/toml", files.robot.data)
+        log.attach(f"{names.REGISTRATION}.json", "application/json", prepared.registration.data)
+    log.attach(names.ROBOT, "application/toml", files.robot.data)
     if files.site is not None:
-        log.attach("site.toml", "application/toml", files.site.data)
+        log.attach(names.SITE, "application/toml", files.site.data)
+    log.attach(names.PATH, "application/octet-stream", path)
+    dbc = importlib.resources.files("protocol").joinpath("cutgate.dbc").read_bytes()
+    log.attach(names.DBC, "text/plain", dbc)
     return log
 
 

@@ -58,14 +58,16 @@ class SessionView:
         self._output = messages() if quiet_output else output()
         self._began_s = time.monotonic()
         self._percent = 0
-        self._pressed = False
+        self._prompted = False
 
     def note(self, text: str, style: str = "") -> None:
         """One line with the time since the beginning."""
         elapsed = f"{time.monotonic() - self._began_s:8.2f} s  "
         self._console.print(Text.assemble((elapsed, "dim"), (text, style)), soft_wrap=True)
 
-    def step(self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...]) -> None:
+    def step(
+        self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
+    ) -> None:
         """One step of the interlock."""
         for effect in effects:
             if isinstance(effect, Refused):
@@ -75,7 +77,7 @@ class SessionView:
             self.note(f"controller {announce.serial}, firmware {announce.firmware_version}")
         if after.phase is not before.phase:
             self._entered(after)
-        self._watch_device(after)
+        self._watch_device(after, now_s)
 
     def _entered(self, state: Interlock) -> None:
         if state.phase is Phase.HELD:
@@ -94,15 +96,14 @@ class SessionView:
         if state.controller is not None and state.controller.cause is not StopCause.NONE:
             self.note(f"its cause is {state.controller.cause.name}")
 
-    def _watch_device(self, state: Interlock) -> None:
+    def _watch_device(self, state: Interlock, now_s: float) -> None:
+        """Tell the operator when start may be said: once per press of the enabling device."""
         pressed = state.controller is not None and state.controller.device_pressed
-        if state.phase is Phase.PERMITTED and pressed and not self._pressed:
-            missing = failing(FOR_START, state, state.since_s)
-            if missing:
-                self.note("; ".join(map(str, missing)), "yellow")
-            else:
-                self.note("enabling device is held: say start", GOOD)
-        self._pressed = pressed
+        if not pressed or state.phase is not Phase.PERMITTED:
+            self._prompted = False
+        elif not self._prompted and not failing(FOR_START, state, now_s):
+            self._prompted = True
+            self.note("enabling device is held: say start", GOOD)
 
     def verdict(self, answer: Answer) -> None:
         """The worker's verdict, with every boundary and, if it is no, where to move the bone."""

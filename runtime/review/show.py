@@ -21,7 +21,7 @@ def print_story(console: Console, story: Mapping[str, Any]) -> None:
     _head(console, story)
     for verdict in story["verdicts"]:
         _verdict(console, verdict)
-    _time_line(console, story["decisions"])
+    print_time_line(console, story["decisions"])
     _facts(console, story)
     _files(console, story)
 
@@ -88,9 +88,12 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
     console.print(table)
 
 
-def _time_line(console: Console, decisions: list[dict[str, Any]]) -> None:
+def print_time_line(
+    console: Console, decisions: list[dict[str, Any]], title: str = "Time line of decisions"
+) -> None:
+    """The interlock's steps: when, from where to where, on what, and why."""
     console.print()
-    console.print("Time line of decisions")
+    console.print(title, style="bold")
     table = _table("time s", "state", "event", "", "why")
     table.columns[0].justify = "right"
     table.columns[4].ratio = 1

@@ -104,7 +104,7 @@ class Journal:
     ) -> None:
         self._sequence += 1
         commit = next((effect for effect in effects if isinstance(effect, Commit)), None)
-        shown = evaluate(SHOWN.get(before.phase, ()), after, now_s)
+        shown = evaluate(SHOWN.get(before.phase, ()), after, now_s) if after.collected.complete else ()
         self.log.write(
             audit.Decision(
                 sequence=self._sequence,
@@ -133,7 +133,7 @@ class Journal:
                 self.log.write(
                     audit.Permit(
                         kind=self._authorised, stage="withheld", token=token, reason=after.reason or None
-                    )  # type: ignore[arg-type]
+                    )
                 )
 
     # ------------------------------------------------------------ facts
@@ -146,7 +146,7 @@ class Journal:
                 accepted = event.refusal is Refusal.ACCEPTED
                 self.log.write(
                     audit.Permit(
-                        kind=BY_TYPE[event.request_type],  # type: ignore[arg-type]
+                        kind=BY_TYPE[event.request_type],
                         stage="acknowledged" if accepted else "refused",
                         reply=event.refusal.name,
                     )
@@ -269,7 +269,7 @@ def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) ->
             for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
         }
     return audit.Permit(
-        kind=kind,  # type: ignore[arg-type]
+        kind=kind,
         stage=stage,
         token=token,
         nonce=record.nonce.hex(),  # type: ignore[attr-defined]

@@ -19,10 +19,11 @@ from config.terminal import WordReader
 from protocol import permit as permits
 from protocol import records
 from protocol.endpoint import RecordReceived
-from protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
+from protocol.frames import ControllerFault, ControllerHeartbeat, Progress, RuntimeHeartbeat, RuntimeStop
 from protocol.link import Accepted, Violation
 from protocol.port import Port
 from protocol.states import RuntimeCode, StopCause
+from runtime.audit import names
 from runtime.audit.commit import Durable, Reserved
 from runtime.audit.commit import Failed as LogFailed
 from runtime.interlock.state import (
@@ -90,11 +91,16 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
 class View(Protocol):
     """Shows the session to a person as it goes."""
 
-    def step(self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...]) -> None:
+    def step(
+        self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
+    ) -> None:
         """One step of the interlock."""
 
-    def verdict(self, document: dict[str, Any]) -> None:
+    def verdict(self, answer: Answer) -> None:
         """The verdict of the worker."""
+
+    def progress(self, segment: int, segments: int) -> None:
+        """The controller is on this segment."""
 
     def note(self, text: str) -> None:
         """One line."""
@@ -132,7 +138,7 @@ class Session:
         random: Callable[[int], bytes] = os.urandom,
     ) -> None:
         self.state = state
-        self.document: dict[str, Any] | None = None
+        self.answer: Answer | None = None
         self._request = request
         self._start: StartPose | None = None
         self._key = key
@@ -145,6 +151,7 @@ class Session:
         self._clock = clock
         self._random = random
         self._blocks = records.split(state.job.path)
+        self._segments = len(records.Path.parse(state.job.path)) - 1
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
         self._sample_s = -1.0
@@ -225,6 +232,8 @@ class Session:
                 self._measure()
             case Accepted(frame=ControllerFault() as fault):
                 self._feed(FaultReceived(fault.code, fault.cause))
+            case Accepted(frame=Progress() as progress):
+                self._view.progress(progress.segment, self._segments)
             case Violation():
                 self._feed(Failed(item.cause, item.detail))
             case RecordReceived():
@@ -267,10 +276,10 @@ class Session:
         if self._worker.fileno() not in ready:
             return
         match self._worker.poll():
-            case Answer(verdict=verdict, document=document):
-                self.document = document
-                self._journal.verdict(document, self._request.tool, verdict.reason)
-                self._view.verdict(document)
+            case Answer(verdict=verdict) as answer:
+                self.answer = answer
+                self._journal.verdict(answer.document, self._request.tool, verdict.reason)
+                self._view.verdict(answer)
                 if verdict.admissible:
                     calibration = records.Calibration.parse(self._request.calibration)
                     hold = self._request.robot.wrist
@@ -315,7 +324,7 @@ class Session:
         for effect in effects:
             self._carry_out(effect)
         self._journal.step(before, event, self.state, effects, now_s)
-        self._view.step(before, event, self.state, effects)
+        self._view.step(before, event, self.state, effects, now_s)
 
     def _carry_out(self, effect: Effect) -> None:
         endpoint, now_s = self._port.endpoint, self._clock()
@@ -359,8 +368,13 @@ class Session:
             calibration=held.calibration,
             tool=held.tool,
         )
-        for name, data in (("limits", held.limits), ("calibration", held.calibration), ("tool", held.tool)):
-            self._journal.log.attach(f"{name}.bin", "application/octet-stream", data)
+        attached = (
+            (names.LIMITS, held.limits),
+            (names.CALIBRATION, held.calibration),
+            (names.TOOL, held.tool),
+        )
+        for name, data in attached:
+            self._journal.log.attach(name, "application/octet-stream", data)
         self._worker.submit(self._request)
 
     def _heartbeat(self, now_s: float) -> None:

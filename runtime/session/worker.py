@@ -17,8 +17,9 @@ from runtime.interlock.state import Verdict
 from runtime.plan.prepare import Quantise
 from runtime.session.start import StartPose
 from runtime.verification import certified
+from runtime.verification import verdict as verdicts
 from runtime.verification.document import Digests, verdict_document
-from runtime.verification.guidance import guide
+from runtime.verification.guidance import Guidance, guide
 from runtime.verification.problem import Floats
 from runtime.verification.recorded import problem_from_records
 
@@ -42,9 +43,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """The verdict for the interlock, and the contract's document for people and the log."""
+    """The verdict for the interlock; what was proved, for people; and the contract's document, for the log."""
 
     verdict: Verdict
+    proved: verdicts.Verdict
+    guidance: Guidance | None
+    digests: Digests
     document: dict[str, Any]
 
 
@@ -69,25 +73,24 @@ def prove(request: Request) -> Answer:
     began_s = time.perf_counter()
     verdict = certified.verify(problem)
     elapsed_ms = (time.perf_counter() - began_s) * 1000.0
-    limits, calibration = records.digest(request.limits), records.digest(request.calibration)
+    digests = Digests(
+        path.digest, records.digest(request.limits), records.digest(request.calibration), request.registration
+    )
+    guidance = None if verdict.admissible else guide(problem, verdict, _quantiser(path))
     document = verdict_document(
-        verdict,
-        poses=len(path),
-        guidance=None if verdict.admissible else guide(problem, verdict, _quantiser(path)),
-        digests=Digests(path.digest, limits, calibration, request.registration),
-        elapsed_ms=elapsed_ms,
+        verdict, poses=len(path), guidance=guidance, digests=digests, elapsed_ms=elapsed_ms
     )
     answer = Verdict(
         request=request.number,
         admissible=verdict.admissible,
         path=path.digest,
-        limits=limits,
-        calibration=calibration,
+        limits=digests.limits,
+        calibration=digests.calibration,
         tool=records.digest(request.tool),
         start_joints_u=_start(request, path, problem.hold_roll).counts if verdict.admissible else NOWHERE,
         reason="admissible" if verdict.admissible else "; ".join(verdict.reasons),
     )
-    return Answer(answer, document)
+    return Answer(answer, verdict, guidance, digests, document)
 
 
 def _start(request: Request, path: records.Path, hold_roll_rad: float | None) -> StartPose:
@@ -153,7 +156,7 @@ class Worker:
     def poll(self) -> Answer | Broken | None:
         """The next answer, if there is one; Broken if the worker has died."""
         try:
-            return self._pipe.recv() if self._pipe.poll() else None  # type: ignore[no-any-return]
+            return self._pipe.recv() if self._pipe.poll() else None
         except (EOFError, OSError):
             return Broken(0, f"the verification process ended with code {self._process.exitcode}")
 

@@ -1,0 +1,332 @@
+"""``cutgate demo``: the whole story in one go, with every part in a process of its own.
+
+Hub (or vcan0), simulated controller and runtime are started as a user would start them, and driven by the words
+a user would type. A first registration is refused and explained, a second one is admitted and cut to the end.
+"""
+
+import json as json_format
+import os
+import secrets
+import selectors
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Annotated, Any, Final
+
+import typer
+from rich.text import Text
+
+from config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
+from config.load import InputError
+from protocol.permit import KEY_BYTES, new_key_file
+from runtime.audit.inspect import Status, read_log
+from runtime.audit.replay import Outcome, replay
+from runtime.commands.screen import messages, output
+from runtime.commands.verdict_view import BAD, GOOD
+from runtime.review.comparison import print_comparison
+from runtime.review.show import print_time_line
+from runtime.review.story import story
+from runtime.session.job import VERIFIER
+from runtime.verification import certified
+
+EXAMPLES: Final = Path(__file__).parents[2] / "examples"
+TIME_SCALE: Final = 100
+DEADLINE_S: Final = 60.0
+END_S: Final = 10.0
+SITE: Final = """schema = "cutgate.site/1"
+[timing]  # slower than the default, so that the demo also runs on a busy machine
+heartbeat_ms = 50
+timeout_ms = 500
+"""
+SCHEMA: Final = "cutgate.demo/1"
+
+
+@dataclass(frozen=True)
+class Cue:
+    """When a line of one process holds ``text``, say ``word`` to another."""
+
+    text: str
+    to: str
+    word: str
+
+
+CUES: Final = (
+    Cue("permitted: cutting mode is on", "controller", "hold"),
+    Cue("enabling device is held: say start", "runtime", "start"),
+)
+"""The operator and the person at the controller, as a table."""
+
+
+class DemoError(Exception):
+    """A part of the demo did not do what it should; the message says which."""
+
+
+def demo(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for key, logs and inputs; must not exist. Default: a new one here."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Refuse a first registration, explain where to move the bone, admit a second one and cut to the end.
+
+    Exit code: 0 if all went as told here, 1 if not.
+    """
+    began_s = time.monotonic()
+    folder = _folder(out)
+    console = messages()
+    say = _Teller(console.print)
+    try:
+        with (
+            _bus(folder, say) as (interface, channel),
+            _controller(folder, interface, channel, say) as controller,
+        ):
+            runs = [
+                _run(folder, name, interface, channel, controller, say)
+                for name in ("registration-first.json", "registration-second.json")
+            ]
+    except DemoError as error:
+        console.print(Text(f"demo: {error}", BAD), soft_wrap=True)
+        raise typer.Exit(1) from None
+    reviews = [_review(Path(run["log"]["mcap"])) for run in runs]
+    elapsed_s = time.monotonic() - began_s
+    good = [run["outcome"] for run in runs] == ["not_admitted", "completed"] and all(
+        review["verify"] == "OK" and review["replay"] == "IDENTICAL" for review in reviews
+    )
+    if json:
+        document = {
+            "schema": SCHEMA,
+            "as_told": good,
+            "sessions": runs,
+            "reviews": [{key: review[key] for key in ("log", "verify", "replay")} for review in reviews],
+            "elapsed_s": elapsed_s,
+        }
+        typer.echo(json_format.dumps(document, allow_nan=False, indent=2))
+    else:
+        _summary(runs, reviews, folder, elapsed_s)
+    raise typer.Exit(0 if good else 1)
+
+
+# ---------------------------------------------------------------- parts
+
+
+class _Teller:
+    """Lines of every process, each with its name and the time, on standard error."""
+
+    def __init__(self, print_line: Callable[..., None]) -> None:
+        self._print = print_line
+        self._began_s = time.monotonic()
+
+    def __call__(self, who: str, text: str) -> None:
+        elapsed = f"{time.monotonic() - self._began_s:6.2f} s "
+        self._print(Text.assemble((elapsed, "dim"), (f"{who:<11}", "cyan"), text), soft_wrap=True)
+
+
+def _folder(out: Path | None) -> Path:
+    """A new folder with key, site and the example's files. Nothing that exists is touched."""
+    if not (EXAMPLES / "hip-stem.plan.json").is_file():
+        raise InputError(EXAMPLES, "", None, "the examples are not there", "run the demo from a checkout")
+    folder = out or Path(f"cutgate-demo-{time.strftime('%Y%m%dT%H%M%S')}")
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(
+            folder, "--out", None, "exists already", "name a folder that does not exist"
+        ) from None
+    except OSError as error:
+        raise InputError(
+            folder, "--out", None, f"cannot be made ({error.strerror})", "name another"
+        ) from None
+    for name in ("hip-stem.plan.json", "robot.toml", "registration-first.json", "registration-second.json"):
+        shutil.copyfile(EXAMPLES / name, folder / name)
+    (folder / "site.toml").write_text(SITE, encoding="utf-8")
+    new_key_file(folder / "site.key", secrets.token_bytes(KEY_BYTES))
+    return folder
+
+
+@contextmanager
+def _bus(folder: Path, say: _Teller) -> Iterator[tuple[str, str]]:
+    """vcan0 where the kernel has it, else a hub of our own."""
+    interface, channel = default_interface()
+    if interface != LOCAL_INTERFACE:
+        say("demo", f"using {interface}/{channel}")
+        yield interface, channel
+        return
+    socket = runtime_directory() / f"demo-{os.getpid()}.sock"
+    command = ["bus", "serve", "--socket", str(socket), "--log", str(folder / "bus.candump.log")]
+    with _process("bus", [sys.executable, "-m", "firmware_sim", *command]) as hub:
+        _wait_for(hub, "serving on", "bus", say)
+        yield LOCAL_INTERFACE, str(socket)
+
+
+@contextmanager
+def _controller(folder: Path, interface: str, channel: str, say: _Teller) -> Iterator[subprocess.Popen[str]]:
+    command = ["sim", "--robot", "robot.toml", "--key", "site.key", "--time-scale", str(TIME_SCALE)]
+    where = ["--interface", interface, "--channel", channel]
+    arguments = [sys.executable, "-m", "firmware_sim", *command, *where]
+    with _process("controller", arguments, cwd=folder) as controller:
+        _wait_for(controller, "enabling device released", "controller", say)
+        yield controller
+
+
+@contextmanager
+def _process(name: str, arguments: list[str], *, cwd: Path | None = None) -> Iterator[subprocess.Popen[str]]:
+    """A process that is ended by SIGINT after the block, and killed if it does not end."""
+    child = subprocess.Popen(  # noqa: S603 - our own program
+        arguments,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT if name != "runtime" else subprocess.PIPE,
+        text=True,
+        bufsize=1,
+        cwd=cwd,
+    )
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.send_signal(signal.SIGINT)
+        try:
+            child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait(END_S)
+
+
+def _wait_for(child: subprocess.Popen[str], text: str, name: str, say: _Teller) -> None:
+    """Show the child's lines until one holds ``text``."""
+    assert child.stdout is not None  # noqa: S101 - a pipe was asked for
+    for line in child.stdout:
+        say(name, line.rstrip())
+        if text in line:
+            return
+    raise DemoError(f"the {name} ended with code {child.wait(END_S)} before it was ready")
+
+
+def _run(
+    folder: Path,
+    registration: str,
+    interface: str,
+    channel: str,
+    controller: subprocess.Popen[str],
+    say: _Teller,
+) -> dict[str, Any]:
+    """One ``cutgate run --json``, with the words of operator and controller given on their cues."""
+    say("demo", f"session with {registration}")
+    files = [
+        "--robot",
+        "robot.toml",
+        "--registration",
+        registration,
+        "--site",
+        "site.toml",
+        "--key",
+        "site.key",
+    ]
+    where = ["--interface", interface, "--channel", channel, "--log-dir", "logs", "--json"]
+    arguments = [sys.executable, "-m", "runtime.cli", "run", "hip-stem.plan.json", *files, *where]
+    with _process("runtime", arguments, cwd=folder) as runtime:
+        _converse({"runtime": runtime, "controller": controller}, say)
+        assert runtime.stdout is not None  # noqa: S101 - a pipe was asked for
+        text = runtime.stdout.read()
+        code = runtime.wait(END_S)
+    if not text:
+        raise DemoError(f"the runtime ended with code {code} and no result")
+    result: dict[str, Any] = json_format.loads(text)
+    result["exit_code"] = code
+    for name in ("mcap", "candump"):
+        result["log"][name] = str(folder / result["log"][name])
+    return result
+
+
+def _converse(children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
+    """Show what both say and answer the cues until the runtime's standard error ends."""
+    cues = list(CUES)
+    talk: dict[int, tuple[str, IO[str]]] = {}
+    with selectors.DefaultSelector() as selector:
+        for name, child in children.items():
+            stream = child.stderr if name == "runtime" else child.stdout
+            assert stream is not None  # noqa: S101 - pipes were asked for
+            selector.register(stream.fileno(), selectors.EVENT_READ)
+            talk[stream.fileno()] = (name, stream)
+        rest = dict.fromkeys(talk, b"")
+        until_s = time.monotonic() + DEADLINE_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            for key, _ in selector.select(left_s):
+                name, _stream = talk[key.fd]
+                data = os.read(key.fd, 65536)
+                if not data and name == "runtime":
+                    return
+                if not data:
+                    raise DemoError("the controller ended")
+                *lines, rest[key.fd] = (rest[key.fd] + data).split(b"\n")
+                for line in lines:
+                    text = line.decode("utf-8", "replace").rstrip()
+                    say(name, text)
+                    _answer(cues, text, children, say)
+    raise DemoError(f"the session did not end within {DEADLINE_S:g} s")
+
+
+def _answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
+    for cue in [cue for cue in cues if cue.text in text]:
+        cues.remove(cue)
+        say("demo", f"says to the {cue.to}: {cue.word}")
+        stream = children[cue.to].stdin
+        assert stream is not None  # noqa: S101 - a pipe was asked for
+        stream.write(f"{cue.word}\n")
+        stream.flush()
+
+
+# ---------------------------------------------------------------- what came of it
+
+
+def _review(path: Path) -> dict[str, Any]:
+    """The log verified, replayed and told."""
+    candump = path.with_suffix(".candump.log")
+    log = read_log(path.read_bytes(), candump.read_bytes())
+    again = replay(log, certified.verify, verifier=VERIFIER)
+    return {
+        "log": str(path),
+        "verify": "OK" if log.report.status is Status.OK else log.report.status.name,
+        "headline": log.report.headline,
+        "replay": again.outcome.name,
+        "why": [*log.report.reasons, *again.differences],
+        "story": story(log, path, candump),
+    }
+
+
+def _summary(
+    runs: list[dict[str, Any]], reviews: list[dict[str, Any]], folder: Path, elapsed_s: float
+) -> None:
+    """What a person wants to know afterwards."""
+    console = output()
+    console.print()
+    for run, name in zip(runs, ("first registration", "second registration"), strict=True):
+        verdict = (run["verdict"] or {}).get("verdict", "no verdict")
+        style = GOOD if verdict == "admissible" else BAD
+        console.print(Text.assemble(f"{name}: ", (verdict.upper(), style), f", session {run['outcome']}"))
+    console.print()
+    print_comparison(console, [run["verdict"] for run in runs if run["verdict"]], ("first", "second"))
+    for review, name in zip(reviews, ("first", "second"), strict=True):
+        print_time_line(console, review["story"]["decisions"], f"Time line of the {name} session")
+    console.print()
+    for review in reviews:
+        words = f"{review['headline']}, replay {review['replay']}"
+        style = GOOD if review["verify"] == "OK" and review["replay"] == Outcome.IDENTICAL.name else BAD
+        console.print(Text.assemble(f"{review['log']}: ", (words, style)), soft_wrap=True)
+        for reason in review["why"]:
+            console.print(f"  {reason}", soft_wrap=True)
+    console.print(f"Plant time ran {TIME_SCALE} times faster than the clock; the logs say so.")
+    console.print(f"Everything is in {folder}; {elapsed_s:.1f} s in all.", soft_wrap=True)
+    console.print(f"Next: cutgate audit show {reviews[-1]['log']}", soft_wrap=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("demo")(demo)

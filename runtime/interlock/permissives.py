@@ -40,7 +40,8 @@ def _fact(name: str, holds: bool, text: str, bound: str, remedy: str) -> Permiss
 def _at_most(name: str, value: float | None, bound: float, unit: str, remedy: str) -> Permissive:
     if value is None:
         return Permissive(name, False, None, "not known", f"<= {bound:g} {unit}", remedy)
-    return Permissive(name, 0.0 <= value <= bound, value, None, f"<= {bound:g} {unit}", remedy)
+    # bool, for a comparison of numpy floats is no bool and would never count as True
+    return Permissive(name, bool(0.0 <= value <= bound), value, None, f"<= {bound:g} {unit}", remedy)
 
 
 def _short(digest: bytes | None) -> str:
@@ -122,9 +123,9 @@ def path_accepted(state: Interlock, _now_s: float) -> Permissive:
 def path_digest(state: Interlock, _now_s: float) -> Permissive:
     return _fact(
         "digest of the stored path",
-        state.stored is not None and state.stored.digest == _digest(state.job.path),
+        state.stored is not None and state.stored.digest == state.job.path_digest,
         _short(state.stored.digest if state.stored else None),
-        _short(_digest(state.job.path)),
+        _short(state.job.path_digest),
         "the controller stored other bytes than were sent: start a new session",
     )
 
@@ -147,7 +148,7 @@ def verdict_current(state: Interlock, _now_s: float) -> Permissive:
     verdict, collected = state.verdict, state.collected
     made_for = (verdict.path, verdict.limits, verdict.calibration, verdict.tool) if verdict else None
     held = (
-        _digest(state.job.path),
+        state.job.path_digest,
         _digest(collected.limits),
         _digest(collected.calibration),
         _digest(collected.tool),
@@ -164,12 +165,13 @@ def verdict_current(state: Interlock, _now_s: float) -> Permissive:
 # ---------------------------------------------------------------- registration
 
 
-def registration_age(state: Interlock, _now_s: float) -> Permissive:
+def registration_age(state: Interlock, now_s: float) -> Permissive:
     name, remedy = "age of the registration", "register the bone again"
     bound = state.job.registration_max_age_s
     if bound is None:
         return _fact(name, True, f"{state.job.registration_age_s:.0f} s", "no bound is configured", remedy)
-    return _at_most(name, state.job.registration_age_s, bound, "s", remedy)
+    age_s = None if state.began_s is None else state.job.registration_age_s + now_s - state.began_s
+    return _at_most(name, age_s, bound, "s", remedy)
 
 
 def registration_stands(state: Interlock, _now_s: float) -> Permissive:
@@ -299,29 +301,47 @@ def device_cycled(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
-def start_distance(state: Interlock, _now_s: float) -> Permissive:
+def _measured_now(state: Interlock, value: float | None, now_s: float) -> float | None:
+    """The value, unless it is older than the heartbeat's time-out."""
+    young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_ms / 1000
+    return value if young else None
+
+
+def start_distance(state: Interlock, now_s: float) -> Permissive:
     return _at_most(
         "measured tip to the path's first pose",
-        state.offset_mm,
+        _measured_now(state, state.offset_mm, now_s),
         state.job.timing.start_tolerance_mm,
         "mm",
         "move the arm to the start pose",
     )
 
 
-def start_angle(state: Interlock, _now_s: float) -> Permissive:
+def start_angle(state: Interlock, now_s: float) -> Permissive:
     return _at_most(
         "measured joints to the path's first pose",
-        state.offset_deg,
+        _measured_now(state, state.offset_deg, now_s),
         state.job.timing.start_tolerance_deg,
         "deg",
         "move the arm to the start pose, on the proved elbow and turn",
     )
 
 
+IDENTITY: tuple[Evaluate, ...] = (protocol_version, serial_number)
+"""Judged as soon as a controller has announced itself."""
+
+FOR_RESET: tuple[Evaluate, ...] = (
+    *IDENTITY,
+    log_writable,
+    heartbeat_fresh,
+    no_stop_cause,
+    emergency_stop,
+    epoch_current,
+)
+"""A latched fault is left only when its cause was acknowledged and nothing new has come."""
+
 COLLECTED: tuple[Evaluate, ...] = (
-    protocol_version,
-    serial_number,
+    *IDENTITY,
     limits_approved,
     calibration_approved,
     tool_approved,
@@ -354,21 +374,18 @@ FOR_START: tuple[Evaluate, ...] = (
     start_angle,
 )
 
-FINAL: frozenset[Evaluate] = frozenset(
-    {
-        *COLLECTED,
-        path_accepted,
-        path_digest,
-        verdict_admissible,
-        verdict_current,
-        registration_age,
-        registration_stands,
-        log_writable,
-        log_space,
-        epoch_current,
-    }
+FINAL: tuple[Evaluate, ...] = (
+    *COLLECTED,
+    path_accepted,
+    path_digest,
+    verdict_admissible,
+    verdict_current,
+    registration_age,
+    registration_stands,
+    log_writable,
+    log_space,
 )
-"""Those that no operator act and no waiting can cure within this session."""
+"""Those of FOR_PERMIT that no operator act can cure within this session."""
 
 
 def evaluate(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tuple[Permissive, ...]:
@@ -384,3 +401,9 @@ def all_hold(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> boo
 def failing(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tuple[Permissive, ...]:
     """Those that do not hold, in the order of the list."""
     return tuple(permissive for permissive in evaluate(which, state, now_s) if permissive.holds is not True)
+
+
+def hopeless(state: Interlock, now_s: float) -> tuple[Permissive, ...]:
+    """Those for the permit that do not hold and never will; the file system may still answer."""
+    unanswered = {log_space} if state.log.reserved_bytes == 0 else set()
+    return failing(tuple(permissive for permissive in FINAL if permissive not in unanswered), state, now_s)

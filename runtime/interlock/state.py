@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
+from functools import cached_property
 
 from protocol import records
 from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
@@ -107,7 +108,18 @@ class Job:
     timing: Timing
     serial: str | None = None
     registration_age_s: float = 0.0
+    """At the first event; it grows from there."""
     registration_max_age_s: float | None = None
+
+    @cached_property
+    def path_digest(self) -> bytes:
+        """SHA-256 of the path, taken once: a path of a million poses is 20 MB."""
+        return records.digest(self.path)
+
+    @property
+    def blocks(self) -> int:
+        """In how many blocks the path is uploaded."""
+        return -(-len(self.path) // records.BLOCK_BYTES)
 
 
 @dataclass(frozen=True)
@@ -178,6 +190,7 @@ class LogHealth:
 
     writable: bool = False
     reserved_bytes: int = 0
+    """0 until the file system has answered."""
     needed_bytes: int = 1
 
 
@@ -189,6 +202,8 @@ class Interlock:
     phase: Phase = Phase.WAITING
     since_s: float = 0.0
     """When this phase was entered."""
+    began_s: float | None = None
+    """When the first event came."""
     session: Session | None = None
     epoch: int = 0
     controller: ControllerView | None = None
@@ -206,6 +221,8 @@ class Interlock:
     device: DeviceCycle = DeviceCycle.UNSEEN
     offset_mm: float | None = None
     offset_deg: float | None = None
+    measured_s: float = 0.0
+    """When the offsets were measured."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     cause: StopCause = StopCause.NONE

@@ -14,7 +14,18 @@ from typing import Any
 
 from protocol import records
 from protocol.states import ControllerState, Purpose, Refusal, StopCause, StopCode
-from runtime.interlock.permissives import COLLECTED, FINAL, FOR_PERMIT, FOR_START, all_hold, failing
+from runtime.interlock.permissives import (
+    COLLECTED,
+    FOR_PERMIT,
+    FOR_RESET,
+    FOR_START,
+    IDENTITY,
+    Evaluate,
+    Permissive,
+    all_hold,
+    failing,
+    hopeless,
+)
 from runtime.interlock.state import (
     ENDED,
     Announced,
@@ -62,8 +73,14 @@ def step(state: Interlock, event: Event, now_s: float) -> Outcome:
     """One transition. What is not listed changes nothing, and an ended session answers to nothing."""
     if state.phase in ENDED:
         return state, ()
+    if state.began_s is None:  # the first event starts the clocks
+        state = replace(state, began_s=now_s, since_s=now_s)
     handler = TABLE.get((state.phase, type(event))) or EVERYWHERE[type(event)]
     return handler(state, event, now_s)
+
+
+def _reasons(permissives: tuple[Permissive, ...]) -> str:
+    return "; ".join(map(str, permissives))
 
 
 def _enter(state: Interlock, phase: Phase, now_s: float, **changes: Any) -> Interlock:
@@ -74,9 +91,14 @@ def _enter(state: Interlock, phase: Phase, now_s: float, **changes: Any) -> Inte
 
 
 def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
-    """Stop at once. Permit, nonce and pending record are void; the first cause is kept."""
+    """Stop at once. Permit, nonce and pending record are void; the first cause is kept.
+
+    A later cause leaves as well: the first frame may be lost, and this one may latch or withdraw.
+    """
+    if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
+        cause = StopCause.PROTOCOL_VIOLATION
     if state.phase is Phase.STOPPING:
-        return state, ()
+        return state, (SendStop(StopCode.STOP, cause),)
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
     stopped = _enter(state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None)
@@ -155,9 +177,9 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
     if not records.nonce_serves(announce.boot_nonce, event.nonce):
         return state, ()  # the next announcement brings another nonce
     seen = replace(state, session=session)
-    refusing = failing(COLLECTED[:2], seen, now_s)
+    refusing = failing(IDENTITY, seen, now_s)
     if refusing:
-        return refuse(seen, "; ".join(map(str, refusing)), now_s)
+        return refuse(seen, _reasons(refusing), now_s)
     request = records.Open(
         protocol_version=records.PROTOCOL_VERSION,
         boot_nonce=announce.boot_nonce,
@@ -184,6 +206,8 @@ def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
 
 
 def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if event.request_type != records.Open.TYPE:
+        return _drop_reply(state)
     return refuse(state, f"the controller refused the session: {event.refusal.name}", now_s)
 
 
@@ -199,18 +223,38 @@ def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
     view = state.controller
     if event.word is Word.ACKNOWLEDGE and view is not None and view.cause is not StopCause.NONE:
         return state, (Send(records.Acknowledge(cause=view.cause)),)
-    if event.word is Word.RESET and view is not None:
-        if view.cause is not StopCause.NONE:
-            return state, (Refused(event.word, f"acknowledge {view.cause.name} first"),)
+    if event.word is Word.RESET:
+        missing = failing(FOR_RESET, state, now_s)
+        if missing:
+            return state, (Refused(event.word, _reasons(missing)),)
         return _enter(state, Phase.NONCE_RESET, now_s), (Send(records.NonceRequest(purpose=Purpose.RESET)),)
     return said(state, event, now_s)
 
 
+def acknowledge_answered(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
+    if event.request_type != records.Acknowledge.TYPE:
+        return _drop_reply(state)
+    if event.refusal is Refusal.ACCEPTED:
+        return state, ()
+    return state, (Refused(Word.ACKNOWLEDGE, f"the controller refused: {event.refusal.name}"),)
+
+
+def heartbeat_while_resetting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """A standing cause and a latch are expected here; another epoch is a new stop, which ended the session."""
+    seen, view = _see(state, event), event.view
+    if view.epoch == state.epoch:
+        return seen, ()
+    reason = f"the controller's epoch is {view.epoch}, the session's {state.epoch}"
+    cause = StopCause.PROTOCOL_VIOLATION if view.cause is StopCause.NONE else view.cause
+    return stop(seen, cause, reason, now_s)
+
+
 def heartbeat_while_held(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
-    seen = _see(state, event)
-    if event.view.state is ControllerState.OPEN and event.view.cause is StopCause.NONE:
+    seen, effects = heartbeat_while_resetting(state, event, now_s)
+    released = event.view.state is ControllerState.OPEN and event.view.cause is StopCause.NONE
+    if seen.phase is Phase.HELD and released:
         return _enter(seen, Phase.COLLECTING, now_s), (Send(records.Collect()),)
-    return seen, ()
+    return seen, effects
 
 
 def reset_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome:
@@ -224,12 +268,11 @@ def reset_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome
 
 
 def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
-    if event.token != state.token:
-        return _drop_token(state, event)
-    view = state.controller
+    """The only place a reset leaves from."""
+    nothing_leaves = _withhold(state, event, FOR_RESET, Phase.HELD, now_s)
+    if nothing_leaves:
+        return nothing_leaves
     assert state.session is not None and state.nonce is not None  # noqa: S101, PT018 - set on the way here
-    if not (state.heartbeat_fresh and view is not None and view.cause is StopCause.NONE):
-        return _enter(state, Phase.HELD, now_s), (Withheld(state.token),)
     reset = records.Reset(
         nonce=state.nonce, epoch=state.epoch, cause=StopCause.NONE, session_digest=state.session.digest
     )
@@ -237,6 +280,8 @@ def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
 
 
 def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if event.request_type != records.Reset.TYPE:
+        return _drop_reply(state)
     held = _enter(state, Phase.HELD, now_s, nonce=None)
     if event.refusal is Refusal.ACCEPTED:
         return held, ()
@@ -256,7 +301,7 @@ def parameter(state: Interlock, event: ParameterReceived, now_s: float) -> Outco
         return got, ()
     refusing = failing(COLLECTED, got, now_s)
     if refusing:
-        return refuse(got, "; ".join(map(str, refusing)), now_s)
+        return refuse(got, _reasons(refusing), now_s)
     return _enter(got, Phase.UPLOADING, now_s, block=0), (SendBlock(0),)
 
 
@@ -274,7 +319,7 @@ def block_stored(state: Interlock, event: BlockStored, _now_s: float) -> Outcome
     if event.index != state.block:
         return state, (Dropped(f"receipt for block {event.index} while block {state.block} is under way"),)
     following = state.block + 1
-    if following >= len(records.split(state.job.path)):
+    if following >= state.job.blocks:
         return state, ()
     return replace(state, block=following), (SendBlock(following),)
 
@@ -295,9 +340,9 @@ def verdict_ready(state: Interlock, event: VerdictReady, now_s: float) -> Outcom
 
 def offer_permit(state: Interlock, now_s: float) -> Outcome:
     """Ask for the permit's nonce once everything holds; end if something never can."""
-    final = failing(tuple(p for p in FOR_PERMIT if p in FINAL), state, now_s)
+    final = hopeless(state, now_s)
     if final:
-        return refuse(state, "; ".join(map(str, final)), now_s)
+        return refuse(state, _reasons(final), now_s)
     if not all_hold(FOR_PERMIT, state, now_s):
         return state, ()
     asked = _enter(state, Phase.NONCE_PERMIT, now_s, nonce_at_s=now_s)
@@ -345,10 +390,9 @@ def _permit(state: Interlock, nonce: bytes) -> records.Permit:
 
 def permit_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
     """The only place a permit leaves from."""
-    if event.token != state.token:
-        return _drop_token(state, event)
-    if not all_hold(FOR_PERMIT, state, now_s):
-        return _enter(state, Phase.ADMITTED, now_s, nonce=None), (Withheld(state.token),)
+    nothing_leaves = _withhold(state, event, FOR_PERMIT, Phase.ADMITTED, now_s)
+    if nothing_leaves:
+        return nothing_leaves
     assert state.nonce is not None  # noqa: S101 - set by permit_nonce
     permit = _permit(state, state.nonce)
     return _enter(state, Phase.PERMITTING, now_s, permit=permit), (Send(permit),)
@@ -356,12 +400,11 @@ def permit_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outc
 
 def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
     if event.request_type != records.Permit.TYPE:
-        return state, (Dropped("a reply to something else"),)
+        return _drop_reply(state)
     if event.refusal is not Refusal.ACCEPTED:
         return refuse(state, f"the controller refused the permit: {event.refusal.name}", now_s)
-    pressed = state.controller is not None and state.controller.device_pressed
-    device = DeviceCycle.UNSEEN if pressed else DeviceCycle.RELEASED
-    return _enter(state, Phase.PERMITTED, now_s, device=device), ()
+    # what was seen so far may be older than the permit
+    return _enter(state, Phase.PERMITTED, now_s, device=DeviceCycle.UNSEEN), ()
 
 
 # ---------------------------------------------------------------- start
@@ -372,7 +415,7 @@ def start_said(state: Interlock, event: Said, now_s: float) -> Outcome:
         return said(state, event, now_s)
     missing = failing(FOR_START, state, now_s)
     if missing:
-        return state, (Refused(Word.START, "; ".join(map(str, missing))),)
+        return state, (Refused(Word.START, _reasons(missing)),)
     return _enter(state, Phase.NONCE_START, now_s), (Send(records.NonceRequest(purpose=Purpose.START)),)
 
 
@@ -397,17 +440,27 @@ def _start(state: Interlock, nonce: bytes) -> records.Start:
 
 def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
     """The only place a start leaves from, and with it the first heartbeat that says CUT."""
-    if event.token != state.token:
-        return _drop_token(state, event)
-    if not all_hold(FOR_START, state, now_s):
-        return _enter(state, Phase.PERMITTED, now_s, nonce=None), (Withheld(state.token),)
+    nothing_leaves = _withhold(state, event, FOR_START, Phase.PERMITTED, now_s)
+    if nothing_leaves:
+        return nothing_leaves
     assert state.nonce is not None  # noqa: S101 - set by start_nonce
     return _enter(state, Phase.STARTING, now_s), (Send(_start(state, state.nonce)),)
 
 
+def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """The word ``start`` counts only after the device was pressed: released again, it must be said again."""
+    seen, effects = heartbeat(state, event, now_s)
+    if seen.phase is not state.phase or event.view.device_pressed:
+        return seen, effects
+    withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
+    reason = "the enabling device was released: hold it, then say start again"
+    back = _enter(seen, Phase.PERMITTED, now_s, nonce=None)
+    return back, (Refused(Word.START, reason), *withheld)
+
+
 def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
     if event.request_type != records.Start.TYPE:
-        return state, (Dropped("a reply to something else"),)
+        return _drop_reply(state)
     if event.refusal is Refusal.ACCEPTED:
         return _enter(state, Phase.CUTTING, now_s), ()
     refused = _enter(state, Phase.PERMITTED, now_s, nonce=None)
@@ -429,6 +482,8 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
     if view.state not in EXPECTED[state.phase]:
         reason = f"the controller reports {view.state.name} while {state.phase}"
         return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
+    if state.phase in MOVING and not view.emergency_stop_clear:
+        return stop(seen, StopCause.EMERGENCY_STOP, "the emergency stop is pressed", now_s)
     if state.phase in MOVING and not view.device_pressed and view.state is not ControllerState.DONE:
         return stop(seen, StopCause.DEVICE_RELEASED, "the enabling device is released", now_s)
     return seen, ()
@@ -462,8 +517,15 @@ def _cycle(cycle: DeviceCycle, view: ControllerView) -> DeviceCycle:
     return DeviceCycle.UNSEEN if cycle is DeviceCycle.UNSEEN else DeviceCycle.PRESSED
 
 
-def measured(state: Interlock, event: PoseMeasured, _now_s: float) -> Outcome:
-    return replace(state, offset_mm=event.offset_mm, offset_deg=event.offset_deg), ()
+def said_while_stopping(state: Interlock, event: Said, now_s: float) -> Outcome:
+    """The session is ending; a stop is repeated, and a withdrawal still reaches the controller."""
+    if event.word in (Word.STOP, Word.WITHDRAW):
+        return said(state, event, now_s)
+    return state, (Refused(event.word, "the session is being stopped"),)
+
+
+def measured(state: Interlock, event: PoseMeasured, now_s: float) -> Outcome:
+    return replace(state, offset_mm=event.offset_mm, offset_deg=event.offset_deg, measured_s=now_s), ()
 
 
 # ---------------------------------------------------------------- time
@@ -479,7 +541,8 @@ def tick(state: Interlock, _event: Tick, now_s: float) -> Outcome:
         return state, ()
     reason = f"{what} within {bound_s:g} s"
     if cause is StopCause.NOT_ADMITTED:
-        return refuse(state, reason, now_s)
+        missing = failing(FOR_PERMIT, state, now_s) if state.phase is Phase.ADMITTED else ()
+        return refuse(state, "; ".join((reason, *map(str, missing))), now_s)
     if state.phase is Phase.STOPPING:
         return _enter(state, Phase.STOPPED, now_s), ()
     return stop(state, cause, reason, now_s)
@@ -493,6 +556,23 @@ def _authorise(
 ) -> Outcome:
     token = state.token + 1
     return _enter(state, phase, now_s, token=token, **changes), (Commit(token, purpose, record),)
+
+
+def _withhold(
+    state: Interlock, event: RecordDurable, which: tuple[Evaluate, ...], back: Phase, now_s: float
+) -> Outcome | None:
+    """Why nothing may leave although a record is durable: another record, too late, or a permissive. Else None."""
+    if event.token != state.token:
+        return _drop_token(state, event)
+    if not 0.0 <= now_s - state.since_s <= state.job.timing.commit_deadline_s:
+        return tick(state, Tick(), now_s)
+    if not all_hold(which, state, now_s):
+        return _enter(state, back, now_s, nonce=None), (Withheld(state.token),)
+    return None
+
+
+def _drop_reply(state: Interlock) -> Outcome:
+    return state, (Dropped(f"a reply to something else while {state.phase}"),)
 
 
 def _drop_token(state: Interlock, event: RecordDurable) -> Outcome:
@@ -518,15 +598,16 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.OPENING, Announced): announced_again,
     (P.OPENING, SessionOpened): opened,
     (P.OPENING, ReplyReceived): open_refused,
+    (P.OPENING, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
     (P.HELD, Said): said_while_held,
     (P.HELD, HeartbeatReceived): heartbeat_while_held,
-    (P.HELD, ReplyReceived): ignored,
+    (P.HELD, ReplyReceived): acknowledge_answered,
     (P.NONCE_RESET, NonceReceived): reset_nonce,
-    (P.NONCE_RESET, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.NONCE_RESET, HeartbeatReceived): heartbeat_while_resetting,
     (P.AUTHORISING_RESET, RecordDurable): reset_durable,
-    (P.AUTHORISING_RESET, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.AUTHORISING_RESET, HeartbeatReceived): heartbeat_while_resetting,
     (P.RESETTING, ReplyReceived): reset_answered,
-    (P.RESETTING, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
+    (P.RESETTING, HeartbeatReceived): heartbeat_while_resetting,
     (P.COLLECTING, ParameterReceived): parameter,
     (P.UPLOADING, BlockStored): block_stored,
     (P.UPLOADING, PathStored): path_stored,
@@ -537,13 +618,16 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.PERMITTING, ReplyReceived): permit_answered,
     (P.PERMITTED, Said): start_said,
     (P.NONCE_START, NonceReceived): start_nonce,
+    (P.NONCE_START, HeartbeatReceived): heartbeat_before_start,
     (P.AUTHORISING_START, RecordDurable): start_durable,
+    (P.AUTHORISING_START, HeartbeatReceived): heartbeat_before_start,
     (P.STARTING, ReplyReceived): start_answered,
     (P.STARTING, HeartbeatReceived): heartbeat_while_cutting,
     (P.CUTTING, HeartbeatReceived): heartbeat_while_cutting,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
-    (P.STOPPING, Said): ignored,
+    (P.STOPPING, FaultReceived): ignored,  # it answers our stop; answering it again would never end
+    (P.STOPPING, Said): said_while_stopping,
 }
 """What only one phase answers to."""
 
@@ -571,7 +655,6 @@ EVERYWHERE: dict[type, Handler] = {
 C = ControllerState
 EXPECTED: dict[Phase, frozenset[ControllerState]] = {
     P.WAITING: frozenset(),
-    P.OPENING: frozenset(C),
     P.COLLECTING: frozenset({C.OPEN}),
     P.UPLOADING: frozenset({C.OPEN, C.LOADED}),
     P.VERIFYING: frozenset({C.OPEN, C.LOADED}),

@@ -1,0 +1,387 @@
+"""One job, one state in which everything holds, and one of every event: what the interlock's tests start from."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from protocol import records
+from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from runtime.interlock.state import (
+    HEARTBEAT_CODE,
+    Announced,
+    BlockStored,
+    Collected,
+    Commit,
+    ControllerView,
+    DeviceCycle,
+    Effect,
+    Event,
+    Failed,
+    FaultReceived,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Interlock,
+    Job,
+    LogChanged,
+    LogHealth,
+    NonceReceived,
+    ParameterReceived,
+    PathStored,
+    Phase,
+    PoseMeasured,
+    RecordDurable,
+    ReplyReceived,
+    Said,
+    Send,
+    SendStop,
+    Session,
+    SessionOpened,
+    Stored,
+    Tick,
+    Timing,
+    Verdict,
+    VerdictReady,
+    Word,
+)
+from runtime.interlock.table import step
+
+NOW = 1000.0
+EPOCH = 3
+TOKEN = 7
+REQUEST = 6
+BOOT_NONCE, RUNTIME_NONCE = bytes(range(16)), bytes(range(16, 32))
+NONCE = bytes(range(32, 48))
+
+TIMING = Timing(
+    heartbeat_ms=20,
+    timeout_ms=100,
+    permit_lifetime_s=120,
+    start_lifetime_ms=2000,
+    start_tolerance_mm=0.5,
+    start_tolerance_deg=0.2,
+    announce_wait_s=30.0,
+    reply_timeout_s=2.0,
+    transfer_timeout_s=20.0,
+    verify_timeout_s=60.0,
+    operator_wait_s=300.0,
+    commit_deadline_s=1.0,
+    stop_confirm_s=1.5,
+)
+
+LIMITS = records.Limits.quantised(
+    q_min_deg=(-80, 0, 50, -170, 0), q_max_deg=(80, 145, 450, 170, 110), speed_deg_s=(57, 57, 200, 114, 114)
+)
+CALIBRATION = records.Calibration.quantised(upper_link_mm=450.0, forearm_link_mm=450.0)
+TOOL = records.Tool.quantised(length_mm=160.0)
+POSES = 450
+PATH = records.Path.quantised(
+    np.column_stack((np.linspace(500.0, 520.0, POSES), np.zeros(POSES), np.full(POSES, 100.0))),
+    np.tile((0.6, 0.0, 0.8), (POSES, 1)),
+    feed_mm_s=10.0,
+    tool_length_mm=160.0,
+    elbow="right",
+)
+PATH_BLOCKS = 3
+
+JOB = Job(
+    limits=LIMITS.body(),
+    calibration=CALIBRATION.body(),
+    tool=TOOL.body(),
+    path=PATH.body(),
+    registration=records.digest(b"registration"),
+    configuration=records.digest(b"configuration"),
+    verifier="cutgate test",
+    branch=records.Branch("right", 0, 0),
+    timing=TIMING,
+    serial="SIM-1",
+    registration_age_s=100.0,
+    registration_max_age_s=3600.0,
+)
+
+SESSION = Session(
+    boot_nonce=BOOT_NONCE,
+    runtime_nonce=RUNTIME_NONCE,
+    serial="SIM-1",
+    protocol_version=records.PROTOCOL_VERSION,
+    digest=records.session_digest(BOOT_NONCE, RUNTIME_NONCE),
+    tag=records.session_tag(BOOT_NONCE, RUNTIME_NONCE),
+)
+
+VIEW = ControllerView(
+    state=ControllerState.PERMITTED,
+    cause=StopCause.NONE,
+    epoch=EPOCH,
+    device_pressed=True,
+    emergency_stop_clear=True,
+    cutting_mode=True,
+)
+
+VERDICT = Verdict(
+    request=REQUEST,
+    admissible=True,
+    path=PATH.digest,
+    limits=records.digest(LIMITS.body()),
+    calibration=records.digest(CALIBRATION.body()),
+    tool=records.digest(TOOL.body()),
+    start_joints_u=(10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000),
+    reason="admissible",
+)
+
+PERMIT = records.Permit(
+    nonce=NONCE,
+    boot_nonce=BOOT_NONCE,
+    session_digest=SESSION.digest,
+    serial="SIM-1",
+    protocol_version=records.PROTOCOL_VERSION,
+    epoch=EPOCH,
+    limits_digest=VERDICT.limits,
+    calibration_digest=VERDICT.calibration,
+    tool_digest=VERDICT.tool,
+    path_digest=VERDICT.path,
+    registration_digest=JOB.registration,
+    configuration_digest=JOB.configuration,
+    verifier_version=JOB.verifier,
+    start_joints_u=VERDICT.start_joints_u,
+    branch=JOB.branch,
+    lifetime_s=120,
+)
+
+READY = Interlock(
+    job=JOB,
+    phase=Phase.PERMITTED,
+    since_s=NOW - 0.5,
+    began_s=NOW - 60.0,
+    session=SESSION,
+    epoch=EPOCH,
+    controller=VIEW,
+    heartbeat_fresh=True,
+    collected=Collected(JOB.limits, JOB.calibration, JOB.tool),
+    block=PATH_BLOCKS - 1,
+    stored=Stored(PATH.digest, Refusal.ACCEPTED, 0),
+    verdict=VERDICT,
+    nonce=NONCE,
+    permit=PERMIT,
+    nonce_at_s=NOW - 5.0,
+    token=TOKEN,
+    device=DeviceCycle.PRESSED,
+    offset_mm=0.1,
+    offset_deg=0.05,
+    measured_s=NOW - 0.01,
+    log=LogHealth(writable=True, reserved_bytes=2000, needed_bytes=1000),
+)
+"""Every permissive of FOR_START holds at NOW."""
+
+FRESH = Interlock(job=JOB, log=READY.log)
+"""The interlock as it is made: nothing seen yet."""
+
+ANNOUNCE = records.Announce(
+    protocol_version=records.PROTOCOL_VERSION,
+    firmware_version="test",
+    serial="SIM-1",
+    boot_nonce=BOOT_NONCE,
+    state=ControllerState.INHIBITED,
+    cause=StopCause.NONE,
+)
+
+
+def in_phase(phase: Phase, **changes: Any) -> Interlock:
+    """The state in which everything holds, put into ``phase``: only the table is left to refuse."""
+    token = REQUEST if phase is Phase.VERIFYING else TOKEN
+    early = {"session": None} if phase is Phase.WAITING else {}
+    return replace(READY, phase=phase, token=token, **(early | changes))
+
+
+def view(state: ControllerState = ControllerState.LOADED, **changes: Any) -> ControllerView:
+    """What a controller in this state reports."""
+    cutting = state in (ControllerState.PERMITTED, ControllerState.CUTTING)
+    return replace(VIEW, state=state, cutting_mode=cutting, **changes)
+
+
+def beat(state: ControllerState = ControllerState.LOADED, *, fresh: bool = True, **changes: Any) -> Event:
+    """A heartbeat of a controller in this state."""
+    return HeartbeatReceived(view(state, **changes), fresh)
+
+
+def reply(request: type[records.Record], refusal: Refusal = Refusal.ACCEPTED) -> Event:
+    """The controller's answer to a request of this type."""
+    return ReplyReceived(request.TYPE, refusal, StopCause.NONE)
+
+
+EXPECTED_STATE: dict[Phase, ControllerState] = {
+    Phase.COLLECTING: ControllerState.OPEN,
+    Phase.UPLOADING: ControllerState.OPEN,
+    Phase.PERMITTED: ControllerState.PERMITTED,
+    Phase.NONCE_START: ControllerState.PERMITTED,
+    Phase.AUTHORISING_START: ControllerState.PERMITTED,
+    Phase.STARTING: ControllerState.PERMITTED,
+    Phase.CUTTING: ControllerState.CUTTING,
+    Phase.HELD: ControllerState.FAULT,
+    Phase.NONCE_RESET: ControllerState.FAULT,
+    Phase.AUTHORISING_RESET: ControllerState.FAULT,
+    Phase.RESETTING: ControllerState.FAULT,
+}
+"""What a sound controller reports in each phase; LOADED in all others."""
+
+
+def sound_beat(state: Interlock, **changes: Any) -> Event:
+    """The heartbeat of a sound controller in the state's phase."""
+    return beat(EXPECTED_STATE.get(state.phase, ControllerState.LOADED), **({"epoch": state.epoch} | changes))
+
+
+def stop_events(state: Interlock) -> dict[str, Event]:
+    """Every event that must stop, whatever the phase."""
+    return {
+        "operator": Said(Word.STOP),
+        "withdrawn": Said(Word.WITHDRAW),
+        "heartbeat lost": HeartbeatLost(),
+        "fault": FaultReceived(FaultCode.STOPPED, StopCause.EMERGENCY_STOP),
+        "shell": Failed(StopCause.LOOP_STALLED, "the loop stalled"),
+        "log": LogChanged(replace(state.log, writable=False)),
+    }
+
+
+def events(state: Interlock) -> list[Event]:
+    """At least one of every kind of event, each as tempting as it can be in ``state``."""
+    epoch = state.epoch
+    everything: list[Event] = [
+        Announced(ANNOUNCE, RUNTIME_NONCE),
+        *(SessionOpened(epoch, kind, cause) for kind in ControllerState for cause in list(StopCause)[:2]),
+        *(ParameterReceived(record) for record in (LIMITS, CALIBRATION, TOOL)),
+        *(BlockStored(index) for index in range(PATH_BLOCKS)),
+        PathStored(READY.stored or Stored(b"", Refusal.ACCEPTED, 0)),
+        *(VerdictReady(replace(VERDICT, request=token)) for token in (state.token, state.token + 1)),
+        *(NonceReceived(purpose, NONCE, e) for purpose in Purpose for e in (epoch, epoch + 1)),
+        *(
+            reply(kind, refusal)
+            for kind in (records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge)
+            for refusal in (Refusal.ACCEPTED, Refusal.NONCE_MISMATCH)
+        ),
+        *(beat(kind, epoch=epoch) for kind in ControllerState),
+        *(beat(kind, epoch=epoch, device_pressed=False) for kind in ControllerState),
+        *(beat(kind, epoch=epoch, cause=StopCause.DEVICE_RELEASED) for kind in ControllerState),
+        beat(epoch=epoch + 1),
+        beat(ControllerState.PERMITTED, epoch=epoch, fresh=False),
+        PoseMeasured(0.0, 0.0),
+        *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
+        LogChanged(state.log),
+        *(Said(word) for word in Word),
+        Tick(),
+        *stop_events(state).values(),
+    ]
+    return everything
+
+
+def code(state: Interlock) -> RuntimeCode:
+    """What the heartbeat says in this state."""
+    return HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
+
+
+PERMISSIVENESS = {RuntimeCode.INHIBIT: 0, RuntimeCode.READY: 1, RuntimeCode.CUT: 2}
+
+ENABLING = (records.Permit, records.Start, records.Reset)
+
+
+def sent(effects: tuple[Effect, ...]) -> list[records.Record]:
+    """The records among the effects."""
+    return [effect.record for effect in effects if isinstance(effect, Send)]
+
+
+def enabled(effects: tuple[Effect, ...]) -> list[records.Record]:
+    """The permits, starts and resets that leave."""
+    return [record for record in sent(effects) if isinstance(record, ENABLING)]
+
+
+def stops(effects: tuple[Effect, ...], code: StopCode = StopCode.STOP) -> list[StopCause]:
+    """The causes of the stop frames that leave."""
+    return [effect.cause for effect in effects if isinstance(effect, SendStop) and effect.code is code]
+
+
+class Run:
+    """One session, event by event; keeps state, time and the effects of the last event."""
+
+    def __init__(self, state: Interlock, now_s: float = 0.0) -> None:
+        self.state = state
+        self.now_s = now_s
+        self.effects: tuple[Effect, ...] = ()
+
+    def feed(self, *arriving: Event, after_s: float = 0.01) -> "Run":
+        """Feed events, each ``after_s`` later than the one before."""
+        for event in arriving:
+            self.now_s += after_s
+            self.state, self.effects = step(self.state, event, self.now_s)
+        return self
+
+    @property
+    def phase(self) -> Phase:
+        """Where the conversation stands."""
+        return self.state.phase
+
+    @property
+    def commit(self) -> Commit:
+        """The commit among the last effects."""
+        return next(effect for effect in self.effects if isinstance(effect, Commit))
+
+    def durable(self) -> "Run":
+        """The pending record reaches the disk."""
+        return self.feed(RecordDurable(self.state.token))
+
+    def until(self, phase: Phase) -> "Run":
+        """Go the straight way up to ``phase``."""
+        while self.phase is not phase:
+            for event in STRAIGHT_ON[self.phase](self.state):
+                self.feed(event)
+                if self.phase is phase:
+                    break
+        return self
+
+
+def _opened(_state: Interlock) -> tuple[Event, ...]:
+    return (SessionOpened(EPOCH, ControllerState.OPEN, StopCause.NONE),)
+
+
+def _verdict(state: Interlock) -> tuple[Event, ...]:
+    return (
+        beat(ControllerState.LOADED, device_pressed=False),
+        VerdictReady(replace(VERDICT, request=state.token)),
+    )
+
+
+def _go(_state: Interlock) -> tuple[Event, ...]:
+    return (
+        beat(ControllerState.PERMITTED, device_pressed=False),
+        beat(ControllerState.PERMITTED),
+        PoseMeasured(0.1, 0.05),
+        Said(Word.START),
+    )
+
+
+STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
+    Phase.WAITING: lambda _s: (Announced(ANNOUNCE, RUNTIME_NONCE),),
+    Phase.OPENING: _opened,
+    Phase.COLLECTING: lambda _s: tuple(ParameterReceived(kind) for kind in (LIMITS, CALIBRATION, TOOL)),
+    Phase.UPLOADING: lambda _s: (
+        *(BlockStored(index) for index in range(PATH_BLOCKS)),
+        PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)),
+    ),
+    Phase.VERIFYING: _verdict,
+    Phase.ADMITTED: lambda _s: (beat(),),
+    Phase.NONCE_PERMIT: lambda _s: (NonceReceived(Purpose.PERMIT, NONCE, EPOCH),),
+    Phase.AUTHORISING_PERMIT: lambda s: (RecordDurable(s.token),),
+    Phase.PERMITTING: lambda _s: (reply(records.Permit),),
+    Phase.PERMITTED: _go,
+    Phase.NONCE_START: lambda _s: (NonceReceived(Purpose.START, NONCE, EPOCH),),
+    Phase.AUTHORISING_START: lambda s: (RecordDurable(s.token),),
+    Phase.STARTING: lambda _s: (reply(records.Start),),
+    Phase.CUTTING: lambda _s: (beat(ControllerState.CUTTING), beat(ControllerState.DONE)),
+    Phase.HELD: lambda s: (
+        beat(ControllerState.FAULT, epoch=s.epoch, cause=StopCause.NONE),
+        Said(Word.RESET),
+    ),
+    Phase.NONCE_RESET: lambda s: (NonceReceived(Purpose.RESET, NONCE, s.epoch),),
+    Phase.AUTHORISING_RESET: lambda s: (RecordDurable(s.token),),
+    Phase.RESETTING: lambda _s: (reply(records.Reset), beat(ControllerState.OPEN)),
+    Phase.STOPPING: lambda _s: (beat(ControllerState.INHIBITED, cause=StopCause.OPERATOR_STOP),),
+}
+"""What a sound controller and a patient operator do next in each phase."""

@@ -1,0 +1,243 @@
+"""Each permissive on its own: it alone fails, says why and what to do, and anything undefined denies."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from protocol.states import ControllerState, Refusal, StopCause
+from runtime.interlock import permissives as p
+from runtime.interlock.state import DeviceCycle
+from tests.altering import altered
+from tests.runtime.interlock.builders import JOB, NOW, READY, VERDICT
+
+ALONE = [
+    # one field, another value, the permissive that alone fails, what it shows, its bound
+    ("session.protocol_version", 2, p.protocol_version, "2", "1"),
+    ("session.serial", "SIM-2", p.serial_number, "SIM-2", "SIM-1"),
+    ("job.limits", b"other", p.limits_approved, None, None),
+    ("job.calibration", b"other", p.calibration_approved, None, None),
+    ("job.tool", b"other", p.tool_approved, None, None),
+    (
+        "stored.refusal",
+        Refusal.POSE_OUTSIDE_LIMITS,
+        p.path_accepted,
+        "POSE_OUTSIDE_LIMITS at pose 0",
+        "accepted",
+    ),
+    ("stored.digest", bytes(32), p.path_digest, "0" * 16, None),
+    ("verdict.admissible", False, p.verdict_admissible, "admissible", "admissible"),
+    ("verdict.path", bytes(32), p.verdict_current, "0" * 16, None),
+    ("verdict.limits", bytes(32), p.verdict_current, None, None),
+    ("verdict.calibration", bytes(32), p.verdict_current, None, None),
+    ("verdict.tool", bytes(32), p.verdict_current, None, None),
+    ("job.registration_age_s", 3540.1, p.registration_age, 3600.1, "<= 3600 s"),
+    ("job.registration_age_s", math.nan, p.registration_age, math.nan, "<= 3600 s"),
+    ("job.registration_age_s", -61.0, p.registration_age, -1.0, "<= 3600 s"),
+    ("began_s", None, p.registration_age, "not known", "<= 3600 s"),
+    ("registration_withdrawn", True, p.registration_stands, "withdrawn", "not withdrawn"),
+    ("log.writable", False, p.log_writable, "failed", "writable"),
+    ("log.reserved_bytes", 1999, p.log_space, 1999.0, ">= 2000 bytes"),
+    ("log.reserved_bytes", 0, p.log_space, 0.0, ">= 2000 bytes"),
+    ("heartbeat_fresh", False, p.heartbeat_fresh, "stale or never seen", "fresh within 100 ms"),
+    ("controller.cause", StopCause.BONE_MOVED, p.no_stop_cause, "BONE_MOVED", "NONE"),
+    ("controller.emergency_stop_clear", False, p.emergency_stop, "pressed or not known", "clear"),
+    ("controller.epoch", 4, p.epoch_current, "4", "3"),
+    ("controller.state", ControllerState.LOADED, p.cutting_mode, "LOADED", "PERMITTED"),
+    ("controller.cutting_mode", False, p.cutting_mode, "PERMITTED", "PERMITTED"),
+    ("permit", None, p.permit_alive, "not known", "<= 120 s"),
+    ("nonce_at_s", NOW - 120.1, p.permit_alive, 120.1, "<= 120 s"),
+    ("nonce_at_s", NOW + 0.1, p.permit_alive, -0.1, "<= 120 s"),
+    ("nonce_at_s", math.nan, p.permit_alive, math.nan, "<= 120 s"),
+    (
+        "controller.device_pressed",
+        False,
+        p.device_cycled,
+        "pressed",
+        "released, then pressed, after the permit",
+    ),
+    ("device", DeviceCycle.RELEASED, p.device_cycled, "released", "released, then pressed, after the permit"),
+    ("device", DeviceCycle.UNSEEN, p.device_cycled, "held since before the permit, or not seen", None),
+    ("offset_mm", 0.5001, p.start_distance, 0.5001, "<= 0.5 mm"),
+    ("offset_mm", math.nan, p.start_distance, math.nan, "<= 0.5 mm"),
+    ("offset_mm", math.inf, p.start_distance, math.inf, "<= 0.5 mm"),
+    ("offset_mm", -0.1, p.start_distance, -0.1, "<= 0.5 mm"),
+    ("offset_mm", None, p.start_distance, "not known", "<= 0.5 mm"),
+    ("offset_deg", 0.2001, p.start_angle, 0.2001, "<= 0.2 deg"),
+    ("offset_deg", math.nan, p.start_angle, math.nan, "<= 0.2 deg"),
+    ("offset_deg", None, p.start_angle, "not known", "<= 0.2 deg"),
+]
+
+
+def _name(evaluate: p.Evaluate) -> str:
+    return evaluate(READY, NOW).name
+
+
+@pytest.mark.parametrize("which", [p.FOR_PERMIT, p.FOR_START, p.FOR_RESET, p.COLLECTED, p.FINAL])
+def test_all_hold_in_the_baseline_state(which):
+    assert p.failing(which, READY, NOW) == ()
+    assert p.all_hold(which, READY, NOW)
+    assert all(one.bound and one.remedy and str(one) for one in p.evaluate(which, READY, NOW))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "evaluate", "shown", "bound"),
+    ALONE,
+    ids=[f"{field}={value!r:.30}" for field, value, *_ in ALONE],
+)
+def test_each_permissive_fails_alone(field, value, evaluate, shown, bound):
+    state = altered(READY, field, value)
+
+    failing = p.failing(p.FOR_START, state, NOW)
+
+    assert [one.name for one in failing] == [_name(evaluate)]
+    (one,) = failing
+    assert (one.value is None) != (one.text is None), "a number or a text, never both"
+    if isinstance(shown, float):
+        assert one.value == pytest.approx(shown, nan_ok=True)
+    elif shown is not None:
+        assert one.text == shown
+    assert one.bound == bound if bound is not None else one.bound
+    assert one.remedy
+    assert one.remedy in str(one)
+    assert one.bound in str(one)
+
+
+def test_a_latched_controller_alone_denies_the_permit():
+    state = altered(READY, "controller.state", ControllerState.FAULT)
+    assert [one.name for one in p.failing(p.FOR_PERMIT, state, NOW)] == [_name(p.not_latched)]
+    assert _name(p.not_latched) in {one.name for one in p.failing(p.FOR_START, state, NOW)}
+
+
+def test_the_table_above_leaves_no_permissive_out():
+    assert {evaluate for *_, evaluate, _, _ in ALONE} | {p.not_latched} == set(p.FOR_START)
+    assert len(set(p.FOR_START)) == len(p.FOR_START)
+    assert len({_name(one) for one in p.FOR_START}) == len(p.FOR_START), "names are unique"
+
+
+@pytest.mark.parametrize(
+    ("field", "evaluates"),
+    [
+        ("session", [p.protocol_version, p.serial_number]),
+        ("collected.limits", [p.limits_approved]),
+        ("collected.calibration", [p.calibration_approved]),
+        ("collected.tool", [p.tool_approved]),
+        ("stored", [p.path_accepted, p.path_digest]),
+        ("verdict", [p.verdict_admissible, p.verdict_current]),
+        (
+            "controller",
+            [
+                p.no_stop_cause,
+                p.not_latched,
+                p.emergency_stop,
+                p.epoch_current,
+                p.cutting_mode,
+                p.device_cycled,
+            ],
+        ),
+    ],
+)
+def test_what_was_never_seen_does_not_hold(field, evaluates):
+    state = altered(READY, field, None)
+    for evaluate in evaluates:
+        one = evaluate(state, NOW)
+        assert one.holds is False
+        assert one.text
+        assert one.value is None
+
+
+@pytest.mark.parametrize("age_s", [0.11, -0.01, math.nan])
+def test_an_old_measurement_is_not_the_arm_now(age_s):
+    state = replace(READY, measured_s=NOW - age_s)
+    assert {one.name for one in p.failing(p.FOR_START, state, NOW)} == {
+        _name(p.start_distance),
+        _name(p.start_angle),
+    }
+
+
+def test_an_undefined_time_denies_whatever_depends_on_it():
+    assert {one.name for one in p.failing(p.FOR_START, READY, math.nan)} == {
+        _name(p.registration_age),
+        _name(p.permit_alive),
+        _name(p.start_distance),
+        _name(p.start_angle),
+    }
+
+
+def test_the_registration_grows_older_during_the_session():
+    assert p.registration_age(READY, NOW).value == 160.0
+    assert p.registration_age(READY, NOW + 3440.0).holds
+    assert not p.registration_age(READY, NOW + 3440.1).holds
+
+
+def test_without_a_configured_bound_the_age_is_shown_and_holds():
+    one = p.registration_age(altered(READY, "job.registration_max_age_s", None), NOW)
+    assert (one.holds, one.text, one.bound) == (True, "100 s", "no bound is configured")
+
+
+def test_any_controller_will_do_where_no_serial_number_is_configured():
+    state = altered(altered(READY, "job.serial", None), "session.serial", "SIM-9")
+    assert p.serial_number(state, NOW).holds
+    assert not p.serial_number(replace(state, session=None), NOW).holds
+
+
+def test_numpy_numbers_hold_as_python_numbers_do():
+    """A comparison of numpy floats is not the object True; taken literally it would never hold."""
+    state = replace(READY, offset_mm=np.float64(0.5), offset_deg=np.float64(0.2))
+    assert p.all_hold(p.FOR_START, state, NOW)
+    assert not p.all_hold(p.FOR_START, replace(state, offset_mm=np.float64("nan")), NOW)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "holds"),
+    [
+        ("offset_mm", 0.5, True),
+        ("offset_deg", 0.2, True),
+        ("offset_mm", 0.0, True),
+        ("nonce_at_s", NOW - 120.0, True),
+        ("log.reserved_bytes", 2000, True),
+    ],
+)
+def test_the_bound_itself_is_inside(field, value, holds):
+    assert p.all_hold(p.FOR_START, altered(READY, field, value), NOW) is holds
+
+
+def test_only_the_object_true_counts_as_holding():
+    def nearly(_state, _now_s):
+        return p.Permissive("nearly", 1, None, "1", "True", "none")
+
+    assert not p.all_hold((nearly,), READY, NOW)
+    assert [one.name for one in p.failing((nearly,), READY, NOW)] == ["nearly"]
+
+
+def test_hopeless_is_what_no_act_can_cure():
+    assert p.hopeless(READY, NOW) == ()
+    inadmissible = replace(READY, verdict=replace(VERDICT, admissible=False))
+    assert [one.name for one in p.hopeless(inadmissible, NOW)] == [_name(p.verdict_admissible)]
+    for curable in (
+        replace(READY, heartbeat_fresh=False),
+        replace(READY, controller=None),
+        altered(READY, "controller.emergency_stop_clear", False),
+    ):
+        assert p.hopeless(curable, NOW) == ()
+        assert not p.all_hold(p.FOR_PERMIT, curable, NOW)
+
+
+def test_space_is_hopeless_only_after_the_file_system_has_answered():
+    assert p.hopeless(altered(READY, "log.reserved_bytes", 0), NOW) == ()
+    assert [one.name for one in p.hopeless(altered(READY, "log.reserved_bytes", 1), NOW)] == [
+        _name(p.log_space)
+    ]
+
+
+def test_what_holds_is_shown_without_a_remedy():
+    one = p.start_distance(READY, NOW)
+    assert str(one) == "measured tip to the path's first pose: 0.1 (required: <= 0.5 mm)"
+
+
+def test_every_list_is_part_of_the_next():
+    assert set(p.IDENTITY) < set(p.COLLECTED) < set(p.FOR_PERMIT) < set(p.FOR_START)
+    assert set(p.FINAL) < set(p.FOR_PERMIT)
+    assert set(p.FOR_RESET) < set(p.FOR_PERMIT)
+    assert JOB.registration_max_age_s is not None

@@ -1,0 +1,916 @@
+"""The interlock's table: what leaves, when, and what never does."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from protocol import records
+from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from runtime.interlock import permissives as p
+from runtime.interlock import table
+from runtime.interlock.state import (
+    ENDED,
+    HEARTBEAT_CODE,
+    Announced,
+    BlockStored,
+    Commit,
+    DeviceCycle,
+    Dropped,
+    Failed,
+    FaultReceived,
+    HeartbeatLost,
+    HeartbeatReceived,
+    LogChanged,
+    LogHealth,
+    NonceReceived,
+    OpenLink,
+    ParameterReceived,
+    PathStored,
+    Phase,
+    PoseMeasured,
+    RecordDurable,
+    Refused,
+    Said,
+    Send,
+    SendBlock,
+    SendStop,
+    SessionOpened,
+    Stored,
+    Tick,
+    UseSession,
+    VerdictReady,
+    Verify,
+    Withheld,
+    Word,
+)
+from runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING, step
+from tests.altering import altered
+from tests.runtime.interlock.builders import (
+    ANNOUNCE,
+    BOOT_NONCE,
+    EPOCH,
+    FRESH,
+    JOB,
+    LIMITS,
+    NONCE,
+    NOW,
+    PATH,
+    PATH_BLOCKS,
+    PERMISSIVENESS,
+    PERMIT,
+    READY,
+    RUNTIME_NONCE,
+    SESSION,
+    TIMING,
+    TOKEN,
+    TOOL,
+    VERDICT,
+    Run,
+    beat,
+    code,
+    enabled,
+    events,
+    in_phase,
+    reply,
+    sent,
+    sound_beat,
+    stop_events,
+    stops,
+    view,
+)
+
+LIVE = [phase for phase in Phase if phase not in ENDED]
+ENABLING_PHASES = {
+    Phase.AUTHORISING_PERMIT: (records.Permit, Phase.PERMITTING, Phase.ADMITTED, p.FOR_PERMIT),
+    Phase.AUTHORISING_START: (records.Start, Phase.STARTING, Phase.PERMITTED, p.FOR_START),
+    Phase.AUTHORISING_RESET: (records.Reset, Phase.RESETTING, Phase.HELD, p.FOR_RESET),
+}
+PENDING = RecordDurable(TOKEN)
+each_phase = pytest.mark.parametrize("phase", LIVE, ids=str)
+each_authorising = pytest.mark.parametrize("phase", ENABLING_PHASES, ids=str)
+
+
+# ---------------------------------------------------------------- what enables
+
+
+@pytest.mark.parametrize("phase", Phase, ids=str)
+def test_nothing_enables_but_the_pending_durable_record(phase):
+    """All phases times all events, from the state in which every permissive holds."""
+    state = in_phase(phase)
+    for event in events(state):
+        after, effects = step(state, event, NOW)
+        more_permissive = PERMISSIVENESS[code(after)] > PERMISSIVENESS[code(state)]
+        if phase in ENABLING_PHASES and event == PENDING:
+            kind, following, *_ = ENABLING_PHASES[phase]
+            assert [type(record) for record in enabled(effects)] == [kind]
+            assert after.phase is following
+        else:
+            assert not enabled(effects), event
+            assert not more_permissive, event
+
+
+def test_only_two_phases_order_the_cut_and_each_is_reached_through_its_start():
+    assert {phase for phase, order in HEARTBEAT_CODE.items() if order is RuntimeCode.CUT} == MOVING
+    for phase in Phase:
+        state = in_phase(phase)
+        for event in events(state):
+            after, _ = step(state, event, NOW)
+            if after.phase in MOVING and phase not in MOVING:
+                assert (phase, after.phase) == (Phase.AUTHORISING_START, Phase.STARTING)
+
+
+@each_authorising
+def test_every_permissive_is_judged_again_when_the_record_is_durable(phase):
+    """Each permissive that fails in between withholds what was authorised."""
+    _, _, back, which = ENABLING_PHASES[phase]
+    worse = [
+        ("job.limits", b"other"),
+        ("log.writable", False),
+        ("log.reserved_bytes", 1),
+        ("heartbeat_fresh", False),
+        ("controller.cause", StopCause.BONE_MOVED),
+        ("controller.emergency_stop_clear", False),
+        ("controller.epoch", EPOCH + 1),
+        ("controller.device_pressed", False),
+        ("offset_mm", 3.0),
+        ("registration_withdrawn", True),
+        ("controller", None),
+    ]
+    withheld = 0
+    for field, value in worse:
+        state = altered(in_phase(phase), field, value)
+        if p.all_hold(which, state, NOW):
+            continue
+        withheld += 1
+        after, effects = step(state, PENDING, NOW)
+        assert effects == (Withheld(TOKEN),), field
+        assert (after.phase, after.nonce) == (back, None)
+    assert withheld >= 5
+
+
+@each_authorising
+def test_the_time_of_durability_is_the_time_of_judgement(phase):
+    """The permit's age is judged when the record is durable, not when it was committed."""
+    late = NOW + 0.4
+    state = replace(in_phase(phase), nonce_at_s=late - 120.01, measured_s=late)
+    _, effects = step(state, PENDING, late)
+    assert bool(enabled(effects)) is (phase is not Phase.AUTHORISING_START)
+
+
+@each_authorising
+@pytest.mark.parametrize("token", [TOKEN - 1, TOKEN + 1, 0])
+def test_another_record_enables_nothing(phase, token):
+    state = in_phase(phase)
+    after, effects = step(state, RecordDurable(token), NOW)
+    assert after == state
+    assert [type(effect) for effect in effects] == [Dropped]
+
+
+@each_authorising
+@pytest.mark.parametrize("now_s", [NOW + 0.6, NOW - 0.6, math.nan])
+def test_a_record_that_is_durable_too_late_enables_nothing(phase, now_s):
+    """Whether or not the loop has looked at its clocks before."""
+    state = in_phase(phase)
+    after, effects = step(state, PENDING, now_s)
+    assert effects == (SendStop(StopCode.STOP, StopCause.AUDIT_FAILED), Withheld(TOKEN))
+    assert after.phase is Phase.STOPPING
+
+
+@each_authorising
+def test_a_stop_in_between_withholds_and_the_record_is_dead(phase):
+    for name, event in stop_events(in_phase(phase)).items():
+        stopped, effects = step(in_phase(phase), event, NOW)
+        assert Withheld(TOKEN) in effects, name
+        after, effects = step(stopped, PENDING, NOW)
+        assert after == stopped
+        assert [type(effect) for effect in effects] == [Dropped]
+
+
+@each_authorising
+def test_quitting_in_between_withholds(phase):
+    after, effects = step(in_phase(phase), Said(Word.QUIT), NOW)
+    assert effects == (SendStop(StopCode.END, StopCause.OPERATOR_QUIT), Withheld(TOKEN))
+    assert after.phase is Phase.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("phase", "purpose", "authorising"),
+    [
+        (Phase.NONCE_PERMIT, Purpose.PERMIT, Phase.AUTHORISING_PERMIT),
+        (Phase.NONCE_START, Purpose.START, Phase.AUTHORISING_START),
+        (Phase.NONCE_RESET, Purpose.RESET, Phase.AUTHORISING_RESET),
+    ],
+)
+def test_a_nonce_leads_to_a_commit_under_a_new_token_and_nothing_leaves(phase, purpose, authorising):
+    after, effects = step(in_phase(phase), NonceReceived(purpose, b"n" * 16, EPOCH), NOW)
+    assert (after.phase, after.token, after.nonce) == (authorising, TOKEN + 1, b"n" * 16)
+    (commit,) = effects
+    assert (commit.token, commit.purpose, commit.record.nonce) == (TOKEN + 1, purpose, b"n" * 16)
+    assert commit.record.epoch == EPOCH
+    assert commit.record.session_digest == SESSION.digest
+    # what leaves is what was made durable
+    _, effects = step(after, RecordDurable(TOKEN + 1), NOW)
+    assert sent(effects) == [commit.record]
+
+
+@pytest.mark.parametrize("phase", [Phase.NONCE_PERMIT, Phase.NONCE_START, Phase.NONCE_RESET], ids=str)
+def test_a_nonce_for_something_else_is_dropped(phase):
+    state = in_phase(phase)
+    wanted = Purpose[phase.name.removeprefix("NONCE_")]
+    wrong = [NonceReceived(purpose, NONCE, EPOCH) for purpose in Purpose if purpose is not wanted]
+    for event in (*wrong, NonceReceived(wanted, NONCE, EPOCH + 1)):
+        after, effects = step(state, event, NOW)
+        assert after == state
+        assert [type(effect) for effect in effects] == [Dropped]
+
+
+def test_the_permit_binds_what_was_proved_and_nothing_else():
+    run = Run(in_phase(Phase.NONCE_PERMIT), NOW).feed(NonceReceived(Purpose.PERMIT, NONCE, EPOCH))
+    assert run.commit.record == PERMIT
+    assert run.durable().state.permit == PERMIT
+
+
+def test_the_start_names_its_permit():
+    run = Run(in_phase(Phase.NONCE_START), NOW).feed(NonceReceived(Purpose.START, b"s" * 16, EPOCH))
+    assert run.commit.record == records.Start(
+        nonce=b"s" * 16,
+        epoch=EPOCH,
+        session_digest=SESSION.digest,
+        permit_digest=records.digest(PERMIT.canonical()),
+        start_joints_u=VERDICT.start_joints_u,
+    )
+
+
+# ---------------------------------------------------------------- what disables
+
+
+@each_phase
+@pytest.mark.parametrize("name", stop_events(READY))
+def test_every_stop_leaves_in_the_same_step(phase, name):
+    state = in_phase(phase)
+    event = stop_events(state)[name]
+    after, effects = step(state, event, NOW)
+    assert PERMISSIVENESS[code(after)] == 0
+    assert not enabled(effects)
+    if phase is Phase.STOPPING and isinstance(event, HeartbeatLost | FaultReceived):
+        assert not stops(effects), "a stop was sent already; the controller's answer is not answered"
+        return
+    assert len(stops(effects)) == 1
+    assert isinstance(effects[0], SendStop), "before anything else"
+    if phase is not Phase.STOPPING:
+        assert after.phase is (Phase.STOPPED if phase is Phase.WAITING else Phase.STOPPING)
+        assert after.cause is stops(effects)[0]
+        assert after.reason
+        assert (after.permit, after.nonce) == (None, None)
+
+
+@pytest.mark.parametrize("cause", [cause for cause in StopCause if cause is not StopCause.NONE], ids=str)
+@pytest.mark.parametrize("phase", MOVING, ids=str)
+def test_every_cause_the_shell_or_the_controller_can_name_stops_the_cut(phase, cause):
+    for event in (
+        Failed(cause, "why"),
+        FaultReceived(FaultCode.LATCHED, cause),
+        beat(ControllerState.INHIBITED, cause=cause),
+        beat(ControllerState.CUTTING, cause=cause),
+        beat(ControllerState.CUTTING, fresh=False, cause=cause),
+    ):
+        after, effects = step(in_phase(phase), event, NOW)
+        assert stops(effects) == [cause]
+        assert (after.phase, after.cause) == (Phase.STOPPING, cause)
+
+
+@each_phase
+def test_the_first_cause_is_kept(phase):
+    stopped, _ = step(in_phase(phase), Failed(StopCause.LOOP_STALLED, "first"), NOW)
+    if phase is Phase.STOPPING:
+        stopped = replace(stopped, cause=StopCause.LOOP_STALLED, reason="first")
+    for event in stop_events(stopped).values():
+        after, _ = step(stopped, event, NOW)
+        assert (after.cause, after.reason) == (StopCause.LOOP_STALLED, "first")
+
+
+@each_phase
+def test_a_stop_without_a_cause_is_a_violation(phase):
+    after, effects = step(in_phase(phase), Failed(StopCause.NONE, ""), NOW)
+    assert stops(effects) == [StopCause.PROTOCOL_VIOLATION]
+    assert after.phase in (Phase.STOPPING, Phase.STOPPED)
+
+
+@each_phase
+def test_a_withdrawn_registration_stays_withdrawn(phase):
+    after, effects = step(in_phase(phase), Said(Word.WITHDRAW), NOW)
+    assert after.registration_withdrawn
+    assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
+
+
+@each_phase
+def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase):
+    after, effects = step(in_phase(phase), Said(Word.QUIT), NOW)
+    if phase is Phase.STOPPING:
+        assert [type(effect) for effect in effects] == [Refused]
+        return
+    assert after.cause is StopCause.OPERATOR_QUIT
+    if phase in MOVING:
+        assert after.phase is Phase.STOPPING
+        assert stops(effects) == [StopCause.OPERATOR_QUIT]
+    else:
+        assert after.phase is Phase.STOPPED
+        assert stops(effects, StopCode.END) == [StopCause.OPERATOR_QUIT]
+
+
+@pytest.mark.parametrize("phase", ENDED, ids=str)
+def test_an_ended_session_answers_nothing(phase):
+    state = in_phase(phase)
+    for event in events(state):
+        assert step(state, event, NOW + 1e6) == (state, ())
+
+
+@each_phase
+def test_an_announcement_in_a_session_is_a_reboot(phase):
+    after, effects = step(in_phase(phase), Announced(ANNOUNCE, RUNTIME_NONCE), NOW)
+    if phase is Phase.WAITING:
+        assert after.phase is Phase.OPENING
+    elif phase is Phase.OPENING:
+        assert (after, effects) == (in_phase(phase), ())
+    else:
+        assert stops(effects) == [StopCause.PEER_REBOOTED]
+
+
+@each_phase
+def test_parameters_that_were_not_asked_for_stop(phase):
+    if phase is Phase.COLLECTING:
+        return
+    for record, cause in ((LIMITS, StopCause.LIMITS_CHANGED), (TOOL, StopCause.CALIBRATION_CHANGED)):
+        _, effects = step(in_phase(phase), ParameterReceived(record), NOW)
+        assert stops(effects) == [cause]
+
+
+def test_only_a_log_that_fails_stops_not_one_that_changes():
+    state = in_phase(Phase.CUTTING)
+    health = LogHealth(writable=True, reserved_bytes=1, needed_bytes=1000)
+    after, effects = step(state, LogChanged(health), NOW)
+    assert (after.phase, after.log, effects) == (Phase.CUTTING, health, ())
+    failed = replace(health, writable=False)
+    after, effects = step(after, LogChanged(failed), NOW)
+    assert stops(effects) == [StopCause.AUDIT_FAILED]
+    assert after.log == failed
+
+
+# ---------------------------------------------------------------- the controller's heartbeat
+
+
+@pytest.mark.parametrize("phase", EXPECTED, ids=str)
+def test_an_unexpected_state_another_epoch_or_a_cause_stops(phase):
+    state = in_phase(phase)
+    for kind in ControllerState:
+        after, effects = step(state, beat(kind), NOW)
+        if kind in EXPECTED[phase]:
+            assert not stops(effects), kind
+        else:
+            assert stops(effects) == [StopCause.PROTOCOL_VIOLATION], kind
+            assert after.controller == view(kind)
+    _, effects = step(state, sound_beat(state, epoch=EPOCH + 1), NOW)
+    assert stops(effects) == [StopCause.PROTOCOL_VIOLATION]
+    _, effects = step(state, sound_beat(state, cause=StopCause.BONE_MOVED), NOW)
+    assert stops(effects) == [StopCause.BONE_MOVED]
+
+
+def test_the_phases_without_a_list_judge_heartbeats_by_themselves():
+    listed = {phase for phase, kind in table.TABLE if kind is HeartbeatReceived}
+    assert set(LIVE) <= set(EXPECTED) | listed
+
+
+BEFORE = [
+    # the controller's state just before and just after it dealt with our record
+    (
+        Phase.UPLOADING,
+        ControllerState.OPEN,
+        PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)),
+    ),
+    (Phase.PERMITTING, ControllerState.LOADED, reply(records.Permit)),
+    (Phase.STARTING, ControllerState.PERMITTED, reply(records.Start)),
+    (Phase.RESETTING, ControllerState.FAULT, reply(records.Reset)),
+]
+
+
+@pytest.mark.parametrize(("phase", "before", "answer"), BEFORE, ids=[str(phase) for phase, *_ in BEFORE])
+def test_a_heartbeat_sent_just_before_our_record_was_dealt_with_is_no_violation(phase, before, answer):
+    """It may arrive before the answer, and, overtaken by the answer's transfer, after it."""
+    early = Run(in_phase(phase), NOW).feed(beat(before))
+    assert early.phase is phase
+    assert not stops(early.effects)
+    late = Run(in_phase(phase), NOW).feed(answer, beat(before))
+    assert not stops(late.effects)
+    assert late.phase not in (Phase.STOPPING, Phase.STOPPED)
+
+
+AHEAD = [
+    (Phase.OPENING, ControllerState.OPEN),
+    (Phase.UPLOADING, ControllerState.LOADED),
+    (Phase.PERMITTING, ControllerState.PERMITTED),
+    (Phase.STARTING, ControllerState.CUTTING),
+    (Phase.RESETTING, ControllerState.OPEN),
+]
+
+
+@pytest.mark.parametrize(("phase", "after"), AHEAD, ids=[str(phase) for phase, _ in AHEAD])
+def test_a_heartbeat_that_overtakes_the_answer_is_no_violation(phase, after):
+    run = Run(in_phase(phase), NOW).feed(beat(after))
+    assert run.phase is phase
+    assert not stops(run.effects)
+
+
+def test_a_heartbeat_before_the_opened_record_is_seen_and_judged_later():
+    state = in_phase(Phase.OPENING, epoch=0, controller=None)
+    after, effects = step(state, beat(ControllerState.FAULT, cause=StopCause.BONE_MOVED), NOW)
+    assert (after.phase, effects) == (Phase.OPENING, ())
+    assert after.controller == view(ControllerState.FAULT, cause=StopCause.BONE_MOVED)
+
+
+@pytest.mark.parametrize("phase", MOVING, ids=str)
+@pytest.mark.parametrize("kind", [ControllerState.PERMITTED, ControllerState.CUTTING], ids=str)
+def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
+    _, effects = step(in_phase(phase), beat(kind, device_pressed=False), NOW)
+    assert stops(effects) == [StopCause.DEVICE_RELEASED]
+    _, effects = step(in_phase(phase), beat(kind, emergency_stop_clear=False), NOW)
+    assert stops(effects) == [StopCause.EMERGENCY_STOP]
+
+
+@pytest.mark.parametrize("phase", MOVING, ids=str)
+@pytest.mark.parametrize("pressed", [True, False])
+def test_done_ends_the_session_in_order_also_with_the_device_already_released(phase, pressed):
+    after, effects = step(in_phase(phase), beat(ControllerState.DONE, device_pressed=pressed), NOW)
+    assert (after.phase, after.cause) == (Phase.DONE, StopCause.NONE)
+    assert effects == (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
+
+
+@pytest.mark.parametrize("kind", ControllerState, ids=str)
+def test_a_stop_is_confirmed_by_a_controller_at_rest(kind):
+    after, effects = step(in_phase(Phase.STOPPING), beat(kind, cause=StopCause.OPERATOR_STOP), NOW)
+    rests = kind in (ControllerState.INHIBITED, ControllerState.FAULT)
+    assert after.phase is (Phase.STOPPED if rests else Phase.STOPPING)
+    assert effects == ()
+
+
+def test_a_lost_controller_needs_no_confirmation():
+    after, effects = step(in_phase(Phase.STOPPING), HeartbeatLost(), NOW)
+    assert (after.phase, effects) == (Phase.STOPPED, ())
+
+
+def test_a_lost_heartbeat_is_not_fresh():
+    after, _ = step(in_phase(Phase.CUTTING), HeartbeatLost(), NOW)
+    assert after.heartbeat_fresh is False
+    assert after.cause is StopCause.HEARTBEAT_LOST
+
+
+# ---------------------------------------------------------------- deadlines
+
+
+@each_phase
+def test_every_phase_that_waits_has_a_deadline(phase):
+    if phase is Phase.CUTTING:
+        assert phase not in DEADLINES
+        assert step(in_phase(phase), Tick(), 1e9) == (in_phase(phase), ())
+        return
+    bound_s = DEADLINES[phase](TIMING)
+    cause, _ = MISSED[phase]
+    state = in_phase(phase, since_s=NOW)
+    for inside in (NOW, NOW + bound_s):
+        assert step(state, Tick(), inside) == (state, ())
+    for outside in (math.nextafter(NOW + bound_s, math.inf), NOW - 0.1, math.nan):
+        after, effects = step(state, Tick(), outside)
+        if phase is Phase.STOPPING:
+            assert (after.phase, effects) == (Phase.STOPPED, ())
+        elif cause is StopCause.NOT_ADMITTED:
+            assert (after.phase, effects) == (Phase.REFUSED, (SendStop(StopCode.END, cause),))
+        else:
+            assert after.phase is Phase.STOPPING
+            assert stops(effects) == [cause]
+        if phase is not Phase.STOPPING:
+            assert f"{bound_s:g} s" in after.reason
+
+
+def test_both_deadline_tables_name_the_same_phases():
+    assert set(DEADLINES) == set(MISSED)
+    assert set(DEADLINES) == set(LIVE) - {Phase.CUTTING}
+
+
+def test_waiting_in_vain_for_the_permissives_names_them():
+    state = in_phase(Phase.ADMITTED, since_s=NOW - 301, heartbeat_fresh=False)
+    after, _ = step(state, Tick(), NOW)
+    assert "stale or never seen" in after.reason
+    assert "check the bus" in after.reason
+
+
+def test_the_first_event_starts_the_clocks():
+    """The shell's clock does not begin at zero: an interlock made now must not be late at once."""
+    state, effects = step(FRESH, Tick(), 5e6)
+    assert (state.phase, effects) == (Phase.WAITING, ())
+    assert (state.began_s, state.since_s) == (5e6, 5e6)
+    assert step(state, Tick(), 5e6 + 31)[0].phase is Phase.REFUSED
+
+
+# ---------------------------------------------------------------- operator words
+
+
+@each_phase
+@pytest.mark.parametrize("word", [Word.START, Word.ACKNOWLEDGE, Word.RESET], ids=str)
+def test_start_acknowledge_and_reset_mean_something_in_one_phase_only(phase, word):
+    if (phase, word) in {(Phase.PERMITTED, Word.START), (Phase.HELD, Word.RESET)}:
+        return
+    state = in_phase(phase)  # no cause stands: nothing to acknowledge either
+    after, effects = step(state, Said(word), NOW)
+    assert after == state
+    assert [type(effect) for effect in effects] == [Refused]
+    assert effects[0].word is word
+    assert effects[0].reason
+
+
+def test_start_is_refused_with_every_missing_permissive():
+    state = replace(READY, offset_mm=2.0, device=DeviceCycle.UNSEEN)
+    after, effects = step(state, Said(Word.START), NOW)
+    assert after == state
+    (refused,) = effects
+    assert "first pose: 2 (required: <= 0.5 mm)" in refused.reason
+    assert "release the enabling device" in refused.reason
+
+
+def test_start_only_asks_for_a_nonce():
+    after, effects = step(READY, Said(Word.START), NOW)
+    assert (after.phase, after.since_s) == (Phase.NONCE_START, NOW)
+    assert effects == (Send(records.NonceRequest(purpose=Purpose.START)),)
+
+
+@pytest.mark.parametrize("phase", [Phase.NONCE_START, Phase.AUTHORISING_START], ids=str)
+def test_a_device_released_after_the_word_start_takes_the_word_back(phase):
+    """Pressed again in time, it still needs a new word: the word counts only after the press."""
+    run = Run(in_phase(phase), NOW).feed(beat(ControllerState.PERMITTED, device_pressed=False))
+    assert run.phase is Phase.PERMITTED
+    assert (Withheld(TOKEN) in run.effects) is (phase is Phase.AUTHORISING_START)
+    assert any(isinstance(effect, Refused) for effect in run.effects)
+    run.feed(
+        beat(ControllerState.PERMITTED), NonceReceived(Purpose.START, NONCE, EPOCH), RecordDurable(TOKEN)
+    )
+    assert run.phase is Phase.PERMITTED
+    assert [type(effect) for effect in run.effects] == [Dropped]
+
+
+@pytest.mark.parametrize("phase", [Phase.NONCE_START, Phase.AUTHORISING_START], ids=str)
+def test_the_heartbeat_is_judged_while_the_start_is_authorised(phase):
+    same, effects = step(in_phase(phase), beat(ControllerState.PERMITTED), NOW)
+    assert (same.phase, effects) == (phase, ())
+    _, effects = step(
+        in_phase(phase),
+        beat(ControllerState.PERMITTED, device_pressed=False, cause=StopCause.BONE_MOVED),
+        NOW,
+    )
+    assert stops(effects) == [StopCause.BONE_MOVED]
+
+
+def test_a_device_held_since_before_the_permit_does_not_count():
+    run = Run(in_phase(Phase.PERMITTING, device=DeviceCycle.PRESSED), NOW).feed(reply(records.Permit))
+    assert (run.phase, run.state.device) == (Phase.PERMITTED, DeviceCycle.UNSEEN)
+    run.feed(beat(ControllerState.PERMITTED))
+    assert run.state.device is DeviceCycle.UNSEEN
+    run.feed(beat(ControllerState.PERMITTED, device_pressed=False))
+    assert run.state.device is DeviceCycle.RELEASED
+    run.feed(beat(ControllerState.PERMITTED))
+    assert run.state.device is DeviceCycle.PRESSED
+
+
+def test_words_while_stopping():
+    state = in_phase(Phase.STOPPING, cause=StopCause.DEVICE_RELEASED)
+    again, effects = step(state, Said(Word.STOP), NOW)
+    assert (again, stops(effects)) == (state, [StopCause.OPERATOR_STOP])
+    withdrawn, effects = step(state, Said(Word.WITHDRAW), NOW)
+    assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
+    assert withdrawn == replace(state, registration_withdrawn=True)
+
+
+# ---------------------------------------------------------------- opening and the held controller
+
+
+def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
+    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    assert (run.phase, run.state.session) == (Phase.OPENING, SESSION)
+    use, send = run.effects
+    assert use == UseSession(SESSION)
+    assert send.record == records.Open(
+        protocol_version=records.PROTOCOL_VERSION,
+        boot_nonce=BOOT_NONCE,
+        runtime_nonce=RUNTIME_NONCE,
+        registration_digest=JOB.registration,
+        timing=records.Timing(20, 100, 120, 2000, 500, 200),
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [("protocol_version", 2, "protocol version"), ("serial", "SIM-2", "serial number")],
+)
+def test_another_version_or_controller_is_refused_before_a_session(field, value, said):
+    run = Run(FRESH).feed(Announced(replace(ANNOUNCE, **{field: value}), RUNTIME_NONCE))
+    assert (run.phase, run.state.cause) == (Phase.REFUSED, StopCause.NOT_ADMITTED)
+    assert said in run.state.reason
+    assert not sent(run.effects)
+
+
+def test_nonces_that_make_the_tag_of_no_session_wait_for_another(monkeypatch):
+    monkeypatch.setattr(table.records, "nonce_serves", lambda *_nonces: False)
+    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    assert (run.phase, run.effects) == (Phase.WAITING, ())
+
+
+@pytest.mark.parametrize("kind", ControllerState, ids=str)
+@pytest.mark.parametrize("cause", [StopCause.NONE, StopCause.BONE_MOVED], ids=str)
+def test_only_an_open_controller_without_a_cause_is_collected_from(kind, cause):
+    after, effects = step(in_phase(Phase.OPENING, epoch=0), SessionOpened(5, kind, cause), NOW)
+    sound = kind is ControllerState.OPEN and cause is StopCause.NONE
+    assert (after.phase, after.epoch) == (Phase.COLLECTING if sound else Phase.HELD, 5)
+    assert effects[0] == OpenLink(SESSION)
+    assert effects[1:] == ((Send(records.Collect()),) if sound else ())
+
+
+@pytest.mark.parametrize("refusal", [Refusal.SESSION_IN_USE, Refusal.TIMING_OUT_OF_BOUNDS], ids=str)
+def test_a_refused_session_is_refused_with_the_reason(refusal):
+    after, _ = step(in_phase(Phase.OPENING), reply(records.Open, refusal), NOW)
+    assert (after.phase, refusal.name in after.reason) == (Phase.REFUSED, True)
+
+
+@pytest.mark.parametrize(
+    ("phase", "mine"),
+    [
+        (Phase.OPENING, records.Open),
+        (Phase.HELD, records.Acknowledge),
+        (Phase.RESETTING, records.Reset),
+        (Phase.PERMITTING, records.Permit),
+        (Phase.STARTING, records.Start),
+    ],
+)
+def test_a_reply_to_something_else_is_dropped(phase, mine):
+    state = in_phase(phase)
+    for kind in (records.Open, records.Acknowledge, records.Reset, records.Permit, records.Start):
+        for refusal in (Refusal.ACCEPTED, Refusal.EPOCH):
+            after, effects = step(state, reply(kind, refusal), NOW)
+            if kind is mine:
+                assert not any(isinstance(effect, Dropped) for effect in effects)
+            else:
+                assert after == state
+                assert [type(effect) for effect in effects] == [Dropped]
+
+
+NOT_PENDING = {
+    SessionOpened: {Phase.OPENING},
+    BlockStored: {Phase.UPLOADING},
+    PathStored: {Phase.UPLOADING},
+    VerdictReady: {Phase.VERIFYING},
+    NonceReceived: {Phase.NONCE_PERMIT, Phase.NONCE_START, Phase.NONCE_RESET},
+    RecordDurable: set(AUTHORISING),
+}
+
+
+@each_phase
+def test_an_answer_that_is_not_pending_is_dropped_and_reported(phase):
+    state = in_phase(phase)
+    for event in events(state):
+        if phase in NOT_PENDING.get(type(event), set(Phase)):
+            continue
+        after, effects = step(state, event, NOW)
+        assert after == state
+        (dropped,) = effects
+        assert type(event).__name__ in dropped.what
+
+
+def test_a_held_controller_is_acknowledged_then_reset_then_collected():
+    run = Run(FRESH).feed(
+        Announced(ANNOUNCE, RUNTIME_NONCE),
+        SessionOpened(EPOCH, ControllerState.FAULT, StopCause.SECOND_NODE),
+    )
+    assert run.phase is Phase.HELD
+    run.feed(Said(Word.ACKNOWLEDGE))
+    assert isinstance(run.effects[0], Refused), "nothing is known yet"
+    run.feed(beat(ControllerState.FAULT, cause=StopCause.SECOND_NODE), Said(Word.RESET))
+    assert "acknowledge" in run.effects[0].reason
+    run.feed(Said(Word.ACKNOWLEDGE))
+    assert sent(run.effects) == [records.Acknowledge(cause=StopCause.SECOND_NODE)]
+    run.feed(reply(records.Acknowledge))
+    assert (run.phase, run.effects) == (Phase.HELD, ())
+    run.feed(beat(ControllerState.FAULT))
+    assert (run.phase, run.effects) == (Phase.HELD, ()), "acknowledging is not resetting"
+    run.feed(Said(Word.RESET))
+    assert sent(run.effects) == [records.NonceRequest(purpose=Purpose.RESET)]
+    run.feed(NonceReceived(Purpose.RESET, NONCE, EPOCH))
+    assert (run.phase, run.commit.purpose) == (Phase.AUTHORISING_RESET, Purpose.RESET)
+    run.durable()
+    assert [type(record) for record in enabled(run.effects)] == [records.Reset]
+    assert code(run.state) is RuntimeCode.INHIBIT
+    run.feed(reply(records.Reset))
+    assert (run.phase, run.effects) == (Phase.HELD, ())
+    run.feed(beat(ControllerState.OPEN))
+    assert (run.phase, sent(run.effects)) == (Phase.COLLECTING, [records.Collect()])
+    run.until(Phase.DONE)
+
+
+def test_a_cause_without_a_latch_needs_only_the_acknowledgement():
+    run = Run(in_phase(Phase.HELD), NOW).feed(
+        beat(ControllerState.OPEN, cause=StopCause.OPERATOR_STOP), Said(Word.ACKNOWLEDGE)
+    )
+    assert sent(run.effects) == [records.Acknowledge(cause=StopCause.OPERATOR_STOP)]
+    assert run.feed(beat(ControllerState.OPEN)).phase is Phase.COLLECTING
+
+
+def test_refused_acknowledgements_and_resets_are_shown_and_the_session_stays_held():
+    run = Run(in_phase(Phase.HELD), NOW).feed(reply(records.Acknowledge, Refusal.EMERGENCY_STOP))
+    assert run.phase is Phase.HELD
+    assert (run.effects[0].word, "EMERGENCY_STOP" in run.effects[0].reason) == (Word.ACKNOWLEDGE, True)
+    run = Run(in_phase(Phase.RESETTING), NOW).feed(reply(records.Reset, Refusal.NONCE_EXPIRED))
+    assert run.phase is Phase.HELD
+    assert (run.effects[0].word, "NONCE_EXPIRED" in run.effects[0].reason) == (Word.RESET, True)
+
+
+@pytest.mark.parametrize(
+    "phase", [Phase.HELD, Phase.NONCE_RESET, Phase.AUTHORISING_RESET, Phase.RESETTING], ids=str
+)
+def test_a_new_stop_while_held_ends_the_session_even_if_the_fault_frame_was_lost(phase):
+    """The controller's session is dead then: no acknowledgement would ever be accepted in it."""
+    for cause, wanted in (
+        (StopCause.EMERGENCY_STOP, StopCause.EMERGENCY_STOP),
+        (StopCause.NONE, StopCause.PROTOCOL_VIOLATION),
+    ):
+        state = in_phase(phase)
+        after, effects = step(state, beat(ControllerState.FAULT, epoch=EPOCH + 1, cause=cause), NOW)
+        assert after.phase is Phase.STOPPING
+        assert stops(effects) == [wanted]
+
+
+def test_a_reset_waits_for_everything_a_reset_needs():
+    for field, value in (
+        ("heartbeat_fresh", False),
+        ("controller.emergency_stop_clear", False),
+        ("log.writable", False),
+    ):
+        state = altered(in_phase(Phase.HELD), field, value)
+        after, effects = step(state, Said(Word.RESET), NOW)
+        assert after == state
+        assert [type(effect) for effect in effects] == [Refused]
+
+
+# ---------------------------------------------------------------- collecting, uploading, verifying
+
+
+def test_the_upload_begins_only_with_all_three_equal_to_the_approved():
+    run = Run(FRESH).until(Phase.COLLECTING).feed(ParameterReceived(LIMITS), ParameterReceived(TOOL))
+    assert (run.phase, run.effects) == (Phase.COLLECTING, ())
+    other = replace(LIMITS, q_max_u=(79_000_000, *LIMITS.q_max_u[1:]))
+    refused = Run(run.state, run.now_s).feed(
+        ParameterReceived(other), ParameterReceived(records.Calibration.parse(JOB.calibration))
+    )
+    assert refused.phase is Phase.REFUSED
+    assert "joint limits" in refused.state.reason
+    run.feed(ParameterReceived(records.Calibration.parse(JOB.calibration)))
+    assert (run.phase, run.effects) == (Phase.UPLOADING, (SendBlock(0),))
+
+
+def test_blocks_go_one_after_the_other():
+    assert len(records.split(JOB.path)) == JOB.blocks == PATH_BLOCKS
+    run = Run(FRESH).until(Phase.UPLOADING)
+    assert run.feed(BlockStored(1)).state.block == 0
+    assert [type(effect) for effect in run.effects] == [Dropped]
+    assert run.feed(BlockStored(0)).effects == (SendBlock(1),)
+    assert run.feed(BlockStored(1)).effects == (SendBlock(2),)
+    assert run.feed(BlockStored(2)).effects == ()
+    run.feed(PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
+    assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token),))
+
+
+@pytest.mark.parametrize(
+    ("stored", "why"),
+    [
+        (Stored(PATH.digest, Refusal.POSE_OUTSIDE_LIMITS, 17), "POSE_OUTSIDE_LIMITS at pose 17"),
+        (Stored(bytes(32), Refusal.ACCEPTED, 0), "digest of the stored path"),
+    ],
+)
+def test_what_the_controller_did_not_accept_is_verified_for_guidance_and_then_refused(stored, why):
+    run = Run(FRESH).until(Phase.UPLOADING).feed(PathStored(stored))
+    assert run.phase is Phase.VERIFYING
+    run.until(Phase.REFUSED)
+    assert why in run.state.reason
+
+
+def test_a_verdict_for_another_request_is_dropped():
+    state = in_phase(Phase.VERIFYING)
+    after, effects = step(state, VerdictReady(replace(VERDICT, request=VERDICT.request + 1)), NOW)
+    assert after == state
+    assert [type(effect) for effect in effects] == [Dropped]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "why"),
+    [
+        ("admissible", False, "verdict: outer"),
+        ("path", bytes(32), "made for what the controller holds"),
+    ],
+)
+def test_an_inadmissible_or_foreign_verdict_ends_the_session_with_the_reason(field, value, why):
+    verdict = replace(VERDICT, reason="outer", **{field: value})
+    after, effects = step(in_phase(Phase.VERIFYING), VerdictReady(verdict), NOW)
+    assert after.phase is Phase.REFUSED
+    assert why in after.reason
+    assert effects == (SendStop(StopCode.END, StopCause.NOT_ADMITTED),)
+
+
+def test_a_verdict_before_the_first_heartbeat_waits_for_it():
+    """A short path is proved within one heartbeat period; that is no reason to refuse it."""
+    state = in_phase(Phase.VERIFYING, controller=None, heartbeat_fresh=False)
+    run = Run(state, NOW).feed(VerdictReady(VERDICT))
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(beat(ControllerState.LOADED))
+    assert (run.phase, sent(run.effects)) == (
+        Phase.NONCE_PERMIT,
+        [records.NonceRequest(purpose=Purpose.PERMIT)],
+    )
+    assert run.state.nonce_at_s == run.now_s
+
+
+def test_a_verdict_before_the_disk_has_reserved_its_space_waits_for_it():
+    state = in_phase(Phase.VERIFYING, log=LogHealth(writable=True, reserved_bytes=0, needed_bytes=1000))
+    run = Run(state, NOW).feed(VerdictReady(VERDICT), LogChanged(READY.log), beat())
+    assert run.phase is Phase.NONCE_PERMIT
+
+
+def test_an_admitted_path_waits_until_everything_holds():
+    run = Run(in_phase(Phase.ADMITTED), NOW).feed(beat(fresh=False))
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(beat(cause=StopCause.BONE_MOVED))
+    assert run.phase is Phase.STOPPING
+
+
+# ---------------------------------------------------------------- permit, start, cut
+
+
+@pytest.mark.parametrize("refusal", [one for one in Refusal if one is not Refusal.ACCEPTED], ids=str)
+def test_a_refused_permit_ends_and_a_refused_start_may_be_tried_again(refusal):
+    after, _ = step(in_phase(Phase.PERMITTING), reply(records.Permit, refusal), NOW)
+    assert (after.phase, after.permit) == (Phase.REFUSED, None)
+    assert refusal.name in after.reason
+    after, effects = step(in_phase(Phase.STARTING), reply(records.Start, refusal), NOW)
+    assert (after.phase, code(after)) == (Phase.PERMITTED, RuntimeCode.READY)
+    assert refusal.name in effects[0].reason
+
+
+def test_a_measurement_is_kept_with_its_time():
+    after, effects = step(READY, PoseMeasured(0.3, 0.02), NOW + 3.0)
+    assert (after.offset_mm, after.offset_deg, after.measured_s, effects) == (0.3, 0.02, NOW + 3.0, ())
+
+
+def test_the_happy_path_from_announcement_to_done():
+    run = Run(FRESH, 77.0)
+    codes = {}
+    for phase in (
+        Phase.OPENING,
+        Phase.COLLECTING,
+        Phase.UPLOADING,
+        Phase.VERIFYING,
+        Phase.NONCE_PERMIT,
+        Phase.AUTHORISING_PERMIT,
+        Phase.PERMITTING,
+        Phase.PERMITTED,
+        Phase.NONCE_START,
+        Phase.AUTHORISING_START,
+        Phase.STARTING,
+        Phase.CUTTING,
+    ):
+        run.until(phase)
+        codes[phase] = code(run.state)
+    assert {phase for phase, order in codes.items() if order is RuntimeCode.CUT} == MOVING
+    assert {phase for phase, order in codes.items() if order is RuntimeCode.READY} == {
+        Phase.PERMITTING,
+        Phase.PERMITTED,
+        Phase.NONCE_START,
+        Phase.AUTHORISING_START,
+    }
+    run.feed(*(beat(ControllerState.CUTTING) for _ in range(100)), after_s=0.02)
+    assert (run.phase, run.effects) == (Phase.CUTTING, ())
+    run.feed(Tick(), after_s=3600.0)
+    assert run.phase is Phase.CUTTING
+    run.until(Phase.DONE)
+    assert run.state.cause is StopCause.NONE
+
+
+def test_withheld_permits_and_starts_can_be_asked_for_again():
+    run = Run(FRESH).until(Phase.AUTHORISING_PERMIT).feed(beat(emergency_stop_clear=False)).durable()
+    assert (run.phase, run.effects) == (Phase.ADMITTED, (Withheld(run.state.token),))
+    run.until(Phase.AUTHORISING_START).feed(PoseMeasured(9.0, 0.0)).durable()
+    assert (run.phase, run.effects) == (Phase.PERMITTED, (Withheld(run.state.token),))
+    run.until(Phase.DONE)
+
+
+def test_tokens_are_never_used_twice():
+    run = Run(FRESH).until(Phase.AUTHORISING_PERMIT)
+    first = run.state.token
+    run.feed(beat(emergency_stop_clear=False)).durable().until(Phase.AUTHORISING_PERMIT)
+    second = run.state.token
+    third = run.until(Phase.AUTHORISING_START).state.token
+    assert first < second < third
+    assert isinstance(run.effects[0], Commit)

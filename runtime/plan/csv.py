@@ -40,8 +40,9 @@ def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Float
     for number, line in enumerate(rows, start=2):
         if _LINE.fullmatch(line) is None:
             raise _bad_line(file, number, line)
-    cells = np.fromiter(map(float, ",".join(rows).split(",")), np.float64) if rows else np.empty(0)
-    return poses_of(file, cells.reshape(-1, 6).tolist(), lambda index: f"line {index + 2}")
+    cells = map(float, ",".join(rows).split(",")) if rows else ()
+    table = np.fromiter(cells, np.float64, 6 * len(rows)).reshape(-1, 6)
+    return poses_of(file, table, lambda index: f"line {index + 2}")
 
 
 def _bad_line(file: object, number: int, line: str) -> InputError:

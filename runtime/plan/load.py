@@ -8,7 +8,7 @@ import numpy as np
 from config.constants import CONSTANTS
 from config.load import DEFAULT_LIMIT, InputError, Loaded, parse_json, read_bytes, validate
 from runtime.plan.csv import parse_csv
-from runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of
+from runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, table_of
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)
@@ -57,7 +57,11 @@ def plan_from_bytes(path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMI
         return Plan(path.stem, None, None, None, None, _identity(), None, tips, axes)
     document = validate(path, PlanDocument, parse_json(path, data), "cutgate.plan/1")
     _check_count(path, document.poses, pose_limit)
-    tips, axes = poses_of(path, document.poses, lambda index: f"poses.{index}")
+
+    def place(index: int) -> str:
+        return f"poses.{index}"
+
+    tips, axes = poses_of(path, table_of(path, document.poses, place), place)
     return Plan(
         id=document.id,
         implant=document.implant,

@@ -22,6 +22,7 @@ COORDINATE_MM: Final = 10_000.0
 TRANSLATION_MM: Final = 100_000.0
 RIGID: Final = 1e-6
 UNIT_AXIS: Final = 1e-3
+NUMBERS: Final = frozenset({int, float})
 LAST_ROW: Final = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -129,38 +130,42 @@ class Plan:
     axes: Floats
 
 
-def poses_of(file: object, rows: Sequence[Any], place: Callable[[int], str]) -> tuple[Floats, Floats]:
+def table_of(file: object, rows: Sequence[Any], place: Callable[[int], str]) -> Floats:
+    """Rows of six numbers, as JSON has them, as one array of shape (n, 6).
+
+    Raises:
+        InputError: names the first row that is not six numbers (true, false and text are none).
+    """
+    bound = "six numbers x, y, z, i, j, k"
+    for index, row in enumerate(rows):
+        if not (type(row) is list and len(row) == 6 and NUMBERS.issuperset(map(type, row))):
+            raise InputError(file, place(index), row, bound, "correct this pose")
+    try:
+        return np.fromiter(chain.from_iterable(rows), np.float64, 6 * len(rows)).reshape(-1, 6)
+    except OverflowError:
+        found = "an integer no double can hold"
+        raise InputError(file, "poses", found, f"within +-{COORDINATE_MM:g}", "lengths are mm") from None
+
+
+def poses_of(file: object, table: Floats, place: Callable[[int], str]) -> tuple[Floats, Floats]:
     """Tips (n, 3) mm and unit axes (n, 3) of rows ``x, y, z, i, j, k``.
 
     Args:
         file: for messages.
-        rows: sequences of six numbers.
+        table: shape (n, 6).
         place: where row ``n`` stands in the file, for messages.
 
     Raises:
-        InputError: fewer than two rows, not six numbers, not finite, too far out, or an axis that is not of
-            length 1 within 1e-3.
+        InputError: fewer than two rows, not finite, too far out, or an axis that is not of length 1 within 1e-3.
     """
-    if not (len(rows) >= 2):
-        raise InputError(file, "poses", f"{len(rows)} poses", ">= 2 poses", "a path needs two poses or more")
-    for index, row in enumerate(rows):
-        if not (isinstance(row, list | tuple) and len(row) == 6):
-            raise InputError(file, place(index), row, "six numbers x, y, z, i, j, k", "correct this pose")
-    kinds = set(map(type, chain.from_iterable(rows)))
-    if not (kinds <= {int, float}):
-        index = next(n for n, row in enumerate(rows) if not set(map(type, row)) <= {int, float})
-        raise InputError(file, place(index), rows[index], "six numbers x, y, z, i, j, k", "correct this pose")
-    try:
-        table = np.fromiter(chain.from_iterable(rows), dtype=np.float64, count=6 * len(rows)).reshape(-1, 6)
-    except OverflowError:
-        raise InputError(
-            file, "poses", "an integer no double can hold", f"within +-{COORDINATE_MM:g} mm"
-        ) from None
+    if not (len(table) >= 2):
+        raise InputError(file, "poses", f"{len(table)} poses", ">= 2 poses", "a path needs two poses or more")
     inside = np.isfinite(table) & (np.abs(table) <= COORDINATE_MM)
     bad = np.flatnonzero(~inside.all(axis=1))
     if bad.size:
         bound = f"six finite numbers within +-{COORDINATE_MM:g}"
-        raise InputError(file, place(int(bad[0])), _and_more(rows[bad[0]], bad), bound, "lengths are mm")
+        found = _and_more(table[bad[0]].tolist(), bad)
+        raise InputError(file, place(int(bad[0])), found, bound, "lengths are mm")
     lengths = np.linalg.norm(table[:, 3:], axis=1)
     bad = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_AXIS))
     if bad.size:

@@ -124,7 +124,8 @@ def scan(data: bytes) -> Scan:
         _Scanner(data, found).run()
     except _Torn as torn:
         found.torn_at = torn.offset
-        if data.endswith(MAGIC):  # it was finished; then a length is wrong, not the end missing
+        # A file with both ends was finished: then a length is wrong, and nothing is missing.
+        if data[len(MAGIC) :].endswith(MAGIC):
             found.problems.append(f"the record at offset {torn.offset} is longer than the file")
     except _Bad as bad:
         found.problems.append(str(bad))

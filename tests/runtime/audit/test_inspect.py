@@ -1,0 +1,496 @@
+"""The judge of logs: whatever is changed, cut off or added, a log is never OK."""
+
+import io
+import struct
+import zlib
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, Message, MessageIndex, Schema, Statistics
+from mcap.writer import Writer
+
+from runtime.audit import records
+from runtime.audit.inspect import Status, read_log, verify_log
+from runtime.audit.scan import MAGIC, recoverable_head, scan
+from runtime.audit.writer import LogWriter
+from tests.runtime.audit.build import decision, forge, small_log
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory):
+    return small_log(tmp_path_factory.mktemp("log"))
+
+
+@pytest.fixture(scope="module")
+def data(paths):
+    return paths.log.read_bytes()
+
+
+def judged(data, word="", status=Status.TAMPERED):
+    report = verify_log(data)
+    assert report.status is status, report
+    assert word in report.reasons[0]
+    return report
+
+
+# ---------------------------------------------------------------- bytes
+
+
+def test_the_log_is_ok_and_no_signature_is_claimed(data):
+    report = verify_log(data)
+    assert (report.status, report.headline) == (Status.OK, "OK (unsigned)")
+    assert verify_log(data[:-1]).headline == "INCOMPLETE"
+
+
+def test_a_flipped_bit_is_never_ok(data):
+    """Every eleventh byte, so every region of the file: headers, payloads, attachments, indexes, summary."""
+    found = set()
+    for place in range(0, len(data), 11):
+        changed = bytearray(data)
+        changed[place] ^= 1 << (place % 8)
+        status = verify_log(bytes(changed)).status
+        found.add(status)
+        assert status in (Status.TAMPERED, Status.UNREADABLE), f"byte {place}"
+    assert Status.TAMPERED in found
+
+
+def test_every_byte_of_the_frame_of_the_file_counts(data):
+    """Start, header, end of the data section, summary and footer, byte by byte."""
+    summary = data.index(struct.pack("<BQ", Opcode.DATA_END, 4))
+    for place in (*range(64), *range(summary, len(data), 17), *range(len(data) - 64, len(data))):
+        changed = bytearray(data)
+        changed[place] ^= 0xFF
+        assert verify_log(bytes(changed)).status is not Status.OK, f"byte {place}"
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_changed_stretches_are_never_ok(data, draws):
+    start = draws.draw(st.integers(0, len(data) - 1))
+    new = draws.draw(st.binary(min_size=1, max_size=40))
+    changed = data[:start] + new + data[start + len(new) :]
+    assert (verify_log(changed).status is Status.OK) == (changed == data)
+
+
+def test_a_log_cut_anywhere_is_incomplete(data):
+    for end in range(len(MAGIC), len(data), 13):
+        report = verify_log(data[:end])
+        assert report.status is Status.INCOMPLETE, (end, report)
+    for end in range(len(data) - 200, len(data)):
+        assert verify_log(data[:end]).status is Status.INCOMPLETE
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"hello", b"\x00" * 100, MAGIC[:-1]])
+def test_another_file_is_unreadable(content):
+    judged(content, "not an audit log", Status.UNREADABLE)
+
+
+def test_a_log_of_another_program_is_unreadable():
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start("ros2", "x")
+    writer.finish()
+    judged(stream.getvalue(), "not an audit log", Status.UNREADABLE)
+
+
+def test_the_first_magic_alone_is_incomplete():
+    judged(MAGIC, "before its first record", Status.INCOMPLETE)
+
+
+def test_a_cut_log_says_what_is_left(data):
+    end = data.rindex(struct.pack("<B", Opcode.CHUNK), 0, data.index(b'"final_state"')) + 20
+    report = verify_log(data[:end])
+    whole = read_log(data)
+    assert report.messages == len(whole.records) - 1
+    assert report.dropped_bytes > 0
+    assert "record" in report.reasons[0]
+    assert report.head == recoverable_head(data[:end]) != whole.report.head
+
+
+def test_a_wrong_length_in_a_finished_file_is_tampered(data):
+    place = data.index(b"plan.csv") - 4 - 16 - 8
+    changed = bytearray(data)
+    changed[place + 5] = 1
+    judged(bytes(changed), "longer than the file")
+
+
+def test_a_closed_log_without_end_is_incomplete(data):
+    unfinished = data[: data.index(struct.pack("<BQ", Opcode.DATA_END, 4))]
+    judged(unfinished, "ends early", Status.INCOMPLETE)
+
+
+def test_a_finished_log_without_close_record_is_incomplete(data):
+    forged = forge(data, lambda record: None if isinstance(record, records.Close) else record)
+    judged(forged, "no close record", Status.INCOMPLETE)
+
+
+# ---------------------------------------------------------------- records of the file
+
+
+def raws(data):
+    """The records of a file as (opcode, bytes), read without the code under test."""
+    at, found = len(MAGIC), []
+    while at < len(data) - len(MAGIC):
+        opcode, size = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, data[at : at + 9 + size]))
+        at += 9 + size
+    return found
+
+
+def joined(entries):
+    return MAGIC + b"".join(body for _, body in entries) + MAGIC
+
+
+def packed(*contents):
+    builder = RecordBuilder()
+    for record in contents:
+        record.write(builder)
+    return builder.end()
+
+
+def inserted(data, before, content):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == before)
+    return joined([*entries[:place], (0, content), *entries[place:]])
+
+
+def rechunked(data, change, **fields):
+    """The first chunk with changed content, its checksum and size made to fit."""
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.CHUNK)
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(entries[place][1][9:])))
+    content = change(chunk.data)
+    new = {"data": content, "uncompressed_crc": zlib.crc32(content), "uncompressed_size": len(content)}
+    entries[place] = (Opcode.CHUNK, packed(replace(chunk, **(new | fields))))
+    return joined(entries)
+
+
+MESSAGE = Message(channel_id=1, log_time=1, data=b"{}", publish_time=1, sequence=9)
+
+
+def test_a_message_outside_a_chunk_is_tampered(data):
+    """A linear reader would show it, an indexed one would not."""
+    judged(inserted(data, Opcode.DATA_END, packed(MESSAGE)), "(Message) does not belong into the data")
+
+
+def test_an_unknown_record_is_tampered(data):
+    judged(inserted(data, Opcode.DATA_END, struct.pack("<BQ", 0x80, 0)), "unknown kind 0x80")
+
+
+def test_a_record_with_a_hidden_tail_is_tampered(data):
+    hidden = packed(Header("a", "b"))[9:] + b"hidden"
+    judged(
+        inserted(data, Opcode.CHUNK, struct.pack("<BQ", Opcode.HEADER, len(hidden)) + hidden),
+        "canonical form",
+    )
+
+
+def test_a_message_too_short_for_its_head_is_tampered(data):
+    judged(inserted(data, Opcode.DATA_END, struct.pack("<BQ", Opcode.MESSAGE, 3) + b"abc"), "cannot be read")
+
+
+def test_a_file_without_header_is_tampered(data):
+    judged(joined(raws(data)[1:]), "no header")
+
+
+@pytest.mark.parametrize("tail", [b"x", MAGIC])
+def test_bytes_after_the_end_are_tampered(data, tail):
+    assert verify_log(data + tail).status is Status.TAMPERED
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda content: content + packed(MESSAGE), "times are not those"),
+        (lambda content: content + packed(replace(MESSAGE, channel_id=99)), "names no channel"),
+        (lambda content: content + packed(Schema(1, b"", "", "x")), "given twice"),
+        (lambda content: content + packed(Schema(0, b"", "", "x")), "has no number"),
+        (lambda content: content + packed(Channel(9, "t", "json", {}, 99)), "names no schema"),
+        (lambda content: content + packed(Header("", "")), "does not belong into a chunk"),
+        (lambda content: content + b"\x05\xff", "runs over the end"),
+        (lambda content: content + packed(Schema(77, b"", "", "x")), "summary is not that"),
+    ],
+)
+def test_a_chunk_that_holds_something_else_is_tampered(data, change, word):
+    if "summary" in word:  # found last: the checksum of the data section must fit first
+        changed = rechunked(data, change)
+        end = changed.index(struct.pack("<BQ", Opcode.DATA_END, 4))
+        changed = changed[: end + 9] + struct.pack("<I", zlib.crc32(changed[:end])) + changed[end + 13 :]
+        judged(changed, word)
+    else:
+        judged(rechunked(data, change), word)
+
+
+@pytest.mark.parametrize(
+    ("fields", "word"),
+    [
+        ({"message_start_time": 0}, "times"),
+        ({"message_end_time": 2**63}, "times"),
+        ({"uncompressed_crc": 0}, "checksum"),
+        ({"uncompressed_size": 1}, "not stored as it is"),
+        ({"compression": "zstd"}, "not stored as it is"),
+    ],
+)
+def test_a_chunk_that_says_something_else_of_itself_is_tampered(data, fields, word):
+    judged(rechunked(data, lambda content: content, **fields), word)
+
+
+def test_a_chunk_without_messages_is_tampered(data):
+    judged(rechunked(data, lambda _content: b""), "times")
+
+
+def test_a_chunk_without_its_index_is_tampered(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.MESSAGE_INDEX)
+    judged(joined(entries[:place] + entries[place + 1 :]), "index")
+
+
+def test_an_index_that_points_elsewhere_is_tampered(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.MESSAGE_INDEX)
+    entries[place] = (Opcode.MESSAGE_INDEX, packed(MessageIndex(1, [(1, 1)])))
+    judged(joined(entries), "index")
+
+
+def test_a_log_cut_between_a_chunk_and_its_index_is_incomplete(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.MESSAGE_INDEX)
+    judged(joined(entries[:place])[: -len(MAGIC)], "ends early", Status.INCOMPLETE)
+
+
+@pytest.mark.parametrize(
+    "kind", [Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.SCHEMA]
+)
+def test_a_summary_that_leaves_something_out_is_tampered(data, kind):
+    entries = raws(data)
+    place = max(number for number, (opcode, _) in enumerate(entries) if opcode == kind)
+    judged(joined(entries[:place] + entries[place + 1 :]), "summary is not that")
+
+
+def test_statistics_of_another_log_are_tampered(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.STATISTICS)
+    statistics = Statistics.read(ReadDataStream(io.BytesIO(entries[place][1][9:])))
+    entries[place] = (Opcode.STATISTICS, packed(replace(statistics, message_count=1)))
+    judged(joined(entries), "summary is not that")
+
+
+def test_a_summary_offset_that_is_missing_is_tampered(data):
+    entries = raws(data)
+    place = max(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.SUMMARY_OFFSET)
+    judged(joined(entries[:place] + entries[place + 1 :]), "offsets")
+
+
+@pytest.mark.parametrize("field", [0, 8, 16])
+def test_a_footer_that_says_something_else_is_tampered(data, field):
+    changed = bytearray(data)
+    changed[len(data) - len(MAGIC) - 20 + field] ^= 1
+    judged(bytes(changed), "footer" if field < 16 else "summary's checksum")
+
+
+def test_the_data_sections_checksum_counts(data):
+    changed = bytearray(data)
+    changed[data.index(struct.pack("<BQ", Opcode.DATA_END, 4)) + 9] ^= 1
+    judged(bytes(changed), "data section's checksum")
+
+
+# ---------------------------------------------------------------- messages
+
+
+def unlinked(data, change):
+    """The log written again with a sound structure and raw messages changed: the chain is not made to fit."""
+    found = scan(data)
+    stream = io.BytesIO()
+    writer = Writer(stream, compression=LogWriter("", {})._mcap._Writer__compression, enable_data_crcs=True)
+    writer.start(found.header.profile, found.header.library)
+    for entry in found.metadata:
+        writer.add_metadata(entry.name, entry.metadata)
+    for entry in found.attachments:
+        writer.add_attachment(entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data)
+    channels = {}
+    for link in change([message.link for message in found.messages]):
+        key = (link.topic, link.encoding, link.schema_name, link.schema)
+        if key not in channels:
+            schema = writer.register_schema(link.schema_name, "jsonschema", link.schema)
+            channels[key] = writer.register_channel(link.topic, link.encoding, schema)
+        writer.add_message(channels[key], link.log_time, link.data, link.publish_time, link.sequence)
+    writer.finish()
+    return stream.getvalue()
+
+
+def test_rewriting_a_log_as_it_is_leaves_it_ok(data):
+    assert verify_log(unlinked(data, lambda links: links)).status is Status.OK
+
+
+def changed_link(number, **changes):
+    return lambda links: [
+        replace(link, **changes) if place == number else link for place, link in enumerate(links)
+    ]
+
+
+CHANGES = {
+    "left out": (lambda links: links[:3] + links[4:], "record 3"),
+    "exchanged": (lambda links: [*links[:3], links[4], links[3], *links[5:]], "record 3"),
+    "repeated": (lambda links: [*links[:3], links[3], *links[3:]], "record 4"),
+    "first left out": (lambda links: links[1:], "record 0"),
+    "log time": (changed_link(3, log_time=5), "record 4"),
+    "publish time": (changed_link(3, publish_time=5), "record 4"),
+    "sequence": (changed_link(3, sequence=77), "record 3"),
+    "encoding": (changed_link(3, encoding="cbor"), "record 3"),
+    "topic": (changed_link(3, topic="/audit/x"), "record 4"),
+    "schema": (changed_link(3, schema=b"{}"), "record 4"),
+    "list": (changed_link(3, data=b"[]"), "record 3"),
+    "NaN": (changed_link(3, data=b'{"prev":NaN}'), "record 3"),
+    "not UTF-8": (changed_link(3, data=b"\xff"), "record 3"),
+    "without link": (changed_link(3, data=b"{}"), "record 3"),
+    "bottomless": (changed_link(3, data=b"[" * 100_000), "record 3"),
+    "number": (changed_link(0, data=b"7"), "record 0"),
+}
+
+
+@pytest.mark.parametrize(("change", "word"), CHANGES.values(), ids=CHANGES)
+def test_the_first_record_that_does_not_follow_is_named(data, change, word):
+    report = verify_log(unlinked(data, change))
+    assert report.status is Status.TAMPERED
+    assert word in report.reasons[0]
+
+
+def test_a_changed_payload_with_all_checksums_made_to_fit_is_found_by_the_chain(data):
+    def refuse(links):
+        return [
+            replace(link, data=link.data.replace(b'"accepted":true', b'"accepted":null')) for link in links
+        ]
+
+    assert "record" in judged(unlinked(data, refuse)).reasons[0]
+
+
+def appended(data, *contents, close=None):
+    """The log with more records after the close record, chained."""
+    found = scan(data)
+    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"})
+    for entry in found.attachments:
+        writer.attach(entry.name, entry.media_type, entry.data, log_time_ns=entry.log_time)
+    models = {model.TOPIC: model for model in records.MODELS}
+    for message in found.messages:
+        record = models[message.topic].model_validate_json(message.link.data)
+        if close is not None and isinstance(record, records.Close):
+            record = record.model_copy(update=close)
+        writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
+    for record in contents:
+        writer.add(record, log_time_ns=0, monotonic_ns=0)
+    writer.finish()
+    return writer.take()
+
+
+def test_nothing_may_follow_the_close_record(data):
+    judged(appended(data, decision(1)), "after the close record")
+
+
+def test_a_log_is_opened_once(data):
+    first = records.Open.model_validate_json(scan(data).messages[0].link.data)
+    judged(appended(data, first), "/audit/open is there 2 times")
+
+
+def test_the_close_record_counts(data):
+    judged(appended(data, close={"message_count": 3}), "counts 3 messages")
+
+
+def test_record_0_opens_the_log():
+    writer = LogWriter("", {})
+    writer.add(decision(1), log_time_ns=0, monotonic_ns=0)
+    writer.finish()
+    judged(writer.take(), "record 0 is /audit/decision")
+
+
+def test_the_metadata_are_those_of_record_0(data):
+    changed = appended(data)
+    other = unlinked(changed, lambda links: links).replace(
+        b"log_id\x20\x00\x00\x000", b"log_id\x20\x00\x00\x001"
+    )
+    assert verify_log(other).status is Status.TAMPERED
+    assert any("metadata" in reason for reason in verify_log(other).reasons)
+
+
+# ---------------------------------------------------------------- attachments and raw frames
+
+
+def with_attachments(data, change):
+    found = scan(data)
+    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"})
+    for name, content in change([(entry.name, entry.data) for entry in found.attachments]):
+        media = "text/csv" if name == "plan.csv" else "application/json"
+        writer.attach(name, media, content, log_time_ns=1)
+    models = {model.TOPIC: model for model in records.MODELS}
+    for message in found.messages:
+        record = models[message.topic].model_validate_json(message.link.data)
+        writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
+    writer.finish()
+    return writer.take()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda entries: [entries[0], ("plan.csv", b"other")], "plan.csv) is not what its record says"),
+        (lambda entries: entries[:1], "plan.csv has a record but is not there"),
+        (lambda entries: [*entries, ("more.bin", b"x")], "more.bin has no record"),
+        (lambda entries: entries[::-1], "is not what its record says"),
+    ],
+)
+def test_attachments_are_those_of_their_records(data, change, word):
+    assert verify_log(with_attachments(data, lambda entries: entries)).status is Status.OK
+    judged(with_attachments(data, change), word)
+
+
+def test_the_raw_frames_beside_the_log_are_those_of_the_close_record(paths, data):
+    frames = paths.candump.read_bytes()
+    assert verify_log(data, frames).status is Status.OK
+    assert verify_log(data, frames + b"x").status is Status.TAMPERED
+    assert verify_log(data, b"").status is Status.TAMPERED
+    assert "not beside the log" in verify_log(data).notes[0]
+
+
+# ---------------------------------------------------------------- two ways of reading
+
+
+class Failing:
+    def __init__(self, *_arguments, **_options):
+        raise ValueError("broken")
+
+
+def test_an_error_of_the_stock_reader_is_a_failure(data, monkeypatch):
+    monkeypatch.setattr("runtime.audit.inspect.NonSeekingReader", Failing)
+    judged(data, "read linearly, the file gives an error: ValueError")
+
+
+def test_another_content_by_index_is_a_failure(data, monkeypatch):
+    class Hiding:
+        def __init__(self, *_arguments, **_options):
+            pass
+
+        def iter_messages(self, **_options):
+            return iter(())
+
+        def iter_attachments(self):
+            return iter(())
+
+    monkeypatch.setattr("runtime.audit.inspect.make_reader", Hiding)
+    judged(data, "read by index, the file gives other records")
+
+
+def test_records_of_one_topic_come_in_file_order(data):
+    log = read_log(data)
+    assert [entry["sequence"] for entry in log.of("/audit/decision")] == [0, 1, 2]
+
+
+def test_scanning_keeps_what_stands_before_the_damage(data):
+    broken = rechunked(data, lambda content: content + b"\x05\xff")
+    found = scan(broken)
+    assert found.problems
+    assert not found.finished
+    assert found.attachment("environment.json")
+    assert found.attachment("nothing") is None

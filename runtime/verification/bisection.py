@@ -160,8 +160,8 @@ def _open(geometry: Geometry, parts: Intervals, bounds: Floats, best: Floats, ai
     straddles = (bounds < aim.target) & (best >= aim.target) & (bounds < best - aim.fine)
     wanting = (bounds < best - aim.gap) | straddles
     if (best[:ROLL_MIN] < 0.0).any():  # outside the reach no bracket is asked for
-        within: Bools = (bounds[:, :ROLL_MIN] >= 0.0).all(axis=1)
-        wanting[:, :ROLL_MIN] &= within[:, None]
+        within = bounds[:, :ROLL_MIN].min(axis=1, keepdims=True) >= 0.0
+        wanting[:, :ROLL_MIN] &= within
     width = parts.s1 - parts.s0
     followed = (width > COARSE) | (_keeps(geometry, parts.a) & _keeps(geometry, parts.b))
     wanting[:, ROLL_MIN:] &= (parts.a.inside & parts.b.inside & followed)[:, None]

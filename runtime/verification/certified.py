@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ FINE_SPEED = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
-class _Value:
+class Enclosed:
     """One enclosed quantity in mm or rad; infinite where undefined."""
 
     attained: float
@@ -76,14 +77,14 @@ def verify(problem: Problem) -> Verdict:
     """Verify a path at its deadbands, for all its points, arm and wrist together."""
     wrong = defects(problem)
     if wrong:
-        return _refused(problem, wrong)
+        return refused(problem, wrong, "certified")
     geometry, segments = canonical(problem)
     chain = build(geometry, segments)
     limits = extremes(geometry, segments, chain.poses)
     return _Verification(problem, geometry, segments, chain, limits).verdict()
 
 
-def _refused(problem: Problem, wrong: tuple[str, ...]) -> Verdict:
+def refused(problem: Problem, wrong: tuple[str, ...], method: Literal["certified", "stocco"]) -> Verdict:
     """The verdict on a problem whose numbers cannot be verified: every boundary undefined, hence violated."""
     wrist = (
         problem.deadband.wrist_rad + problem.calibration.residual_rad + problem.deadband.path_tolerance_rad
@@ -92,7 +93,7 @@ def _refused(problem: Problem, wrong: tuple[str, ...]) -> Verdict:
     nothing = {name: boundary(name, None, arm, wrist, ()) for name in BOUNDARIES}
     speed = tuple(SpeedLine(j, float(limit), None, None, ok=False) for j, limit in enumerate(problem.speed))
     return Verdict(
-        method="certified",
+        method=method,
         admissible=False,
         tip_length_mm=0.0,
         wrist_length_mm=0.0,
@@ -108,7 +109,7 @@ def _refused(problem: Problem, wrong: tuple[str, ...]) -> Verdict:
 
 
 def boundary(
-    name: str, value: _Value | None, arm_mm: float, wrist_rad: float, tip_at: Floats | tuple[()]
+    name: str, value: Enclosed | None, arm_mm: float, wrist_rad: float, tip_at: Floats | tuple[()]
 ) -> Boundary:
     """Bring an enclosed value into the form people read: mm or deg, null where undefined.
 
@@ -213,11 +214,11 @@ class _Verification:
         self.budget += done.budget
         return done
 
-    def _slide_and_pitch(self) -> dict[str, _Value]:
+    def _slide_and_pitch(self) -> dict[str, Enclosed]:
         x, g = self.limits, self.geometry
 
-        def value(attained: float, pad: float, place: tuple[int, float]) -> _Value:
-            return _Value(attained, attained - pad, *place)
+        def value(attained: float, pad: float, place: tuple[int, float]) -> Enclosed:
+            return Enclosed(attained, attained - pad, *place)
 
         low, high = (x.lowest.segment, x.lowest.fraction), (x.highest.segment, x.highest.fraction)
         flat = (x.least_pitch.segment, x.least_pitch.fraction)
@@ -240,7 +241,7 @@ class _Verification:
 
     # -- branches -----------------------------------------------------------------------------
 
-    def _shoulder(self, first: Survey, values: dict[str, _Value]) -> Candidate | None:
+    def _shoulder(self, first: Survey, values: dict[str, Enclosed]) -> Candidate | None:
         """Choose the turn of q0; fills left and right where they count by the lifted q0."""
         asked = None if self.problem.branch is None else self.problem.branch[0]
         start = float(self.chain.points.shoulder[0])
@@ -255,7 +256,7 @@ class _Verification:
         if not (math.isfinite(reach[0]) and math.isfinite(reach[1])):
             return None
         others = self._worst_ratio(values, leave_out=("left", "right"))
-        best: tuple[float, Candidate, dict[str, _Value]] | None = None
+        best: tuple[float, Candidate, dict[str, Enclosed]] | None = None
         for option in candidates(self.geometry, 0, start, reach, asked):
             sides = self._lifted_sides(option, reach)
             ratio = min([others, *(v.certified / self.geometry.arm_mm for v in sides.values())])
@@ -270,7 +271,7 @@ class _Verification:
         values.update(best[2])
         return best[1] if best[1].fits else None
 
-    def _lifted_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, _Value]:
+    def _lifted_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, Enclosed]:
         """Left and right for one choice of turns; left out where the path stays half a turn away."""
         g = self.geometry
         slack = GAP_RAD  # the range is attained, its bound may be that much wider
@@ -288,7 +289,7 @@ class _Verification:
         }
         return {n: v for n, v in found.items() if math.isfinite(v.attained) or not v.certified >= g.arm_mm}
 
-    def _roll(self, first: Survey, values: dict[str, _Value]) -> Candidate | None:
+    def _roll(self, first: Survey, values: dict[str, Enclosed]) -> Candidate | None:
         """Choose the turn of the roll and fill its two boundaries."""
         g = self.geometry
         asked = None if self.problem.branch is None else self.problem.branch[1]
@@ -315,7 +316,7 @@ class _Verification:
         values["roll_max"] = _value(first, ROLL_MAX, float(g.upper[3]) - shift)
         return chosen if chosen.fits else None
 
-    def _held_roll(self, values: dict[str, _Value], asked: int | None) -> Candidate | None:
+    def _held_roll(self, values: dict[str, Enclosed], asked: int | None) -> Candidate | None:
         """A vertical tool held at a declared roll: both boundaries are constants."""
         held = float(self.held or 0.0)
         reported = int(turns(np.float64(held)))  # type: ignore[arg-type]
@@ -324,13 +325,13 @@ class _Verification:
             ("roll_min", true - float(self.geometry.lower[3])),
             ("roll_max", float(self.geometry.upper[3]) - true),
         ):
-            values[name] = _Value(margin, margin, 0, 0.0)
+            values[name] = Enclosed(margin, margin, 0, 0.0)
         fits = min(values["roll_min"].attained, values["roll_max"].attained) >= 0.0
         if not fits or asked not in {None, reported}:
             return None
         return Candidate(0.0, reported, fits=True, margin=0.0)
 
-    def _worst_ratio(self, values: dict[str, _Value], leave_out: tuple[str, ...]) -> float:
+    def _worst_ratio(self, values: dict[str, Enclosed], leave_out: tuple[str, ...]) -> float:
         g = self.geometry
         return min(
             v.certified / (g.wrist_rad if name.startswith(("pitch", "wrist", "roll")) else g.arm_mm)
@@ -340,7 +341,7 @@ class _Verification:
 
     # -- the answer ---------------------------------------------------------------------------
 
-    def _boundaries(self, values: dict[str, _Value]) -> dict[str, Boundary]:
+    def _boundaries(self, values: dict[str, Enclosed]) -> dict[str, Boundary]:
         """Back to the arm as it was given: a mirrored arm's sides and roll ends change places."""
         mirrored = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
         out: dict[str, Boundary] = {}
@@ -394,8 +395,8 @@ class _Verification:
         return wrist_length(self.segments, self.geometry.tool_mm)
 
 
-def _value(done: Survey, column: int, offset: float = 0.0) -> _Value:
-    return _Value(
+def _value(done: Survey, column: int, offset: float = 0.0) -> Enclosed:
+    return Enclosed(
         float(done.attained[column]) + offset,
         float(done.certified[column]) + offset,
         int(done.segment[column]),
@@ -403,8 +404,8 @@ def _value(done: Survey, column: int, offset: float = 0.0) -> _Value:
     )
 
 
-def _plain(value: _Value) -> _Value:
-    return _Value(float(value.attained), float(value.certified), value.segment, value.fraction)
+def _plain(value: Enclosed) -> Enclosed:
+    return Enclosed(float(value.attained), float(value.certified), value.segment, value.fraction)
 
 
 def wrist_length(segments: Segments, tool_mm: float) -> float:

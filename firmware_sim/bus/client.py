@@ -220,6 +220,8 @@ def _join(path: str, hello: Record) -> socket.socket:
         refusal = _refusal(sock)
     except (FileNotFoundError, ConnectionRefusedError):
         refusal = "no hub is serving there: start one with `cutgate bus serve`"
+    except BlockingIOError:
+        refusal = "the hub accepts no connection, too many wait: end it and start another"
     except (OSError, WireError) as error:
         refusal = str(error)
     if refusal is not None:

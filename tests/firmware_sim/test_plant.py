@@ -219,6 +219,20 @@ def test_the_middle_of_a_segment_is_watched_too():
     assert "q1" in fault.detail
 
 
+def test_a_short_excursion_within_a_long_segment_is_seen_even_in_one_step():
+    """q1 exceeds its limit on 20 mm of 700 mm, and turns too little there for the turn of a joint to tell."""
+    highest = 2 * math.acos(700 / 900)  # where the wrist is nearest, 700 mm from the column
+    limits = dataclasses.replace(
+        LIMITS, q_max_u=(80_000_000, round((math.degrees(highest) - 0.01) * UNIT), *LIMITS.q_max_u[2:])
+    )
+    axes = tilted([30.0, 30.0])
+    wrists = np.array([[700.0, -400.0, 200.0], [700.0, 300.0, 200.0]])
+    path = Path.quantised(wrists - TOOL_MM * axes, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right")
+    step = drive(Plant(limits, NOMINAL), StoredPath.of(path), dt_s=1000.0)[-1]
+    assert step.fault.cause is StopCause.LIMIT_EXCEEDED
+    assert step.state.fraction == pytest.approx(390 / 700, abs=5 / 700)
+
+
 def test_a_path_that_leaves_the_reach_stops_the_arm():
     path = StoredPath.of(line_path((500, 0, 100), (1500, 0, 100), poses=3))
     fault = drive(Plant(WIDE, NOMINAL), path, time_scale=50)[-1].fault

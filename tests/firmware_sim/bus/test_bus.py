@@ -303,6 +303,18 @@ def test_a_hub_that_does_not_welcome_is_refused_with_the_reason(place, monkeypat
             VirtualBus(str(place / "bus.sock"))
 
 
+def test_a_hub_that_accepts_nobody_is_refused_at_once(place):
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as busy,
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as waiting,
+    ):
+        busy.bind(str(place / "bus.sock"))
+        busy.listen(0)
+        waiting.connect(str(place / "bus.sock"))
+        with pytest.raises(can.CanInitializationError, match="accepts no connection"):
+            VirtualBus(str(place / "bus.sock"))
+
+
 def test_a_hub_that_sends_nonsense_fails_for_good(place):
     with false_hub(place / "bus.sock", WELCOME, b"nonsense", wire.Record(wire.Kind.FRAME).pack()):
         bus = VirtualBus(str(place / "bus.sock"))

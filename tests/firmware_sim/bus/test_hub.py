@@ -254,22 +254,19 @@ def test_before_its_hello_a_client_hears_nothing(path, join):
 
 
 def test_one_client_too_many_is_refused(path, join, monkeypatch):
+    hub = Hub(path, report=lambda _: None)
     monkeypatch.setattr(hub_module, "MAX_CLIENTS", 2)
-    with running(Hub(path, report=lambda _: None)):
+    with running(hub):
         join(path), join(path)
         with pytest.raises(can.CanInitializationError, match="2 clients already"):
             join(path)
 
 
 def test_a_crowd_that_never_says_hello_is_turned_away(path, monkeypatch):
-    monkeypatch.setattr(hub_module, "MAX_CLIENTS", 1)
     told = []
-    with (
-        running(Hub(path, report=told.append)),
-        raw_client(path),
-        raw_client(path),
-        raw_client(path) as third,
-    ):
+    hub = Hub(path, report=told.append)  # it listens with the full length of its queue of connections
+    monkeypatch.setattr(hub_module, "MAX_CLIENTS", 1)
+    with running(hub), raw_client(path), raw_client(path), raw_client(path) as third:
         assert b"too many connections" in third.recv(100)
     assert len(told) == 1
 

@@ -1,0 +1,273 @@
+"""A controller taken by its own table to each state, and one request that passes: what its tests start from."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.rules import Case
+from firmware_sim.state import (
+    AcknowledgeReceived,
+    BoneMoved,
+    CollectReceived,
+    Controller,
+    Effect,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Holdings,
+    Identity,
+    Inputs,
+    InputsChanged,
+    LimitsChanged,
+    NonceRequested,
+    OpenReceived,
+    PathChecked,
+    PathFinished,
+    PermitReceived,
+    PoseMeasured,
+    ResetReceived,
+    Send,
+    SendFault,
+    StartReceived,
+    StopReceived,
+    Tick,
+)
+from firmware_sim.table import step
+from protocol import permit as permits
+from protocol import records
+from protocol.states import Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from tests.altering import altered
+
+NOW = 500.0
+KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
+BOOT_NONCE, RUNTIME_NONCE = b"b" * 16, b"r" * 16
+PERMIT_NONCE, START_NONCE, RESET_NONCE = b"p" * 16, b"s" * 16, b"z" * 16
+REGISTRATION = records.digest(b"registration")
+START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
+
+LIMITS = records.Limits.quantised(
+    q_min_deg=(-80, 0, 50, -170, 0), q_max_deg=(80, 145, 450, 170, 110), speed_deg_s=(57, 57, 200, 114, 114)
+)
+OTHER_LIMITS = replace(LIMITS, q_max_u=(79_000_000, *LIMITS.q_max_u[1:]))
+CALIBRATION = records.Calibration.quantised(upper_link_mm=450.0, forearm_link_mm=450.0)
+TOOL = records.Tool.quantised(length_mm=160.0)
+PATH = records.Path.quantised(
+    [(500.0, 0.0, 100.0), (510.0, 0.0, 100.0), (520.0, 0.0, 100.0)],
+    np.tile((0.6, 0.0, 0.8), (3, 1)),
+    feed_mm_s=10.0,
+    tool_length_mm=160.0,
+    elbow="right",
+    q0_turns=0,
+    roll_turns=1,
+)
+
+OPEN = records.Open(
+    protocol_version=records.PROTOCOL_VERSION,
+    boot_nonce=BOOT_NONCE,
+    runtime_nonce=RUNTIME_NONCE,
+    registration_digest=REGISTRATION,
+    timing=records.Timing(
+        heartbeat_ms=20,
+        timeout_ms=100,
+        permit_lifetime_s=120,
+        start_lifetime_ms=2000,
+        start_tolerance_um=500,
+        start_tolerance_mdeg=200,
+    ),
+)
+TAG = records.session_tag(BOOT_NONCE, RUNTIME_NONCE)
+
+POWERED_UP = Controller(
+    identity=Identity(serial="SIM-1", key=KEY, boot_nonce=BOOT_NONCE),
+    holdings=Holdings(LIMITS.body(), CALIBRATION.body(), TOOL.body()),
+)
+
+
+def fed(state: Controller, *events: Event, now_s: float = NOW) -> Controller:
+    """The state after these events, all at ``now_s``."""
+    for event in events:
+        state, _ = step(state, event, now_s)
+    return state
+
+
+def alive(code: RuntimeCode = RuntimeCode.INHIBIT, epoch: int = 1, **changes: Any) -> HeartbeatReceived:
+    """A fresh heartbeat of the runtime."""
+    return replace(HeartbeatReceived(code, epoch, StopCause.NONE, fresh=True), **changes)
+
+
+HOLD, RELEASE = InputsChanged(Inputs(device_pressed=True)), InputsChanged(Inputs(device_pressed=False))
+EMERGENCY_STOP = InputsChanged(Inputs(device_pressed=True, emergency_stop_clear=False))
+ACCEPTED_PATH = PathChecked(PATH.body(), Refusal.ACCEPTED, 0, START_JOINTS)
+
+OPENED = fed(POWERED_UP, OpenReceived(OPEN, 1), alive())
+LOADED = fed(OPENED, ACCEPTED_PATH, PoseMeasured(0.1, 0.05))
+ASKED = fed(LOADED, NonceRequested(Purpose.PERMIT, PERMIT_NONCE))
+
+PERMIT = records.Permit(
+    nonce=PERMIT_NONCE,
+    boot_nonce=BOOT_NONCE,
+    session_digest=records.session_digest(BOOT_NONCE, RUNTIME_NONCE),
+    serial="SIM-1",
+    protocol_version=records.PROTOCOL_VERSION,
+    epoch=1,
+    limits_digest=records.digest(LIMITS.body()),
+    calibration_digest=records.digest(CALIBRATION.body()),
+    tool_digest=records.digest(TOOL.body()),
+    path_digest=PATH.digest,
+    registration_digest=REGISTRATION,
+    configuration_digest=records.digest(b"configuration"),
+    verifier_version="cutgate test",
+    start_joints_u=START_JOINTS,
+    branch=records.Branch("right", 0, 1),
+    lifetime_s=120,
+)
+START = records.Start(
+    nonce=START_NONCE,
+    epoch=1,
+    session_digest=PERMIT.session_digest,
+    permit_digest=records.digest(PERMIT.canonical()),
+    start_joints_u=START_JOINTS,
+)
+RESET = records.Reset(nonce=RESET_NONCE, epoch=1, cause=StopCause.NONE, session_digest=PERMIT.session_digest)
+SIGNED_PERMIT, SIGNED_START = permits.sign(KEY, PERMIT), permits.sign(KEY, START)
+
+PERMITTED = fed(ASKED, PermitReceived(SIGNED_PERMIT, 4), alive(RuntimeCode.READY))
+CYCLED = fed(PERMITTED, RELEASE, HOLD, NonceRequested(Purpose.START, START_NONCE))
+STARTED = fed(CYCLED, StartReceived(SIGNED_START, 5))
+CUTTING = fed(STARTED, alive(RuntimeCode.CUT))
+DONE = fed(CUTTING, PathFinished())
+
+LATCHED = fed(POWERED_UP, Fault(StopCause.SECOND_NODE))
+"""A latched fault without a session; epoch 1."""
+HELD = fed(LATCHED, OpenReceived(OPEN, 1), alive(epoch=2))
+"""A session with a latched controller; epoch 2."""
+ACKNOWLEDGED = fed(HELD, AcknowledgeReceived(StopCause.SECOND_NODE, 2))
+RESETTING = fed(ACKNOWLEDGED, NonceRequested(Purpose.RESET, RESET_NONCE))
+SIGNED_RESET = permits.sign(KEY, replace(RESET, epoch=2))
+
+EVERY_STATE: dict[str, Controller] = {
+    "powered up": POWERED_UP,
+    "open": OPENED,
+    "loaded": LOADED,
+    "asked for a permit": ASKED,
+    "permitted": PERMITTED,
+    "device cycled": CYCLED,
+    "started": STARTED,
+    "cutting": CUTTING,
+    "done": DONE,
+    "latched": LATCHED,
+    "held": HELD,
+    "acknowledged": ACKNOWLEDGED,
+    "resetting": RESETTING,
+    "stopped": fed(CUTTING, HOLD, Fault(StopCause.BUS_FAILED)),
+}
+"""The controller in every state, each reached through the table."""
+
+STOPPING_EVENTS: dict[str, tuple[Event, StopCause]] = {
+    "stop frame": (StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP), StopCause.OPERATOR_STOP),
+    "stop without cause": (StopReceived(StopCode.STOP, StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
+    "withdrawal": (
+        StopReceived(StopCode.STOP, StopCause.REGISTRATION_WITHDRAWN),
+        StopCause.REGISTRATION_WITHDRAWN,
+    ),
+    "withdrawal as end": (
+        StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
+        StopCause.REGISTRATION_WITHDRAWN,
+    ),
+    "stalled loop": (Fault(StopCause.LOOP_STALLED), StopCause.LOOP_STALLED),
+    "second node": (Fault(StopCause.SECOND_NODE), StopCause.SECOND_NODE),
+    "fault without cause": (Fault(StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
+    "bone motion": (BoneMoved(), StopCause.BONE_MOVED),
+    "limit changed": (LimitsChanged(OTHER_LIMITS.body()), StopCause.LIMITS_CHANGED),
+    "emergency stop": (EMERGENCY_STOP, StopCause.EMERGENCY_STOP),
+}
+"""Every event that must stop whatever the state, and its cause."""
+
+PERMIT_CASE = Case(ASKED, SIGNED_PERMIT, NOW)
+START_CASE = Case(CYCLED, SIGNED_START, NOW)
+RESET_CASE = Case(RESETTING, SIGNED_RESET, NOW)
+
+
+def changed(case: Case, field: str, value: Any) -> Case:
+    """The case with one field altered; a request that was altered is signed again, so that only the field differs."""
+    twin: Case = altered(case, field, value)
+    if field.startswith("request.") and field != "request.mac":
+        twin = replace(twin, request=permits.sign(KEY, twin.request))
+    return twin
+
+
+RECEIVED: dict[type, Callable[[Any], Event]] = {
+    records.Permit: lambda record: PermitReceived(record, 9),
+    records.Start: lambda record: StartReceived(record, 9),
+    records.Reset: lambda record: ResetReceived(record, 9),
+}
+
+
+def decide(case: Case) -> tuple[Controller, tuple[Effect, ...]]:
+    """What the table does with the case's request."""
+    return step(case.controller, RECEIVED[type(case.request)](case.request), case.now_s)
+
+
+def replies(effects: tuple[Effect, ...]) -> list[Refusal]:
+    """The answers that leave."""
+    return [
+        effect.record.refusal
+        for effect in effects
+        if isinstance(effect, Send) and isinstance(effect.record, records.Reply)
+    ]
+
+
+def faults(effects: tuple[Effect, ...]) -> list[SendFault]:
+    """The fault frames that leave."""
+    return [effect for effect in effects if isinstance(effect, SendFault)]
+
+
+def is_void(state: Controller) -> bool:
+    """Nothing that could enable anything is left, and nothing moves."""
+    return (
+        state.permit is None
+        and state.issued is None
+        and state.holdings.path is None
+        and not (state.session is not None and state.session.live)
+        and not state.may_move
+        and not state.cutting_mode
+    )
+
+
+def events(state: Controller) -> list[Event]:
+    """At least one of every kind of event, each as tempting as it can be in ``state``."""
+    epoch, nonce = state.epoch, state.issued.nonce if state.issued else PERMIT_NONCE
+    permit = permits.sign(KEY, replace(PERMIT, nonce=nonce, epoch=epoch))
+    start = replace(START, nonce=nonce, epoch=epoch)
+    if state.permit is not None:
+        start = replace(start, permit_digest=records.digest(state.permit.canonical()))
+    reset = permits.sign(KEY, replace(RESET, nonce=nonce, epoch=epoch))
+    return [
+        OpenReceived(OPEN, 1),
+        CollectReceived(),
+        ACCEPTED_PATH,
+        PathChecked(PATH.body(), Refusal.POSE_OUTSIDE_LIMITS, 1, None),
+        *(NonceRequested(purpose, purpose.name.encode().ljust(16, b".")) for purpose in Purpose),
+        PermitReceived(permit, 2),
+        PermitReceived(replace(permit, mac=bytes(16)), 2),
+        StartReceived(permits.sign(KEY, start), 3),
+        ResetReceived(reset, 4),
+        AcknowledgeReceived(state.cause, 5),
+        AcknowledgeReceived(StopCause.OPERATOR_QUIT, 5),
+        *(alive(code, epoch) for code in RuntimeCode),
+        alive(RuntimeCode.CUT, epoch + 1),
+        alive(RuntimeCode.CUT, epoch, fresh=False),
+        alive(RuntimeCode.INHIBIT, epoch, cause=StopCause.AUDIT_FAILED),
+        HeartbeatLost(),
+        StopReceived(StopCode.END, StopCause.SESSION_ENDED),
+        HOLD,
+        RELEASE,
+        PoseMeasured(0.0, 0.0),
+        PoseMeasured(9.0, 0.0),
+        PathFinished(),
+        Tick(),
+        *(event for event, _ in STOPPING_EVENTS.values()),
+    ]

@@ -1,0 +1,285 @@
+"""Every reason to refuse: a case that passes, one field of it altered, and the one reason that is given."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES, first_refusal
+from firmware_sim.state import DeviceCycle, LimitsChanged
+from firmware_sim.table import step
+from protocol import permit as permits
+from protocol import records
+from protocol.states import ControllerState, Purpose, Refusal, StopCause
+from tests.firmware_sim.controllers import (
+    ASKED,
+    CUTTING,
+    CYCLED,
+    KEY,
+    LOADED,
+    NOW,
+    OTHER_KEY,
+    OTHER_LIMITS,
+    PATH,
+    PERMIT,
+    PERMIT_CASE,
+    PERMIT_NONCE,
+    REGISTRATION,
+    RESET_CASE,
+    START_CASE,
+    START_JOINTS,
+    changed,
+    decide,
+    replies,
+)
+
+OTHER = bytes(32)
+OTHER_BYTES = OTHER_LIMITS.body()
+FLIPPED_PATH = PATH.body()[:-1] + bytes([PATH.body()[-1] ^ 1])
+
+
+def _joints(joint: int, by: int) -> tuple[int, ...]:
+    return tuple(count + by * (index == joint) for index, count in enumerate(START_JOINTS))
+
+
+HELD = [
+    ("controller.holdings.limits", OTHER_BYTES, Refusal.LIMITS_DIGEST),
+    ("controller.holdings.calibration", b"other", Refusal.CALIBRATION_DIGEST),
+    ("controller.holdings.tool", b"other", Refusal.TOOL_DIGEST),
+    ("controller.holdings.path", FLIPPED_PATH, Refusal.PATH_DIGEST),
+    ("controller.holdings.path", None, Refusal.PATH_DIGEST),
+    ("controller.withdrawn", frozenset({REGISTRATION}), Refusal.REGISTRATION_WITHDRAWN),
+]
+
+ALIVE = [
+    ("controller.heartbeat_fresh", False, Refusal.HEARTBEAT_STALE),
+    ("controller.inputs.emergency_stop_clear", False, Refusal.EMERGENCY_STOP),
+    ("controller.issued", None, Refusal.NO_NONCE),
+    ("controller.issued.nonce", b"newer".ljust(16), Refusal.NONCE_MISMATCH),
+    ("request.nonce", b"older".ljust(16), Refusal.NONCE_MISMATCH),
+    ("now_s", NOW - 0.1, Refusal.NONCE_EXPIRED),
+    ("now_s", math.nan, Refusal.NONCE_EXPIRED),
+    ("request.mac", bytes(16), Refusal.MAC_INVALID),
+    ("controller.identity.key", OTHER_KEY, Refusal.MAC_INVALID),
+    ("controller.session.live", False, Refusal.VOIDED_BY_STOP),
+    ("controller.session", None, Refusal.VOIDED_BY_STOP),
+    ("request.session_digest", OTHER, Refusal.WRONG_SESSION),
+    ("controller.session.digest", OTHER, Refusal.WRONG_SESSION),
+]
+
+PERMIT_CASES = [
+    *HELD,
+    *ALIVE,
+    ("request.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("request.serial", "SIM-2", Refusal.WRONG_SERIAL),
+    ("controller.identity.serial", "SIM-2", Refusal.WRONG_SERIAL),
+    ("request.protocol_version", 2, Refusal.PROTOCOL_VERSION),
+    ("controller.state", ControllerState.FAULT, Refusal.LATCHED_FAULT),
+    ("controller.cause", StopCause.BONE_MOVED, Refusal.UNACKNOWLEDGED_STOP),
+    *(
+        ("controller.state", state, Refusal.NOT_IN_STATE)
+        for state in ControllerState
+        if state not in (ControllerState.LOADED, ControllerState.FAULT)
+    ),
+    ("controller.issued.purpose", Purpose.START, Refusal.NO_NONCE),
+    ("controller.issued.purpose", Purpose.RESET, Refusal.NO_NONCE),
+    ("now_s", NOW + 120.1, Refusal.NONCE_EXPIRED),
+    ("request.epoch", 2, Refusal.EPOCH),
+    ("controller.epoch", 2, Refusal.EPOCH),
+    ("request.limits_digest", OTHER, Refusal.LIMITS_DIGEST),
+    ("request.calibration_digest", OTHER, Refusal.CALIBRATION_DIGEST),
+    ("request.tool_digest", OTHER, Refusal.TOOL_DIGEST),
+    ("request.path_digest", OTHER, Refusal.PATH_DIGEST),
+    ("request.registration_digest", OTHER, Refusal.REGISTRATION_DIGEST),
+    ("controller.session.registration", OTHER, Refusal.REGISTRATION_DIGEST),
+    ("request.lifetime_s", 121, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("controller.session.permit_lifetime_s", 600.0, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("request.branch.elbow", "left", Refusal.BRANCH),
+    ("request.branch.q0_turns", 1, Refusal.BRANCH),
+    ("request.branch.roll_turns", 0, Refusal.BRANCH),
+    ("controller.holdings.start_joints_u", None, Refusal.START_JOINTS),
+    ("controller.holdings.start_joints_u", START_JOINTS[:4], Refusal.START_JOINTS),
+    *(
+        (
+            "request.start_joints_u",
+            _joints(joint, sign * (501_000 if joint == 2 else 201_000)),
+            Refusal.START_JOINTS,
+        )
+        for joint in range(5)
+        for sign in (1, -1)
+    ),
+]
+
+START_CASES = [
+    *HELD,
+    *ALIVE,
+    ("controller.permit", None, Refusal.NO_PERMIT),
+    *(
+        ("controller.state", state, Refusal.NOT_IN_STATE)
+        for state in ControllerState
+        if state is not ControllerState.PERMITTED
+    ),
+    ("controller.issued.purpose", Purpose.PERMIT, Refusal.NO_NONCE),
+    ("now_s", NOW + 2.1, Refusal.NONCE_EXPIRED),
+    ("request.epoch", 2, Refusal.EPOCH),
+    ("controller.permit_issued_at_s", NOW - 120.1, Refusal.PERMIT_EXPIRED),
+    ("controller.permit_issued_at_s", NOW + 0.1, Refusal.PERMIT_EXPIRED),
+    ("controller.permit_issued_at_s", math.nan, Refusal.PERMIT_EXPIRED),
+    ("request.permit_digest", OTHER, Refusal.PERMIT_MISMATCH),
+    ("controller.permit.configuration_digest", OTHER, Refusal.PERMIT_MISMATCH),
+    ("request.start_joints_u", _joints(0, 1), Refusal.START_JOINTS),
+    ("controller.device", DeviceCycle.UNSEEN, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
+    ("controller.device", DeviceCycle.RELEASED, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
+    *(
+        (f"controller.{field}", value, Refusal.NOT_AT_START)
+        for field, bound in (("start_offset_mm", 0.5), ("start_offset_deg", 0.2))
+        for value in (bound + 1e-9, -0.1, math.nan, math.inf)
+    ),
+]
+
+RESET_CASES = [
+    *ALIVE,
+    *(
+        ("controller.state", state, Refusal.NOT_IN_STATE)
+        for state in ControllerState
+        if state is not ControllerState.FAULT
+    ),
+    ("controller.cause", StopCause.SECOND_NODE, Refusal.UNACKNOWLEDGED_STOP),
+    ("controller.issued.purpose", Purpose.START, Refusal.NO_NONCE),
+    ("now_s", NOW + 2.1, Refusal.NONCE_EXPIRED),
+    ("request.epoch", 3, Refusal.EPOCH),
+]
+
+ALL = [
+    *((PERMIT_CASE, PERMIT_RULES, *one) for one in PERMIT_CASES),
+    *((START_CASE, START_RULES, *one) for one in START_CASES),
+    *((RESET_CASE, RESET_RULES, *one) for one in RESET_CASES),
+]
+PASSING = [(PERMIT_CASE, PERMIT_RULES), (START_CASE, START_RULES), (RESET_CASE, RESET_RULES)]
+NAMES = ["permit", "start", "reset"]
+
+
+@pytest.mark.parametrize(("case", "rules"), PASSING, ids=NAMES)
+def test_the_unaltered_case_passes(case, rules):
+    assert first_refusal(rules, case) is Refusal.ACCEPTED
+    after, effects = decide(case)
+    assert replies(effects) == [Refusal.ACCEPTED]
+    assert after.state is not case.controller.state
+
+
+@pytest.mark.parametrize(
+    ("case", "rules", "field", "value", "refusal"),
+    ALL,
+    ids=[
+        f"{number}-{type(case.request).__name__}-{refusal.name}-{field}"
+        for number, (case, _, field, _, refusal) in enumerate(ALL)
+    ],
+)
+def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, value, refusal):
+    twin = changed(case, field, value)
+
+    assert first_refusal(rules, twin) is refusal
+
+    after, effects = decide(twin)
+    assert replies(effects) == [refusal]
+    assert not after.may_move
+    assert after.issued is None, "a refused request uses its nonce up"
+    if refusal is Refusal.MAC_INVALID:
+        assert (after.state, after.permit) == (ControllerState.FAULT, None)
+    else:
+        assert after == replace(twin.controller, issued=None)
+
+
+@pytest.mark.parametrize(
+    ("rules", "cases"),
+    [(PERMIT_RULES, PERMIT_CASES), (START_RULES, START_CASES), (RESET_RULES, RESET_CASES)],
+    ids=NAMES,
+)
+def test_no_reason_is_left_untested(rules, cases):
+    assert {refusal for refusal, _ in rules} == {refusal for *_, refusal in cases}
+    assert len({refusal for refusal, _ in rules}) == len(rules), "each rule has a reason of its own"
+
+
+@pytest.mark.parametrize(
+    ("field", "refusal"),
+    [("configuration_digest", Refusal.MAC_INVALID), ("verifier_version", Refusal.MAC_INVALID)],
+)
+def test_what_the_controller_cannot_compare_is_bound_by_the_code(field, refusal):
+    value = OTHER if field == "configuration_digest" else "cutgate other"
+    twin = replace(PERMIT_CASE, request=replace(PERMIT_CASE.request, **{field: value}))
+    assert first_refusal(PERMIT_RULES, twin) is refusal
+
+
+@pytest.mark.parametrize("joint", range(5))
+def test_start_joints_agree_within_the_tolerance(joint):
+    case = changed(PERMIT_CASE, "request.start_joints_u", _joints(joint, 500_000 if joint == 2 else 200_000))
+    assert first_refusal(PERMIT_RULES, case) is Refusal.ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("case", "rules", "field", "value"),
+    [
+        (PERMIT_CASE, PERMIT_RULES, "now_s", NOW + 120.0),
+        (START_CASE, START_RULES, "now_s", NOW + 2.0),
+        (START_CASE, START_RULES, "controller.permit_issued_at_s", NOW - 120.0),
+        (START_CASE, START_RULES, "controller.start_offset_mm", 0.5),
+        (START_CASE, START_RULES, "controller.start_offset_deg", 0.2),
+    ],
+)
+def test_the_bound_itself_is_inside(case, rules, field, value):
+    assert first_refusal(rules, changed(case, field, value)) is Refusal.ACCEPTED
+
+
+def test_another_direction_s_key_or_domain_does_not_sign():
+    """A code made for a start does not make a permit, and the other way round."""
+    signed = permits.sign(KEY, START_CASE.request)
+    assert (
+        first_refusal(PERMIT_RULES, replace(PERMIT_CASE, request=PERMIT.with_mac(signed.mac)))
+        is Refusal.MAC_INVALID
+    )
+
+
+def test_a_permit_is_refused_the_second_time():
+    after, _ = decide(PERMIT_CASE)
+    _, effects = decide(replace(PERMIT_CASE, controller=after))
+    assert replies(effects) == [Refusal.NOT_IN_STATE]
+
+
+def test_a_start_is_refused_the_second_time_and_does_not_disturb_the_cut():
+    after, effects = decide(replace(START_CASE, controller=CUTTING))
+    assert replies(effects) == [Refusal.NOT_IN_STATE]
+    assert after == CUTTING
+
+
+def test_a_start_without_a_permit_is_refused_whatever_else_holds():
+    for controller in (LOADED, ASKED):
+        _, effects = decide(replace(START_CASE, controller=controller))
+        assert replies(effects) == [Refusal.NO_PERMIT]
+
+
+def test_a_changed_limit_voids_the_permit_by_its_stop():
+    """The digest rule stands behind it, for a change that no event announced."""
+    stopped, _ = step(CYCLED, LimitsChanged(OTHER_BYTES), NOW)
+    _, effects = decide(replace(START_CASE, controller=stopped))
+    assert replies(effects) == [Refusal.VOIDED_BY_STOP]
+
+
+def test_the_permit_s_nonce_serves_no_start():
+    case = replace(START_CASE, controller=replace(CYCLED, issued=ASKED.issued))
+    case = changed(case, "request.nonce", PERMIT_NONCE)
+    assert first_refusal(START_RULES, case) is Refusal.NO_NONCE
+
+
+def test_an_accepted_start_still_names_the_permit_that_was_accepted():
+    assert records.digest(PERMIT.canonical()) == START_CASE.request.permit_digest
+    assert START_CASE.controller.permit is not None
+
+
+@pytest.mark.parametrize("field", ["controller.holdings.path", "controller.session", "controller.issued"])
+def test_no_rule_trips_over_what_is_missing(field):
+    """Every rule on its own, not only the first that refuses, denies where its subject is missing."""
+    for case, rules in PASSING:
+        twin = changed(case, field, None)
+        for _, holds in rules:
+            assert holds(twin) in (True, False)

@@ -1,0 +1,847 @@
+"""The simulated controller's table: what enables, what stops, and what a stop leaves behind."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from config.constants import CONSTANTS
+from firmware_sim.state import (
+    AbortTransfers,
+    AcknowledgeReceived,
+    BoneMoved,
+    CloseLink,
+    CollectReceived,
+    Controller,
+    DeviceCycle,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Inputs,
+    InputsChanged,
+    LimitsChanged,
+    NonceRequested,
+    OpenLink,
+    OpenReceived,
+    PathChecked,
+    PathFinished,
+    PermitReceived,
+    Persist,
+    PoseMeasured,
+    ResetReceived,
+    Send,
+    SendFault,
+    StartReceived,
+    StopReceived,
+    Tick,
+)
+from firmware_sim.table import EVERYWHERE, TABLE, step
+from protocol import permit as permits
+from protocol import records
+from protocol.states import (
+    LATCHING,
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+from tests.altering import altered
+from tests.firmware_sim.controllers import (
+    ACCEPTED_PATH,
+    ACKNOWLEDGED,
+    ASKED,
+    BOOT_NONCE,
+    CALIBRATION,
+    CUTTING,
+    CYCLED,
+    DONE,
+    EMERGENCY_STOP,
+    EVERY_STATE,
+    HELD,
+    HOLD,
+    KEY,
+    LATCHED,
+    LIMITS,
+    LOADED,
+    NOW,
+    OPEN,
+    OPENED,
+    OTHER_LIMITS,
+    PATH,
+    PERMIT,
+    PERMITTED,
+    POWERED_UP,
+    REGISTRATION,
+    RELEASE,
+    RESETTING,
+    RUNTIME_NONCE,
+    SIGNED_PERMIT,
+    SIGNED_RESET,
+    SIGNED_START,
+    START_JOINTS,
+    STARTED,
+    STOPPING_EVENTS,
+    TAG,
+    TOOL,
+    alive,
+    events,
+    faults,
+    fed,
+    is_void,
+    replies,
+)
+
+C = ControllerState
+each_state = pytest.mark.parametrize("name", EVERY_STATE)
+
+
+# ---------------------------------------------------------------- stopping
+
+
+@each_state
+@pytest.mark.parametrize("stopping", STOPPING_EVENTS)
+def test_every_stop_from_every_state_voids_everything(name, stopping):
+    state = EVERY_STATE[name]
+    event, cause = STOPPING_EVENTS[stopping]
+
+    after, effects = step(state, event, NOW)
+
+    latched = state.state is C.FAULT or cause in LATCHING
+    assert after.state is (C.FAULT if latched else C.INHIBITED)
+    assert is_void(after)
+    assert after.epoch == state.epoch + 1
+    assert after.device is DeviceCycle.UNSEEN
+    assert after.cause is (state.cause if state.cause is not StopCause.NONE else cause), "first-out"
+    assert effects[0] == SendFault(FaultCode.LATCHED if latched else FaultCode.STOPPED, cause)
+    assert AbortTransfers() in effects
+
+
+@each_state
+@pytest.mark.parametrize("stopping", STOPPING_EVENTS)
+def test_what_was_overtaken_by_a_stop_is_dead_on_arrival(name, stopping):
+    stopped = fed(EVERY_STATE[name], STOPPING_EVENTS[stopping][0])
+    for event in events(stopped):
+        if not isinstance(event, PermitReceived | StartReceived | ResetReceived | NonceRequested):
+            continue
+        after, effects = step(stopped, event, NOW)
+        if isinstance(event, NonceRequested):
+            assert (after, effects) == (stopped, ()), "no nonce from a dead session"
+            continue
+        assert replies(effects)[0] in (Refusal.VOIDED_BY_STOP, Refusal.MAC_INVALID)
+        assert is_void(after)
+
+
+@pytest.mark.parametrize(
+    ("before", "arriving"),
+    [
+        (ASKED, PermitReceived(SIGNED_PERMIT, 4)),
+        (CYCLED, StartReceived(SIGNED_START, 5)),
+        (RESETTING, ResetReceived(SIGNED_RESET, 6)),
+    ],
+    ids=["permit", "start", "reset"],
+)
+def test_a_request_that_would_pass_is_void_after_a_stop(before, arriving):
+    assert replies(step(before, arriving, NOW)[1]) == [Refusal.ACCEPTED]
+    stopped = fed(before, StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP))
+    after, effects = step(stopped, arriving, NOW)
+    assert replies(effects) == [Refusal.VOIDED_BY_STOP]
+    assert is_void(after)
+
+
+def test_a_permit_of_the_session_before_the_stop_does_not_serve_the_next():
+    again = replace(OPEN, runtime_nonce=b"R" * 16)
+    state = fed(
+        ASKED,
+        StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP),
+        HeartbeatLost(),
+        OpenReceived(again, 1),
+        alive(epoch=3),
+        AcknowledgeReceived(StopCause.OPERATOR_STOP, 2),
+        ACCEPTED_PATH,
+        PoseMeasured(0.1, 0.05),
+        NonceRequested(Purpose.PERMIT, PERMIT.nonce),
+    )
+    assert state.state is C.LOADED
+    _, effects = step(state, PermitReceived(SIGNED_PERMIT, 4), NOW)
+    assert replies(effects) == [Refusal.WRONG_SESSION]
+
+
+@pytest.mark.parametrize("cause", [cause for cause in StopCause if cause is not StopCause.NONE], ids=str)
+def test_only_latching_causes_latch(cause):
+    after, (sent, *_) = step(CUTTING, Fault(cause), NOW)
+    assert after.state is (C.FAULT if cause in LATCHING else C.INHIBITED)
+    assert sent.code is (FaultCode.LATCHED if cause in LATCHING else FaultCode.STOPPED)
+
+
+def test_the_first_cause_is_kept_until_it_is_acknowledged():
+    state = fed(CUTTING, RELEASE, Fault(StopCause.SECOND_NODE), BoneMoved())
+    assert state.cause is StopCause.DEVICE_RELEASED
+    assert state.state is C.FAULT
+
+
+def test_the_epoch_wraps_at_eight_bits():
+    after = fed(replace(CUTTING, epoch=255), Fault(StopCause.BUS_FAILED))
+    assert after.epoch == 0
+
+
+@each_state
+def test_the_end_of_a_session_ends_it_and_is_a_stop_while_cutting(name):
+    state = EVERY_STATE[name]
+    after, effects = step(state, StopReceived(StopCode.END, StopCause.SESSION_ENDED), NOW)
+    assert is_void(after)
+    assert after.epoch == state.epoch + 1
+    if state.state is C.CUTTING:
+        assert (after.state, after.cause) == (C.INHIBITED, StopCause.SESSION_ENDED)
+        assert faults(effects)
+    else:
+        assert after.state is (C.FAULT if state.state is C.FAULT else C.INHIBITED)
+        assert (after.cause, after.session, after.heartbeat_fresh) == (state.cause, None, False)
+        assert effects == (AbortTransfers(), CloseLink())
+
+
+# ---------------------------------------------------------------- the lost peer
+
+
+@each_state
+def test_a_lost_heartbeat_stops_and_frees_the_controller_for_another_session(name):
+    state = EVERY_STATE[name]
+    after, effects = step(state, HeartbeatLost(), NOW)
+    if state.session is None:
+        assert (after, effects) == (state, ())
+        return
+    assert (after.session, after.heartbeat_fresh) == (None, False)
+    assert is_void(after)
+    assert CloseLink() in effects
+    if state.session.live:
+        assert after.epoch == state.epoch + 1
+        assert faults(effects)
+        assert after.cause is (state.cause or StopCause.HEARTBEAT_LOST)
+    else:
+        assert (after.cause, after.epoch, effects) == (state.cause, state.epoch, (CloseLink(),))
+    assert fed(after, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1)).session is not None
+
+
+# ---------------------------------------------------------------- the wired inputs
+
+
+def test_the_device_is_seen_released_and_then_pressed_after_the_permit():
+    held_throughout = fed(ASKED, HOLD, PermitReceived(SIGNED_PERMIT, 4))
+    assert held_throughout.device is DeviceCycle.UNSEEN
+    assert fed(held_throughout, HOLD).device is DeviceCycle.UNSEEN
+    released = fed(held_throughout, RELEASE)
+    assert released.device is DeviceCycle.RELEASED
+    assert fed(released, HOLD).device is DeviceCycle.PRESSED
+    assert fed(released, HOLD, RELEASE).device is DeviceCycle.RELEASED
+    assert fed(ASKED, PermitReceived(SIGNED_PERMIT, 4)).device is DeviceCycle.RELEASED
+
+
+def test_a_cycle_before_the_permit_does_not_count():
+    state = fed(ASKED, HOLD, RELEASE, HOLD, PermitReceived(SIGNED_PERMIT, 4))
+    assert state.device is DeviceCycle.UNSEEN
+
+
+@pytest.mark.parametrize("cutting", [STARTED, CUTTING], ids=["started", "cutting"])
+def test_a_released_device_stops_the_cut(cutting):
+    after, effects = step(cutting, RELEASE, NOW)
+    assert (after.state, after.cause) == (C.INHIBITED, StopCause.DEVICE_RELEASED)
+    assert faults(effects)
+
+
+@each_state
+def test_a_released_device_stops_nothing_else(name):
+    state = EVERY_STATE[name]
+    if state.state is C.CUTTING:
+        return
+    after, effects = step(state, RELEASE, NOW)
+    assert (after.state, after.cause, effects) == (state.state, state.cause, ())
+
+
+def test_the_emergency_stop_stops_once_when_pressed_and_not_when_released():
+    pressed, effects = step(CUTTING, EMERGENCY_STOP, NOW)
+    assert pressed.cause is StopCause.EMERGENCY_STOP
+    assert faults(effects)
+    same, effects = step(pressed, EMERGENCY_STOP, NOW)
+    assert (same.epoch, effects) == (pressed.epoch, ())
+    _, effects = step(pressed, HOLD, NOW)
+    assert effects == ()
+
+
+def test_emergency_stop_and_device_at_once_name_the_emergency_stop():
+    both = InputsChanged(Inputs(device_pressed=False, emergency_stop_clear=False))
+    assert fed(CUTTING, both).cause is StopCause.EMERGENCY_STOP
+
+
+# ---------------------------------------------------------------- withdrawn registrations
+
+WITHDRAWALS: dict[str, Event] = {
+    "bone motion": BoneMoved(),
+    "stop frame": StopReceived(StopCode.STOP, StopCause.REGISTRATION_WITHDRAWN),
+    "end frame": StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
+    "bone motion seen by the runtime": StopReceived(StopCode.STOP, StopCause.BONE_MOVED),
+    "heartbeat, the frame was lost": alive(cause=StopCause.REGISTRATION_WITHDRAWN),
+    "fault": Fault(StopCause.BONE_MOVED),
+}
+
+
+@pytest.mark.parametrize("state", [OPENED, LOADED, PERMITTED, CUTTING, DONE], ids=lambda s: s.state.name)
+@pytest.mark.parametrize("withdrawal", WITHDRAWALS)
+def test_a_withdrawal_lists_the_registration_by_whatever_way_it_comes(state, withdrawal):
+    after, effects = step(state, WITHDRAWALS[withdrawal], NOW)
+    assert after.withdrawn == {REGISTRATION}
+    assert Persist(frozenset({REGISTRATION})) in effects
+    assert isinstance(effects[0], SendFault), "the stop leaves before the memory is written"
+    assert is_void(after)
+
+
+def test_bone_motion_after_the_session_still_withdraws_its_registration():
+    ended = fed(DONE, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
+    after, effects = step(ended, BoneMoved(), NOW)
+    assert after.withdrawn == {REGISTRATION}
+    assert Persist(after.withdrawn) in effects
+
+
+def test_bone_motion_before_any_session_stops_and_has_nothing_to_withdraw():
+    after, effects = step(POWERED_UP, BoneMoved(), NOW)
+    assert (after.cause, after.withdrawn) == (StopCause.BONE_MOVED, frozenset())
+    assert not any(isinstance(effect, Persist) for effect in effects)
+
+
+def test_the_list_grows_and_only_another_registration_is_permitted():
+    state = replace(POWERED_UP, withdrawn=frozenset({REGISTRATION}))
+    asked = fed(
+        state,
+        OpenReceived(OPEN, 1),
+        alive(),
+        ACCEPTED_PATH,
+        PoseMeasured(0.1, 0.05),
+        NonceRequested(Purpose.PERMIT, PERMIT.nonce),
+    )
+    _, effects = step(asked, PermitReceived(SIGNED_PERMIT, 4), NOW)
+    assert replies(effects) == [Refusal.REGISTRATION_WITHDRAWN]
+
+    other = records.digest(b"registered again")
+    asked = fed(
+        state,
+        OpenReceived(replace(OPEN, registration_digest=other), 1),
+        alive(),
+        ACCEPTED_PATH,
+        PoseMeasured(0.1, 0.05),
+        NonceRequested(Purpose.PERMIT, PERMIT.nonce),
+    )
+    signed = permits.sign(KEY, replace(PERMIT, registration_digest=other))
+    after, effects = step(asked, PermitReceived(signed, 4), NOW)
+    assert replies(effects) == [Refusal.ACCEPTED]
+    assert fed(after, BoneMoved()).withdrawn == {REGISTRATION, other}
+
+
+def test_other_stops_withdraw_nothing():
+    for cause in set(StopCause) - {StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED}:
+        assert fed(CUTTING, Fault(cause)).withdrawn == frozenset()
+
+
+def test_a_changed_limit_is_held_and_stops():
+    after = fed(LOADED, LimitsChanged(OTHER_LIMITS.body()))
+    assert (after.holdings.limits, after.cause) == (OTHER_LIMITS.body(), StopCause.LIMITS_CHANGED)
+
+
+# ---------------------------------------------------------------- opening
+
+
+def test_a_session_is_opened_with_what_both_sides_said():
+    after, effects = step(POWERED_UP, OpenReceived(OPEN, 7), NOW)
+    assert (after.state, after.epoch, after.heartbeat_fresh) == (C.OPEN, 1, False)
+    session = after.session
+    assert session is not None
+    assert (session.tag, session.digest) == (TAG, records.session_digest(BOOT_NONCE, RUNTIME_NONCE))
+    assert (session.permit_lifetime_s, session.start_lifetime_s) == (120, 2.0)
+    assert (session.start_tolerance_mm, session.start_tolerance_deg) == (0.5, 0.2)
+    assert (session.heartbeat_s, session.timeout_s) == (0.02, 0.1)
+    assert effects == (
+        AbortTransfers(),
+        OpenLink(session),
+        Send(records.Opened(epoch=1, state=C.OPEN, cause=StopCause.NONE), TAG),
+    )
+
+
+OPEN_REFUSED = [
+    ("protocol_version", 2, Refusal.PROTOCOL_VERSION),
+    ("boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("timing.heartbeat_ms", 4, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.heartbeat_ms", 101, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.heartbeat_ms", 34, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.timeout_ms", 59, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.timeout_ms", 1001, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.permit_lifetime_s", 9, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.permit_lifetime_s", 601, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.start_lifetime_ms", 499, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.start_tolerance_um", 49, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.start_tolerance_um", 2001, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.start_tolerance_mdeg", 1001, Refusal.TIMING_OUT_OF_BOUNDS),
+]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "refusal"), OPEN_REFUSED, ids=[f"{field}={value}" for field, value, _ in OPEN_REFUSED]
+)
+def test_a_session_that_does_not_fit_is_refused(field, value, refusal):
+    after, effects = step(POWERED_UP, OpenReceived(altered(OPEN, field, value), 7), NOW)
+    assert after == POWERED_UP
+    (send,) = effects
+    assert (send.session, send.record.refusal) == (0, refusal)
+    assert (send.record.request_type, send.record.request_sequence) == (records.Open.TYPE, 7)
+
+
+def test_the_bounds_are_those_of_the_table_of_constants():
+    exchanged = {name for name, constant in CONSTANTS.items() if constant.exchanged}
+    assert exchanged == {
+        "heartbeat_ms",
+        "timeout_ms",
+        "permit_lifetime_s",
+        "start_lifetime_ms",
+        "start_tolerance_mm",
+        "start_tolerance_deg",
+    }
+
+
+def test_nonces_that_make_the_tag_of_no_session_are_refused(monkeypatch):
+    monkeypatch.setattr("firmware_sim.table.records.nonce_serves", lambda *_nonces: False)
+    _, effects = step(POWERED_UP, OpenReceived(OPEN, 1), NOW)
+    assert replies(effects) == [Refusal.WRONG_SESSION]
+
+
+@each_state
+def test_one_session_at_a_time(name):
+    state = EVERY_STATE[name]
+    after, effects = step(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), NOW)
+    if state.session is None:
+        assert after.session is not None
+    else:
+        assert after == state, "the session is not disturbed"
+        assert replies(effects) == [Refusal.SESSION_IN_USE]
+        assert [effect.session for effect in effects] == [0]
+
+
+# ---------------------------------------------------------------- a latched fault
+
+
+def test_a_latched_fault_is_left_only_by_acknowledge_and_then_reset():
+    reset = ResetReceived(SIGNED_RESET, 3)
+    for sequence, wanted in (
+        ((), C.FAULT),
+        ((AcknowledgeReceived(StopCause.SECOND_NODE, 2),), C.FAULT),
+        ((NonceRequested(Purpose.RESET, SIGNED_RESET.nonce), reset), C.FAULT),
+        (
+            (
+                AcknowledgeReceived(StopCause.SECOND_NODE, 2),
+                NonceRequested(Purpose.RESET, SIGNED_RESET.nonce),
+                reset,
+            ),
+            C.OPEN,
+        ),
+    ):
+        after = fed(HELD, *sequence)
+        assert after.state is wanted
+        assert not after.may_move
+        assert not after.cutting_mode
+
+
+@each_state
+def test_no_other_single_event_leaves_a_latched_fault(name):
+    state = EVERY_STATE[name]
+    if state.state is not C.FAULT:
+        return
+    for event in events(state):
+        after, _ = step(state, event, NOW)
+        if after.state is not C.FAULT:
+            assert (name, type(event)) == ("resetting", ResetReceived)
+
+
+def test_a_session_opened_with_a_latched_controller_says_so():
+    _, effects = step(LATCHED, OpenReceived(OPEN, 1), NOW)
+    assert effects[-1].record == records.Opened(epoch=2, state=C.FAULT, cause=StopCause.SECOND_NODE)
+
+
+@pytest.mark.parametrize(
+    ("state", "cause", "refusal"),
+    [
+        (HELD, StopCause.SECOND_NODE, Refusal.ACCEPTED),
+        (HELD, StopCause.OPERATOR_STOP, Refusal.NOT_IN_STATE),
+        (LATCHED, StopCause.SECOND_NODE, Refusal.NOT_IN_STATE),
+        (EVERY_STATE["stopped"], StopCause.BUS_FAILED, Refusal.NOT_IN_STATE),
+    ],
+)
+def test_only_the_standing_cause_is_acknowledged_in_a_live_session(state, cause, refusal):
+    after, effects = step(state, AcknowledgeReceived(cause, 9), NOW)
+    assert replies(effects) == [refusal]
+    assert after.cause is (StopCause.NONE if refusal is Refusal.ACCEPTED else state.cause)
+    assert after.state is state.state
+
+
+def test_an_emergency_stop_is_not_acknowledged_while_it_is_pressed():
+    state = fed(
+        POWERED_UP,
+        InputsChanged(Inputs(emergency_stop_clear=False)),
+        OpenReceived(OPEN, 1),
+        alive(),
+    )
+    after, effects = step(state, AcknowledgeReceived(StopCause.EMERGENCY_STOP, 2), NOW)
+    assert (after, replies(effects)) == (state, [Refusal.EMERGENCY_STOP])
+    after = fed(state, RELEASE, AcknowledgeReceived(StopCause.EMERGENCY_STOP, 2))
+    assert after.cause is StopCause.NONE
+
+
+def test_a_wrong_key_latches_from_every_state():
+    for state in EVERY_STATE.values():
+        for event in (
+            PermitReceived(replace(SIGNED_PERMIT, mac=bytes(16)), 1),
+            StartReceived(replace(SIGNED_START, mac=bytes(16)), 1),
+            ResetReceived(replace(SIGNED_RESET, mac=bytes(16)), 1),
+        ):
+            after, effects = step(state, event, NOW)
+            assert (after.state, is_void(after)) == (C.FAULT, True)
+            assert after.cause is (state.cause or StopCause.AUTHENTICATION_FAILED)
+            assert faults(effects) == [SendFault(FaultCode.LATCHED, StopCause.AUTHENTICATION_FAILED)]
+            assert replies(effects) == [Refusal.MAC_INVALID]
+
+
+# ---------------------------------------------------------------- loading
+
+
+@pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])
+def test_the_records_are_given_as_they_are_held(state):
+    after, effects = step(state, CollectReceived(), NOW)
+    assert after == state
+    assert effects == tuple(Send(record, TAG, bulk=True) for record in (LIMITS, CALIBRATION, TOOL))
+
+
+@each_state
+def test_nothing_is_collected_or_stored_in_any_other_state(name):
+    state = EVERY_STATE[name]
+    if state.state in (C.OPEN, C.LOADED):
+        return
+    for event in (CollectReceived(), ACCEPTED_PATH):
+        assert step(state, event, NOW) == (state, ())
+
+
+@pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])
+def test_an_accepted_path_is_stored_and_answered_with_its_digest(state):
+    after, effects = step(state, ACCEPTED_PATH, NOW)
+    assert (after.state, after.holdings.path, after.holdings.start_joints_u) == (
+        C.LOADED,
+        PATH.body(),
+        START_JOINTS,
+    )
+    (send,) = effects
+    assert send == Send(
+        records.PathStored(digest=PATH.digest, refusal=Refusal.ACCEPTED, pose=0), TAG, bulk=True
+    )
+
+
+@pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])
+def test_a_refused_path_is_not_stored_and_displaces_the_one_before(state):
+    refused = PathChecked(PATH.body(), Refusal.POSE_OUTSIDE_LIMITS, 2, START_JOINTS)
+    after, effects = step(state, refused, NOW)
+    assert (after.state, after.holdings.path, after.holdings.start_joints_u) == (C.OPEN, None, None)
+    assert effects[0].record.refusal is Refusal.POSE_OUTSIDE_LIMITS
+
+
+@pytest.mark.parametrize("event", [ACCEPTED_PATH, Fault(StopCause.BUS_FAILED)], ids=["path", "stop"])
+def test_a_measurement_does_not_outlive_the_path_it_was_made_against(event):
+    after = fed(LOADED, event)
+    assert (LOADED.start_offset_mm, LOADED.start_offset_deg) == (0.1, 0.05)
+    assert (after.start_offset_mm, after.start_offset_deg) == (math.inf, math.inf)
+
+
+@pytest.mark.parametrize("purpose", Purpose, ids=str)
+def test_a_new_nonce_voids_the_old(purpose):
+    after, effects = step(ASKED, NonceRequested(purpose, b"new".ljust(16)), NOW + 1)
+    assert after.issued is not None
+    assert (after.issued.nonce, after.issued.purpose, after.issued.at_s) == (
+        b"new".ljust(16),
+        purpose,
+        NOW + 1,
+    )
+    assert effects == (Send(records.Nonce(purpose=purpose, nonce=b"new".ljust(16), epoch=1), TAG),)
+    _, effects = step(after, PermitReceived(SIGNED_PERMIT, 4), NOW + 1)
+    assert replies(effects)[0] in (Refusal.NONCE_MISMATCH, Refusal.NO_NONCE)
+
+
+# ---------------------------------------------------------------- permit, start, motion
+
+
+def test_a_permit_enables_the_cutter_and_no_motion():
+    after, effects = step(ASKED, PermitReceived(SIGNED_PERMIT, 4), NOW + 3)
+    assert (after.state, after.permit, after.issued) == (C.PERMITTED, SIGNED_PERMIT, None)
+    assert after.permit_issued_at_s == NOW, "its life began with its nonce"
+    assert (after.cutting_mode, after.may_move) == (True, False)
+    assert replies(effects) == [Refusal.ACCEPTED]
+
+
+def test_a_permit_ages_from_its_nonce():
+    for now_s in (NOW, NOW + 120.0):
+        assert step(PERMITTED, Tick(), now_s) == (PERMITTED, ())
+    for now_s in (NOW + 120.1, NOW - 0.1, math.nan):
+        after, _ = step(PERMITTED, Tick(), now_s)
+        assert (after.state, after.cause) == (C.INHIBITED, StopCause.PERMIT_EXPIRED)
+
+
+def test_a_start_alone_moves_nothing():
+    after, effects = step(CYCLED, StartReceived(SIGNED_START, 5), NOW)
+    assert (after.state, after.may_move, after.issued) == (C.CUTTING, False, None)
+    assert replies(effects) == [Refusal.ACCEPTED]
+
+
+def test_a_start_that_no_cut_follows_is_dropped_within_the_time_out():
+    for now_s in (NOW, NOW + 0.099):
+        assert step(STARTED, Tick(), now_s) == (STARTED, ())
+    for now_s in (NOW + 0.11, NOW - 0.1, math.nan):
+        after, _ = step(STARTED, Tick(), now_s)
+        assert (after.state, after.cause) == (C.INHIBITED, StopCause.HEARTBEAT_LOST)
+    assert step(CUTTING, Tick(), NOW + 3600.0) == (CUTTING, ()), (
+        "an ordered cut lasts as long as heartbeats do"
+    )
+
+
+@pytest.mark.parametrize(
+    "beat",
+    [
+        alive(RuntimeCode.READY),
+        alive(RuntimeCode.INHIBIT),
+        alive(RuntimeCode.CUT, epoch=0),
+        alive(RuntimeCode.CUT, epoch=2),
+        alive(RuntimeCode.CUT, fresh=False),
+    ],
+)
+def test_only_a_fresh_cut_of_this_epoch_begins_the_motion_and_only_that_upholds_it(beat):
+    begun, effects = step(STARTED, beat, NOW)
+    assert (begun.state, begun.may_move, effects) == (C.CUTTING, False, ())
+    assert fed(begun, alive(RuntimeCode.CUT)).may_move
+
+    stopped, effects = step(CUTTING, beat, NOW)
+    assert stopped.state is C.INHIBITED
+    assert faults(effects)
+    stale = beat.code is RuntimeCode.CUT and beat.epoch == 1
+    assert stopped.cause is (StopCause.HEARTBEAT_LOST if stale else StopCause.PROTOCOL_VIOLATION)
+    assert not fed(stopped, alive(RuntimeCode.CUT)).may_move, "there is no pause to resume from"
+
+
+def test_twenty_six_stale_heartbeats_do_not_keep_the_gate_open():
+    state = fed(CUTTING, *(alive(RuntimeCode.CUT, fresh=False) for _ in range(26)))
+    assert (state.state, state.epoch) == (C.INHIBITED, 2)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [OPENED, LOADED, PERMITTED, STARTED, CUTTING, DONE],
+    ids=["open", "loaded", "permitted", "started", "cutting", "done"],
+)
+@pytest.mark.parametrize("code", RuntimeCode, ids=str)
+def test_a_cause_in_the_heartbeat_stops_whatever_its_code(state, code):
+    after, effects = step(state, alive(code, cause=StopCause.AUDIT_FAILED), NOW)
+    assert (after.state, after.cause) == (C.FAULT, StopCause.AUDIT_FAILED)
+    assert faults(effects)
+
+
+def test_a_standing_cause_is_not_a_stop_again_and_again():
+    stopped = EVERY_STATE["stopped"]
+    after, effects = step(stopped, alive(epoch=stopped.epoch, cause=StopCause.BUS_FAILED), NOW)
+    assert (after.epoch, effects) == (stopped.epoch, ())
+
+
+@pytest.mark.parametrize(
+    ("beat", "upheld"),
+    [
+        (alive(RuntimeCode.READY), True),
+        (alive(RuntimeCode.CUT), True),
+        (alive(RuntimeCode.READY, fresh=False), True),
+        (alive(RuntimeCode.INHIBIT), False),
+        (alive(RuntimeCode.READY, epoch=2), False),
+    ],
+)
+def test_cutting_mode_lasts_while_the_runtime_upholds_it(beat, upheld):
+    after, effects = step(PERMITTED, beat, NOW)
+    assert after.cutting_mode is upheld
+    if upheld:
+        assert (after.heartbeat_fresh, effects) == (beat.fresh, ())
+    else:
+        assert (after.state, after.cause) == (C.INHIBITED, StopCause.PROTOCOL_VIOLATION)
+
+
+@each_state
+def test_freshness_is_what_the_link_says(name):
+    state = EVERY_STATE[name]
+    if state.state in (C.PERMITTED, C.CUTTING):
+        return
+    for fresh in (True, False):
+        after, effects = step(state, alive(epoch=state.epoch, fresh=fresh), NOW)
+        assert (after, effects) == (replace(state, heartbeat_fresh=fresh), ())
+
+
+def test_the_end_of_the_path_ends_cutting_mode_and_spends_the_permit():
+    after, effects = step(CUTTING, PathFinished(), NOW)
+    assert (after.state, after.cause, effects) == (C.DONE, StopCause.NONE, ())
+    assert (after.permit, after.issued, after.may_move, after.cutting_mode) == (None, None, False, False)
+    assert after.session is not None
+    assert after.session.live
+
+
+@each_state
+def test_the_end_of_the_path_means_nothing_where_the_arm_was_not_free_to_move(name):
+    state = EVERY_STATE[name]
+    if name != "cutting":
+        assert step(state, PathFinished(), NOW) == (state, ())
+
+
+def test_measurements_are_kept():
+    after = fed(LOADED, PoseMeasured(0.3, 0.02))
+    assert (after.start_offset_mm, after.start_offset_deg) == (0.3, 0.02)
+
+
+# ---------------------------------------------------------------- whole stories
+
+
+def test_the_whole_way_from_power_up_to_the_next_session():
+    state = fed(DONE, RELEASE, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
+    assert (state.state, state.cause, state.session) == (C.INHIBITED, StopCause.NONE, None)
+    state = fed(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), alive(epoch=3))
+    assert (state.state, state.epoch, state.cause) == (C.OPEN, 3, StopCause.NONE)
+
+
+def test_a_reset_controller_can_be_loaded_and_permitted():
+    state = fed(
+        ACKNOWLEDGED,
+        NonceRequested(Purpose.RESET, SIGNED_RESET.nonce),
+        ResetReceived(SIGNED_RESET, 3),
+        ACCEPTED_PATH,
+        PoseMeasured(0.1, 0.05),
+        NonceRequested(Purpose.PERMIT, PERMIT.nonce),
+        PermitReceived(permits.sign(KEY, replace(PERMIT, epoch=2)), 4),
+    )
+    assert state.state is C.PERMITTED
+
+
+def test_every_event_is_answered_somewhere():
+    kinds = {type(event) for event in events(LOADED)}
+    assert kinds == set(EVERYWHERE) | {kind for _, kind in TABLE}
+
+
+# ---------------------------------------------------------------- invariants of any sequence
+
+
+class Watch:
+    """Follows the controller from outside: what was accepted in this session, and whether a stop came since."""
+
+    def __init__(self, state: Controller) -> None:
+        self.state = state
+        self.permit: records.Permit | None = state.permit
+        self.started = state.state is C.CUTTING
+        self.ordered = state.may_move
+
+    def step(self, event: Event, now_s: float) -> None:
+        before = self.state
+        after, effects = step(before, event, now_s)
+        self.state = after
+        accepted = replies(effects) == [Refusal.ACCEPTED]
+        if faults(effects) or after.session is None or after.state is C.DONE:
+            self.permit, self.started, self.ordered = None, False, False
+        if isinstance(event, PermitReceived) and accepted:
+            self.permit = event.permit
+        if isinstance(event, StartReceived) and accepted:
+            self.started = True
+        if isinstance(event, HeartbeatReceived) and self.started:
+            self.ordered = (event.code, event.epoch, event.fresh) == (RuntimeCode.CUT, after.epoch, True)
+        self._motion(after)
+        self._bookkeeping(before, after, effects)
+
+    def _motion(self, after: Controller) -> None:
+        if after.cutting_mode:
+            permit, held, session = self.permit, after.holdings, after.session
+            assert permit is not None
+            assert session is not None
+            assert session.live
+            assert held.path is not None
+            assert (
+                permit.path_digest,
+                permit.limits_digest,
+                permit.calibration_digest,
+                permit.tool_digest,
+            ) == tuple(records.digest(data) for data in (held.path, held.limits, held.calibration, held.tool))
+            assert permit.registration_digest not in after.withdrawn
+            assert (permit.session_digest, permit.epoch) == (session.digest, after.epoch)
+            assert after.inputs.emergency_stop_clear
+            assert after.cause is StopCause.NONE
+        if after.may_move:
+            assert self.started
+            assert self.ordered
+            assert after.inputs.device_pressed
+
+    def _bookkeeping(self, before: Controller, after: Controller, effects: tuple[object, ...]) -> None:
+        assert before.withdrawn <= after.withdrawn
+        assert (after.session is None) <= (after.state in (C.INHIBITED, C.FAULT))
+        assert (after.state in (C.PERMITTED, C.CUTTING)) == (after.permit is not None)
+        if faults(effects):
+            assert is_void(after)
+            assert after.cause is not StopCause.NONE
+            assert after.epoch == (before.epoch + 1) % 256
+        if after.withdrawn != before.withdrawn:
+            assert Persist(after.withdrawn) in effects
+        if before.state is C.FAULT and after.state is not C.FAULT:
+            assert after.state is C.OPEN
+            assert before.cause is StopCause.NONE
+
+
+def _onward(state: Controller) -> list[Event]:
+    """What a sound runtime and a patient person do next."""
+    tempting = {type(event): event for event in reversed(events(state))}
+    match state.state:
+        case C.INHIBITED if state.session is None:
+            return [tempting[OpenReceived]]
+        case C.INHIBITED:
+            return [HeartbeatLost()]
+        case C.FAULT:
+            wanted = [AcknowledgeReceived, NonceRequested, ResetReceived]
+            return [alive(epoch=state.epoch), *(tempting[kind] for kind in wanted)]
+        case C.OPEN:
+            return [alive(epoch=state.epoch), tempting[AcknowledgeReceived], ACCEPTED_PATH]
+        case C.LOADED:
+            return [
+                PoseMeasured(0.0, 0.0),
+                NonceRequested(Purpose.PERMIT, b"1" * 16),
+                tempting[PermitReceived],
+            ]
+        case C.PERMITTED:
+            return [RELEASE, HOLD, NonceRequested(Purpose.START, b"2" * 16), tempting[StartReceived]]
+        case C.CUTTING:
+            return [alive(RuntimeCode.CUT, state.epoch)]
+        case _:
+            return [StopReceived(StopCode.END, StopCause.SESSION_ENDED)]
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    start=st.sampled_from(sorted(EVERY_STATE)),
+    sequence=st.lists(
+        st.tuples(st.integers(0, 400), st.sampled_from([0.0, 0.01, 0.05, 1.0])), min_size=5, max_size=40
+    ),
+)
+def test_no_sequence_of_events_moves_an_arm_that_was_not_permitted(start, sequence):
+    watch = Watch(EVERY_STATE[start])
+    now_s = NOW
+    for pick, after_s in sequence:
+        now_s += after_s
+        onward = _onward(watch.state)
+        if pick % 3:
+            choice = [onward[pick % len(onward)]]
+        elif pick % 2:
+            choice = onward  # the straight way, all of it
+        else:
+            tempting = events(watch.state)
+            choice = [tempting[pick % len(tempting)]]
+        for event in choice:
+            watch.step(event, now_s)

@@ -129,6 +129,18 @@ def distance_to_arc(points: Floats, arc: Arc) -> Floats:
     return out
 
 
+def nearest_on_arc(points: Floats, arc: Arc) -> Floats:
+    """Nearest point of the clipped arc, mm. Shape (n, 2) -> (n, 2); any for the centre itself."""
+    dx, dy = points[:, 0] - arc.x, points[:, 1] - arc.y
+    angle = np.arctan2(dy, dx)
+    on = np.stack((arc.x + arc.radius * np.cos(angle), arc.y + arc.radius * np.sin(angle)), axis=1)
+    ends = arc.ends
+    gaps = np.linalg.norm(points[:, None, :] - ends, axis=2)
+    extent = np.full(len(points), True) if arc.span >= TURN else _within_extent(dx, dy, arc)
+    out: Floats = np.where(extent[:, None], on, ends[np.argmin(gaps, axis=1)])
+    return out
+
+
 def _within_extent(dx: Floats, dy: Floats, arc: Arc) -> Bools:
     """Whether directions from the arc's centre fall on the arc.
 

@@ -30,12 +30,12 @@ class VerifyCommand(TyperCommand):
     """A usage error of ``audit verify`` says UNREADABLE by its exit code: 2 would mean TAMPERED."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        """Parse the arguments."""
+        """Parse the arguments; a mistake in them is said and ends the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except typer.TyperException as error:
-            error.exit_code = Status.UNREADABLE
-            raise
+            typer.echo(f"cutgate audit verify: {error.format_message()}", err=True)
+            raise typer.Exit(Status.UNREADABLE) from None
 
 
 @app.command("verify", cls=VerifyCommand)

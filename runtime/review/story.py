@@ -69,12 +69,11 @@ def failing(decision: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _verdicts(verdicts: list[dict[str, Any]], boundaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each verdict with the boundaries recorded from it until the next one."""
-    starts = [verdict["offset_s"] for verdict in verdicts[1:]] + [float("inf")]
     found = []
-    rest = list(boundaries)
-    for verdict, end in zip(verdicts, starts, strict=True):
-        own = [entry for entry in rest if entry["offset_s"] < end]
-        rest = rest[len(own) :]
+    for number, verdict in enumerate(verdicts):
+        start = verdict["offset_s"]
+        end = verdicts[number + 1]["offset_s"] if number + 1 < len(verdicts) else float("inf")
+        own = [entry for entry in boundaries if start <= entry["offset_s"] < end]
         found.append({**verdict, "boundaries": own})
     return found
 

@@ -1,0 +1,247 @@
+"""``cutgate audit``: exit codes and what is printed."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from runtime.audit import records
+from runtime.audit.inspect import read_log
+from runtime.cli import execute
+from runtime.review.story import story
+from tests.runtime.audit.build import decision, forge, session_log, small_log
+from tests.runtime.audit.test_replay import admit, in_document
+
+WIDTH = 100
+
+
+@pytest.fixture(scope="module")
+def admitted(tmp_path_factory):
+    return session_log(tmp_path_factory.mktemp("admitted"))
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory):
+    return session_log(tmp_path_factory.mktemp("refused"), 850.0)
+
+
+def cutgate(capsys, *arguments):
+    code = execute(["audit", *map(str, arguments)])
+    found = capsys.readouterr()
+    return code, found.out, found.err
+
+
+def changed(paths, tmp_path, data):
+    copy = tmp_path / paths.log.name
+    copy.write_bytes(data)
+    shutil.copy(paths.candump, tmp_path)
+    return copy
+
+
+# ---------------------------------------------------------------- verify
+
+
+def test_verify_prints_ok_and_claims_no_signature(capsys, admitted):
+    code, out, _ = cutgate(capsys, "verify", admitted.log)
+    assert (code, out.splitlines()[0]) == (0, f"OK (unsigned): {admitted.log}")
+
+
+def test_verify_says_incomplete(capsys, admitted, tmp_path):
+    copy = changed(admitted, tmp_path, admitted.log.read_bytes()[:-100])
+    code, out, _ = cutgate(capsys, "verify", copy)
+    assert code == 1
+    assert out.startswith("INCOMPLETE")
+    assert "no whole record" in out
+
+
+def test_verify_names_the_first_bad_record(capsys, admitted, tmp_path):
+    data = admitted.log.read_bytes()
+    copy = changed(admitted, tmp_path, data.replace(b"time scale", b"time skale"))
+    code, out, _ = cutgate(capsys, "verify", copy)
+    assert code == 2
+    assert out.startswith("TAMPERED")
+    assert "chunk at offset" in out
+
+
+def test_verify_finds_other_raw_frames(capsys, admitted, tmp_path):
+    copy = changed(admitted, tmp_path, admitted.log.read_bytes())
+    (tmp_path / admitted.candump.name).write_bytes(b"other\n")
+    assert cutgate(capsys, "verify", copy)[0] == 2
+
+
+def test_verify_without_the_raw_frames_says_so(capsys, admitted, tmp_path):
+    copy = tmp_path / "log.mcap"
+    copy.write_bytes(admitted.log.read_bytes())
+    code, out, _ = cutgate(capsys, "verify", copy)
+    assert code == 0
+    assert "not beside the log" in out
+
+
+@pytest.mark.parametrize("arguments", [[], ["--nothing", "x"], ["a", "b"], ["missing.mcap"], ["."]])
+def test_verify_without_a_readable_file_is_unreadable(capsys, arguments):
+    code, out, err = cutgate(capsys, "verify", *arguments)
+    assert code == 3
+    assert not out
+    assert err
+
+
+def test_verify_of_another_file_is_unreadable(capsys):
+    code, out, _ = cutgate(capsys, "verify", "pyproject.toml")
+    assert code == 3
+    assert out.startswith("UNREADABLE")
+
+
+def test_verify_as_one_json_document(capsys, admitted):
+    code, out, _ = cutgate(capsys, "verify", admitted.log, "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert (document["status"], document["headline"], document["reasons"]) == ("OK", "OK (unsigned)", [])
+
+
+# ---------------------------------------------------------------- replay
+
+
+def test_replay_of_an_admitted_session(capsys, admitted):
+    code, out, _ = cutgate(capsys, "replay", admitted.log)
+    assert code == 0
+    assert out.startswith("IDENTICAL")
+    assert "recomputed verdict: admissible" in out
+
+
+def test_replay_finds_a_forged_verdict_that_verify_cannot(capsys, refused, tmp_path):
+    copy = changed(refused, tmp_path, forge(refused.log.read_bytes(), in_document(admit)))
+    assert cutgate(capsys, "verify", copy)[0] == 0
+    code, out, _ = cutgate(capsys, "replay", copy)
+    assert code == 1
+    assert out.startswith("DIFFERS")
+    assert "recorded admissible, recomputed inadmissible" in out
+
+
+@pytest.mark.parametrize("arguments", [[], ["missing.mcap"], ["pyproject.toml"]])
+def test_replay_of_no_log_is_bad_input(capsys, arguments):
+    assert cutgate(capsys, "replay", *arguments)[0] == 2
+
+
+def test_replay_as_one_json_document(capsys, refused):
+    code, out, _ = cutgate(capsys, "replay", refused.log, "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert (document["outcome"], document["verdict"]["verdict"]) == ("IDENTICAL", "inadmissible")
+
+
+# ---------------------------------------------------------------- show
+
+
+def test_show_tells_the_story(capsys, admitted):
+    code, out, _ = cutgate(capsys, "show", admitted.log)
+    assert code == 0
+    for text in (
+        "OK (unsigned)",
+        "time scale 20",
+        "ADMISSIBLE",
+        "wrist_singularity",
+        "a -> b",
+        "AUTHORISED",
+        "SENT",
+        "path.bin",
+        str(admitted.log.name),
+        str(admitted.candump.name),
+    ):
+        assert text in out.replace("\n", ""), text
+    assert max(map(len, out.splitlines())) <= WIDTH
+    assert "\x1b" not in out
+
+
+def test_show_marks_what_is_violated(capsys, refused):
+    out = cutgate(capsys, "show", refused.log)[1]
+    assert re.search(r"^outer .*VIOLATED", out, re.MULTILINE)
+    assert "INADMISSIBLE" in out
+
+
+def test_show_as_one_json_document(capsys, admitted):
+    document = json.loads(cutgate(capsys, "show", admitted.log, "--json")[1])
+    assert document["schema"] == "cutgate.audit-show/1"
+    (verdict,) = document["verdicts"]
+    assert len(verdict["boundaries"]) == 11
+    assert [entry["disposition"] for entry in document["decisions"]] == [
+        "decided", "authorised", "sent", "authorised", "sent",
+    ]  # fmt: skip
+    assert document["closed"]["final_state"] == "done"
+    assert document["decisions"][0]["offset_s"] > 0
+
+
+@pytest.mark.parametrize("arguments", [[], ["missing.mcap"], ["pyproject.toml"]])
+def test_show_of_no_log_is_bad_input(capsys, arguments):
+    assert cutgate(capsys, "show", *arguments)[0] == 2
+
+
+def test_show_of_a_cut_log_says_what_is_missing(capsys, admitted, tmp_path):
+    data = admitted.log.read_bytes()
+    copy = changed(admitted, tmp_path, data[: data.index(b'"final_state"') - 300])
+    code, out, _ = cutgate(capsys, "show", copy)
+    assert code == 0
+    assert "INCOMPLETE" in out
+    assert "no close record" in out
+
+
+def test_show_of_a_damaged_log_warns_and_shows_the_rest(capsys, admitted, tmp_path):
+    data = bytearray(admitted.log.read_bytes())
+    data[-40] ^= 1
+    code, out, _ = cutgate(capsys, "show", changed(admitted, tmp_path, bytes(data)))
+    assert code == 0
+    assert "TAMPERED" in out
+    assert "ADMISSIBLE" in out
+
+
+def test_show_lists_what_went_wrong(capsys, tmp_path):
+    """Faults, refused words, differing parameters, failing permissives, a crash before, equal steps as one."""
+    failing = (
+        records.PermissiveValue(name="bone [x]", holds=False, value=0.7, bound="<= 0.5 mm", remedy="move"),
+        records.PermissiveValue(name="key", holds=False, text="none", bound="given", remedy="make one"),
+        records.PermissiveValue(name="bus", holds=True, text="up", bound="up", remedy=""),
+    )
+    extra = [
+        records.Operator(word="start", accepted=False, reason="not yet"),
+        records.Fault(source="controller", code="LATCHED", cause="SECOND_NODE", detail="seen"),
+        records.Collected(kind="limits", sha256="00", matches_approved=False),
+        records.Collected(kind="tool", sha256="00", matches_approved=True),
+        decision(1, from_state="a", to_state="a"),
+        decision(2, from_state="a", to_state="a"),
+        decision(3, first_out="HEARTBEAT_LOST", reason="why", permissives=failing),
+    ]
+    paths = small_log(tmp_path, decisions=len(extra))
+    queue = list(extra)
+
+    def swap(record):
+        if isinstance(record, records.Open):
+            return record.model_copy(update={"previous_crashed": True, "previous_note": "gone"})
+        if isinstance(record, records.Close):
+            return record.model_copy(update={"clean": False, "outcome": "stopped"})
+        return queue.pop(0) if isinstance(record, records.Decision) and queue else record
+
+    paths.log.write_bytes(forge(paths.log.read_bytes(), swap))
+    out = cutgate(capsys, "show", paths.log)[1]
+    for text in (
+        "operator: start (refused: not yet)",
+        "fault of the controller: SECOND_NODE seen",
+        "the controller's limits are not the approved ones",
+        "(x2)",
+        "first-out HEARTBEAT_LOST",
+        "bone [x]: 0.700 (required: <= 0.5 mm)",
+        "key: none (required: given)",
+        "CRASHED (gone)",
+        "stopped",
+        "NOT in order",
+    ):
+        assert text in out, text
+    assert "tool are not" not in out
+    assert "bus:" not in out
+
+
+def test_the_story_of_a_strange_log_is_told_without_an_error(tmp_path):
+    data = forge(small_log(tmp_path).log.read_bytes(), lambda record: record)
+    log = read_log(data.replace(b'"utc":', b'"utC":').replace(b'"monotonic"', b'"monotoniC"'))
+    document = story(log, tmp_path / "x.mcap", None)
+    assert document["candump"] is None
+    assert document["judgement"] == "TAMPERED"

@@ -1,0 +1,382 @@
+"""Replay: a log says the same when it is decided again, and every forgery with a sound chain is found."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from protocol.records import Limits
+from runtime.audit import names, records
+from runtime.audit.inspect import Status, read_log, verify_log
+from runtime.audit.replay import Outcome, replay
+from runtime.plan.load import registration_from_bytes
+from runtime.verification import certified
+from tests.runtime.audit.build import VERIFIER, forge, inputs, session_log, small_log
+
+ADMITTED, REFUSED = 500.0, 850.0
+
+
+@pytest.fixture(scope="module")
+def admitted(tmp_path_factory):
+    return session_log(tmp_path_factory.mktemp("admitted"), ADMITTED).log.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory):
+    return session_log(tmp_path_factory.mktemp("refused"), REFUSED).log.read_bytes()
+
+
+def replayed(data, verify=certified.verify, verifier=VERIFIER):
+    return replay(read_log(data), verify, verifier=verifier)
+
+
+def differs(data, word):
+    """The forged log verifies, and only the replay finds it."""
+    assert verify_log(data).status is Status.OK
+    result = replayed(data)
+    assert result.outcome is Outcome.DIFFERS
+    assert any(word in line for line in result.differences), result.differences
+
+
+def bad(data, word):
+    result = replayed(data)
+    assert result.outcome is Outcome.BAD_INPUT
+    assert word in result.differences[0]
+
+
+def changed(kind, when=lambda _record: True, **changes):
+    """An edit that changes fields of every record of one kind."""
+
+    def edit(record):
+        return record.model_copy(update=changes) if isinstance(record, kind) and when(record) else record
+
+    return edit
+
+
+def in_document(change):
+    """An edit of the verdict's document, its flat fields and boundary records, as a careful forger would."""
+    made = {}
+
+    def edit(record):
+        if isinstance(record, records.Verdict):
+            document = json.loads(record.document)
+            change(document)
+            made.update({entry.name: entry for entry in records.boundaries_of(document)})
+            return records.Verdict.of(
+                document, verifier=record.verifier, tool_sha256=record.tool_sha256, reason=record.reason or ""
+            )
+        return made.get(record.name, record) if isinstance(record, records.Boundary) else record
+
+    return edit
+
+
+# ---------------------------------------------------------------- identical
+
+
+def test_an_admitted_session_replays(admitted):
+    result = replayed(admitted)
+    assert (result.outcome, result.differences, result.notes) == (Outcome.IDENTICAL, (), ())
+    assert result.verdict["verdict"] == "admissible"
+
+
+def test_a_refused_session_replays(refused):
+    result = replayed(refused)
+    assert (result.outcome, result.differences) == (Outcome.IDENTICAL, ())
+    assert result.verdict["verdict"] == "inadmissible"
+    assert "guidance was not computed again" in result.notes[0]
+
+
+def test_a_rewritten_log_replays(admitted):
+    assert replayed(forge(admitted)).outcome is Outcome.IDENTICAL
+
+
+def test_a_session_without_a_verdict_has_nothing_to_compute(tmp_path):
+    result = replayed(small_log(tmp_path).log.read_bytes())
+    assert result.outcome is Outcome.IDENTICAL
+    assert "before a verdict" in result.notes[0]
+    assert result.verdict is None
+
+
+def test_a_log_that_ends_early_replays_as_far_as_it_goes(admitted):
+    whole = admitted[: admitted.index(b'"final_state"') - 300]
+    result = replayed(whole)
+    assert result.outcome is Outcome.IDENTICAL
+    assert "INCOMPLETE" in result.notes[0]
+
+
+def test_another_verifier_is_stated(admitted):
+    result = replayed(admitted, verifier="cutgate 9")
+    assert result.outcome is Outcome.IDENTICAL
+    assert "cutgate 0.1.0 recorded, cutgate 9 recomputes" in result.notes[0]
+
+
+def test_on_another_cpu_the_counts_are_not_comparable(admitted):
+    def other_counts(document):
+        document["evaluations"]["arm"] += 1
+        document["boundaries"]["top"]["segment"] = 1
+
+    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
+    data = forge(data, in_document(other_counts))
+    result = replayed(data)
+    assert result.outcome is Outcome.IDENTICAL
+    assert "not comparable" in result.notes[0]
+
+
+def test_on_another_cpu_clearances_are_compared(admitted):
+    def other_clearance(document):
+        document["boundaries"]["top"]["clearance"] += 1e-8
+
+    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
+    differs(forge(data, in_document(other_clearance)), "verdict boundaries.top.clearance")
+
+
+# ---------------------------------------------------------------- forged verdicts
+
+
+def admit(document):
+    document["verdict"] = "admissible"
+    for entry in document["boundaries"].values():
+        entry["violated"] = False
+        entry["certified"] = entry["clearance"] = 50.0
+
+
+def test_a_forged_verdict_with_a_sound_chain_differs(refused):
+    differs(
+        forge(refused, in_document(admit)), "verdict verdict: recorded admissible, recomputed inadmissible"
+    )
+
+
+@pytest.mark.parametrize("key", ["clearance", "certified"])
+def test_a_clearance_off_by_more_than_a_billionth_differs(admitted, key):
+    def widen(document):
+        document["boundaries"]["inner"][key] += 2e-9
+
+    differs(forge(admitted, in_document(widen)), f"verdict boundaries.inner.{key}")
+
+
+def test_a_clearance_off_by_less_is_identical(admitted):
+    def widen(document):
+        document["boundaries"]["inner"]["clearance"] += 2e-10
+
+    assert replayed(forge(admitted, in_document(widen))).outcome is Outcome.IDENTICAL
+
+
+FORGERIES = {
+    "evaluations.arm": lambda document: document["evaluations"].update(arm=1),
+    "deadband.arm_mm": lambda document: document["deadband"].update(arm_mm=1.0),
+    "branch.q0_turns": lambda document: document["branch"].update(q0_turns=1),
+    "boundaries.top.violated": lambda document: document["boundaries"]["top"].update(violated=True),
+    "boundaries.top.unit": lambda document: document["boundaries"]["top"].update(unit="deg"),
+    "boundaries.outer.certified: recomputed only": lambda document: document["boundaries"].pop("outer"),
+    "boundaries.extra.unit: recorded only": lambda document: document["boundaries"].update(
+        extra=document["boundaries"]["top"]
+    ),
+    "speed.0.peak": lambda document: document["speed"][0].update(peak=0.0),
+    "method": lambda document: document.update(method="stocco"),
+    "path.poses": lambda document: document["path"].update(poses=7),
+    "path.tip_length_mm": lambda document: document["path"].update(tip_length_mm=12.2474488),
+    "digests.path": lambda document: document["digests"].update(path="00"),
+    "digests.registration": lambda document: document["digests"].update(registration="00"),
+}
+
+
+@pytest.mark.parametrize(("word", "change"), FORGERIES.items(), ids=FORGERIES)
+def test_every_part_of_the_verdict_is_compared(admitted, word, change):
+    differs(forge(admitted, in_document(change)), f"verdict {word}")
+
+
+def test_flat_fields_must_be_those_of_the_document(admitted):
+    differs(forge(admitted, changed(records.Verdict, worst_certified=99.0)), "verdict worst_certified")
+
+
+@pytest.mark.parametrize("document", ["7", "{", "[" * 100_000])
+def test_a_document_that_is_none_differs(admitted, document):
+    differs(forge(admitted, changed(records.Verdict, document=document)), "not a JSON object")
+
+
+def test_a_document_of_another_kind_differs(admitted):
+    differs(forge(admitted, changed(records.Verdict, document="{}")), "not a verdict document")
+
+
+def test_boundary_records_must_be_those_of_the_document(admitted):
+    forged = forge(admitted, changed(records.Boundary, lambda record: record.name == "top", clearance=1.0))
+    differs(forged, "boundary top")
+
+
+def test_a_boundary_record_that_is_missing_differs(admitted):
+    def drop(record):
+        return None if isinstance(record, records.Boundary) and record.name == "top" else record
+
+    differs(forge(admitted, drop), "boundaries: 10 recorded")
+
+
+# ---------------------------------------------------------------- forged inputs
+
+
+def attachment(name, content):
+    return lambda found, data: content if found == name else data
+
+
+def test_another_path_than_the_plans_differs(admitted):
+    forged = forge(admitted, attachments=attachment(names.PATH, inputs(REFUSED).path))
+    differs(forged, "the uploaded path is not the one")
+
+
+def test_other_limits_than_the_verdicts_differ(admitted):
+    limits = records_limits(admitted, 0)
+    differs(forge(admitted, attachments=attachment(names.LIMITS, limits)), "verdict digests.limits")
+
+
+def test_limits_that_robot_toml_does_not_approve_differ(admitted):
+    differs(forge(admitted, attachments=attachment(names.LIMITS, records_limits(admitted, 0))), "approves")
+
+
+def records_limits(data, joint):
+    """The recorded limits with one joint's upper limit a degree wider."""
+    found = Limits.parse(read_log(data).scan.attachment(names.LIMITS))
+    upper = tuple(value + 1_000_000 * (number == joint) for number, value in enumerate(found.q_max_u))
+    return replace(found, q_max_u=upper).body()
+
+
+def test_another_registration_differs(admitted):
+    other = inputs(REFUSED).registration
+    assert registration_from_bytes("x", other).id == "test"
+    differs(forge(admitted, attachments=attachment("registration.json", other)), "the uploaded path is not")
+
+
+def test_a_plan_that_is_refused_differs(admitted):
+    differs(forge(admitted, attachments=attachment("plan.csv", b"x,y\n")), "give no path")
+
+
+@pytest.mark.parametrize(
+    "name", [names.ROBOT, names.PATH, names.LIMITS, names.CALIBRATION, names.TOOL, "plan.csv"]
+)
+def test_without_an_input_nothing_is_replayed(admitted, name):
+    bad(forge(admitted, attachments=attachment(name, None)), "missing")
+
+
+def test_without_a_registration_it_is_the_identity(admitted):
+    differs(
+        forge(admitted, attachments=attachment("registration.json", None)), "verdict digests.registration"
+    )
+
+
+@pytest.mark.parametrize(("name", "word"), [(names.ROBOT, "robot.toml"), (names.TOOL, "no problem")])
+def test_an_input_that_is_damaged_is_bad_input(admitted, name, word):
+    bad(forge(admitted, attachments=attachment(name, b"damaged")), word)
+
+
+def test_a_verifier_that_gives_up_is_bad_input(admitted):
+    def broken(_problem):
+        raise ValueError("no problem of this kind")
+
+    assert replayed(admitted, broken).outcome is Outcome.BAD_INPUT
+
+
+def test_a_record_that_cannot_be_read_is_bad_input(admitted):
+    def odd(record):
+        return record.model_copy(update={"poses": "many"}) if isinstance(record, records.Verdict) else record
+
+    with pytest.warns(UserWarning, match="serializ"):
+        forged = forge(admitted, odd)
+    bad(forged, "poses")
+
+
+def test_no_log_is_bad_input():
+    bad(b"hello", "not an audit log")
+
+
+def test_a_log_without_record_0_is_bad_input(admitted):
+    end = admitted.index(b"\x06", 8)
+    assert replayed(admitted[: min(end, 60)]).outcome is Outcome.BAD_INPUT
+
+
+def test_a_damaged_log_differs(admitted):
+    damaged = admitted.replace(b'"accepted"', b'"accepteD"').replace(b'"holds":true', b'"holds":null', 1)
+    result = replayed(damaged)
+    assert result.outcome is not Outcome.IDENTICAL
+    assert "TAMPERED" in result.differences[0] or "cannot be read" in result.differences[0]
+
+
+# ---------------------------------------------------------------- what was enabled
+
+
+def left_out(kind, when):
+    return lambda record: None if isinstance(record, kind) and when(record) else record
+
+
+def stage(kind, name):
+    return lambda record: (record.kind, record.stage) == (kind, name)
+
+
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_nothing_leaves_without_its_authorisation(admitted, kind):
+    forged = forge(admitted, left_out(records.Permit, stage(kind, "authorised")))
+    differs(forged, f"a {kind} left without a record that authorised it")
+
+
+def test_no_start_leaves_without_an_acknowledged_permit(admitted):
+    differs(
+        forge(admitted, left_out(records.Permit, stage("permit", "acknowledged"))), "without an acknowledged"
+    )
+
+
+def test_nothing_leaves_on_an_inadmissible_verdict(admitted):
+    def refuse(document):
+        document["verdict"] = "inadmissible"
+
+    result = replayed(forge(admitted, in_document(refuse)))
+    assert result.outcome is Outcome.DIFFERS
+    for kind in ("permit", "start"):
+        assert any(
+            f"a {kind} left; the verdict is recorded as inadmissible" in line for line in result.differences
+        )
+
+
+def test_a_permit_on_a_refused_path_is_named(admitted, refused):
+    """The refused session, given the permit that left in the admitted one."""
+    sent = next(
+        record
+        for message in read_log(admitted).scan.messages
+        if message.topic == records.Permit.TOPIC
+        and stage("permit", "sent")(record := records.Permit.model_validate_json(message.link.data))
+    )
+    forged = forge(refused, lambda record: sent if isinstance(record, records.Decision) else record)
+    differs(forged, "a permit left; the verdict is recorded as inadmissible and recomputed as inadmissible")
+    differs(forged, "the permit's path digest is not the verdict's")
+
+
+def test_nothing_leaves_without_a_verdict(admitted):
+    def drop(record):
+        return None if isinstance(record, records.Verdict | records.Boundary) else record
+
+    differs(forge(admitted, drop), "a permit left without a verdict")
+
+
+@pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration"])
+def test_the_permits_digests_are_the_verdicts(admitted, name):
+    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), **{f"{name}_sha256": "00"}))
+    differs(forged, f"the permit's {name} digest is not the verdict's")
+
+
+def test_nothing_leaves_while_a_permissive_fails(admitted):
+    failing = records.PermissiveValue(
+        name="emergency stop", holds=False, text="pressed", bound="clear", remedy=""
+    )
+    forged = forge(
+        admitted,
+        changed(records.Decision, lambda record: record.disposition == "sent", permissives=(failing,)),
+    )
+    differs(forged, "did not hold: emergency stop")
+
+
+def test_a_reset_needs_its_authorisation_and_no_verdict(tmp_path):
+    log = small_log(tmp_path).log.read_bytes()
+
+    def resets(*stages):
+        queue = [records.Permit(kind="reset", stage=name, token=9) for name in stages]
+        return lambda record: queue.pop(0) if queue and isinstance(record, records.Decision) else record
+
+    differs(forge(log, resets("sent")), "a reset left without a record that authorised it")
+    for sound in (("authorised", "sent", "acknowledged"), ("authorised", "withheld")):
+        assert replayed(forge(log, resets(*sound))).outcome is Outcome.IDENTICAL

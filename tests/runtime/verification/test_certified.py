@@ -1,0 +1,401 @@
+"""The gate on hand-checkable paths: what must be refused, what must be admitted, and what is said."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runtime.verification import certified
+from runtime.verification.problem import Arm, Calibration, Deadband
+from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
+
+LEVEL = axis(90 * DEG, 0.0)
+FREE = {
+    "lower": np.array([-WIDE, 0.0, -1e4, -WIDE, 0.0]),
+    "upper": np.array([WIDE, math.pi, 1e4, WIDE, math.pi]),
+    "speed": np.full(5, 1e12),
+}
+PATHS = Path(__file__).parents[3] / "../shared/paths"
+
+
+def limits(**joints):
+    """Wide limits but for the joints named, in deg or mm."""
+    lower, upper = FREE["lower"].copy(), FREE["upper"].copy()
+    for name, (low, high) in joints.items():
+        i, scale = int(name[1]), 1.0 if name == "q2" else DEG
+        lower[i], upper[i] = low * scale, high * scale
+    return {"lower": lower, "upper": upper, "speed": FREE["speed"]}
+
+
+def real_path(name):
+    file = PATHS / name
+    if not file.exists():
+        pytest.skip(f"{file} is not there")
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    return table[:, :3], table[:, 3:] / np.linalg.norm(table[:, 3:], axis=1, keepdims=True)
+
+
+# -- real tool paths -----------------------------------------------------------------------------
+
+
+def test_the_real_blade_channel_is_admitted():
+    tips, axes = real_path("impeller-blade.csv")
+    verdict = certified.verify(problem(np.add(tips, (450.0, 150.0, 100.0)), axes))
+    assert verdict.admissible, verdict.reasons
+    assert min(b.certified / b.deadband for b in verdict.boundaries.values()) > 10
+    assert verdict.tip_length_mm == pytest.approx(330.777, abs=1e-3)
+    assert verdict.wrist_length_mm == pytest.approx(1004.878, abs=1e-3)
+
+
+def test_the_real_first_operation_is_refused_for_its_roll():
+    tips, axes = real_path("impeller-op1.csv")
+    verdict = certified.verify(problem(np.add(tips, (450.0, 150.0, 100.0)), axes))
+    assert not verdict.admissible
+    assert [b.name for b in verdict.boundaries.values() if b.violated] == ["roll_max"]
+    assert verdict.branch is None
+    assert any(reason.startswith("roll_max: clearance -35.5") for reason in verdict.reasons)
+
+
+# -- the arm -------------------------------------------------------------------------------------
+
+
+def test_the_unreachable_wedge_is_refused():
+    """The printed equations accept it: a0 = a1 = 500, J1 +-60 deg, J2 0..150 deg, r = 800 at -120 deg."""
+    start = 800.0 * np.array([math.cos(-120 * DEG), math.sin(-120 * DEG), 0.0])
+    tips, axes = wrist_path([start, np.add(start, (5.0, 0.0, 0.0))], LEVEL)
+    verdict = certified.verify(
+        problem(tips, axes, arm=Arm(500.0, 500.0, "right"), **limits(q0=(-60, 60), q1=(0, 150)))
+    )
+    assert not verdict.admissible
+    assert min(verdict.boundaries[n].clearance for n in ("inner", "outer", "left", "right")) < 0
+    assert verdict.branch is None
+    assert "starts outside" in verdict.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("clearance", "admitted"), [(5.001, True), (4.999, False), (5.0 + 1e-6, True), (5.0 - 1e-6, False)]
+)
+def test_decides_at_the_deadband_itself(clearance, admitted):
+    """The foot of a straight stroke between its poses is the place that decides."""
+    inner = {"arm": Arm(500.0, 395.0, "right")}  # folded: |a0 - a1| = 105
+    tips, axes = wrist_path([[-200.0, 105.0 + clearance, 0.0], [200.0, 105.0 + clearance, 0.0]], LEVEL)
+    verdict = certified.verify(problem(tips, axes, **inner, **FREE))
+    assert verdict.admissible is admitted
+    assert verdict.boundaries["inner"].clearance == pytest.approx(clearance, abs=1e-5)
+    assert verdict.boundaries["inner"].fraction == pytest.approx(0.5, abs=1e-3)
+    assert verdict.boundaries["inner"].violated is not admitted
+
+
+def test_a_large_turn_in_one_segment_whose_end_is_near_the_limit_is_refused():
+    """137 deg of turn with a long tool: the ends look harmless, the way between comes to 1.72 mm."""
+    centre, tool = np.array([400.0, 0.0, 0.0]), 498.28
+    tip = np.repeat(centre[None, :], 2, axis=0)
+    axes = axis(90 * DEG, np.array([-68.5, 68.5]) * DEG)
+    verdict = certified.verify(problem(tip, axes, tool_length_mm=tool, **limits(q0=(-170, 170), q1=(0, 180))))
+    outer = verdict.boundaries["outer"]
+    assert not verdict.admissible
+    assert outer.clearance == pytest.approx(1.72, abs=1e-2)
+    assert outer.clearance - 0.01 <= outer.certified <= 1.72 + 1e-9
+    assert outer.fraction == pytest.approx(0.5, abs=0.01)
+    turned = axis(90 * DEG, np.array([-137.0, 0.0]) * DEG)
+    verdict = certified.verify(
+        problem(tip, turned, tool_length_mm=tool, **limits(q0=(-170, 170), q1=(0, 180)))
+    )
+    assert not verdict.admissible
+    assert verdict.boundaries["outer"].clearance == pytest.approx(1.72, abs=1e-9)
+
+
+def test_a_thin_gap_behind_the_robot_is_refused():
+    """q0 +-179.999 deg: the gap is 28 um wide there; sampling at 0.1 mm may miss it."""
+    tips, axes = wrist_path([[-700.0, -450.0, 0.0], [-700.0, -250.0, 0.0]], LEVEL)
+    verdict = certified.verify(
+        problem(tips, axes, deadband=Deadband(1e-3, 2 * DEG), **limits(q0=(-179.999, 179.999), q1=(10, 150)))
+    )
+    assert not verdict.admissible
+    left, right = verdict.boundaries["left"], verdict.boundaries["right"]
+    assert left.violated
+    assert right.violated
+    assert max(left.certified, right.certified) < 1e-3
+
+
+def test_a_path_beside_the_thin_gap_is_admitted():
+    tips, axes = wrist_path([[-700.0, 100.0, 0.0], [-700.0, 300.0, 0.0]], LEVEL)
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-179.999, 179.999), q1=(10, 150))))
+    assert verdict.admissible, verdict.reasons
+
+
+def circle(turns, radius=600.0, per_turn=72):
+    t = np.linspace(0.3, 0.3 + 2 * math.pi * turns, int(per_turn * turns) + 1)
+    return wrist_path(np.stack((radius * np.cos(t), radius * np.sin(t), 0 * t), axis=1), LEVEL)
+
+
+def test_three_turns_round_the_column_are_refused_at_a_shoulder_of_one():
+    tips, axes = circle(3.0)
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-180, 180), q1=(10, 150))))
+    assert not verdict.admissible
+    assert verdict.branch is None
+    assert min(verdict.boundaries[name].clearance for name in ("left", "right")) < 0
+    assert any("whole turns" in reason for reason in verdict.reasons)
+
+
+def test_three_turns_round_the_column_are_admitted_at_a_shoulder_of_four():
+    tips, axes = circle(3.0)
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-800, 800), q1=(10, 150))))
+    assert verdict.admissible, verdict.reasons
+    assert verdict.branch.q0_turns in {-1, 0, 1}
+
+
+def test_a_lifted_limit_counts_only_within_half_a_turn():
+    tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
+    far = certified.verify(problem(tips, axes, **limits(q0=(-400, 400), q1=(10, 150))))
+    near = certified.verify(problem(tips, axes, **limits(q0=(-100, 400), q1=(10, 150))))
+    assert far.admissible
+    assert "left" not in far.boundaries
+    assert "right" not in far.boundaries
+    assert near.admissible
+    assert "left" not in near.boundaries
+    assert near.boundaries["right"].clearance > 5
+
+
+def test_the_turn_of_the_shoulder_is_chosen_and_reported():
+    tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(200, 700), q1=(10, 150))))
+    assert verdict.admissible, verdict.reasons
+    assert verdict.branch.q0_turns == 1
+    asked = certified.verify(problem(tips, axes, branch=(0, 0), **limits(q0=(200, 700), q1=(10, 150))))
+    assert not asked.admissible
+
+
+# -- slide and wrist -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrist_deadband", [2.0, 0.001])
+def test_an_axis_passing_close_to_the_vertical_must_cross_its_roll_gap(wrist_deadband):
+    """0.03 deg from the vertical: the azimuth sweeps almost 180 deg within one segment."""
+    lean = 0.03 * DEG
+    ends = np.array([[-0.4, math.tan(lean), 1.0], [0.4, math.tan(lean), 1.0]])
+    axes = ends / np.linalg.norm(ends, axis=1, keepdims=True)
+    tips, axes = wrist_path([[600.0, 0.0, 0.0], [600.0, 0.0, 0.0]], axes)
+    gap = limits(q0=(-170, 170), q1=(5, 170), q3=(30, 330))
+    verdict = certified.verify(problem(tips, axes, deadband=Deadband(1.0, wrist_deadband * DEG), **gap))
+    assert not verdict.admissible
+    singular = verdict.boundaries["wrist_singularity"]
+    assert singular.clearance == pytest.approx(0.03, abs=1e-9)
+    assert singular.violated is (wrist_deadband > 0.03)
+    if wrist_deadband < 0.03:
+        assert verdict.boundaries["roll_min"].violated
+        assert verdict.boundaries["roll_min"].clearance < 0
+        assert verdict.branch is None
+
+
+def test_the_same_passage_is_admitted_with_a_free_roll_and_refused_by_its_speed():
+    lean = 0.03 * DEG
+    ends = np.array([[-0.4, math.tan(lean), 1.0], [0.4, math.tan(lean), 1.0]])
+    tips, axes = wrist_path([[600.0, 0.0, 0.0]] * 2, ends / np.linalg.norm(ends, axis=1, keepdims=True))
+    free = limits(q0=(-170, 170), q1=(5, 170))
+    tiny = Deadband(1.0, 0.001 * DEG)
+    assert certified.verify(problem(tips, axes, deadband=tiny, **free)).admissible
+    slow = free | {"speed": np.array([1.0, 1.0, 200.0, 2.0, 2.0])}
+    verdict = certified.verify(problem(tips, axes, deadband=tiny, **slow))
+    assert [line.joint for line in verdict.speed if not line.ok] == [3]
+    assert verdict.speed[3].peak > 100
+    assert any(reason.startswith("joint 3: needs up to") for reason in verdict.reasons)
+
+
+def test_a_vertical_tool_is_singular_unless_the_roll_is_held():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [640.0, 30.0, 120.0]], [0.0, 0.0, 1.0])
+    refused = certified.verify(problem(tips, axes))
+    assert not refused.admissible
+    assert refused.boundaries["roll_min"].clearance is None
+    assert refused.boundaries["roll_min"].violated
+    assert any("hold_roll_when_vertical" in reason for reason in refused.reasons)
+    held = certified.verify(problem(tips, axes, hold_roll=0.5))
+    assert held.admissible, held.reasons
+    assert not {"wrist_singularity", "pitch_min"} & set(held.boundaries)
+    assert held.boundaries["roll_min"].clearance == pytest.approx(170 + math.degrees(0.5))
+    assert held.speed[3].peak == 0.0
+    assert not certified.verify(problem(tips, axes, hold_roll=169 * DEG)).admissible
+    assert not certified.verify(problem(tips, axes, hold_roll=171 * DEG)).admissible
+
+
+def test_a_held_roll_does_not_excuse_a_leaning_tool():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [640.0, 30.0, 120.0]], axis(0.01, 0.0))
+    verdict = certified.verify(problem(tips, axes, hold_roll=0.0))
+    assert verdict.boundaries["wrist_singularity"].violated
+
+
+def test_the_height_between_two_poses_is_seen():
+    """Both poses at the same height, the tool passes the level between them: a sinusoid, closed form."""
+    tips = np.array([[450.0, 0.0, 200.0]] * 2)
+    axes = axis(np.array([60.0, 120.0]) * DEG, np.array([0.2, 0.2]))
+    up = axes * (1, 1, -1)
+    verdict = certified.verify(problem(tips, up[::-1], **limits(q0=(-170, 170), q2=(0, 300))))
+    assert verdict.boundaries["top"].clearance == pytest.approx(300 - 280, abs=1e-9)
+    sideways = axis(np.array([80.0, 80.0]) * DEG, np.array([-1.2, 1.2]))
+    verdict = certified.verify(problem(tips, sideways, **limits(q0=(-170, 170), q2=(0, 300))))
+    crest = math.atan2(math.cos(80 * DEG), math.sin(80 * DEG) * math.cos(1.2))
+    assert verdict.boundaries["pitch_min"].clearance == pytest.approx(90 - math.degrees(crest), abs=1e-9)
+    assert verdict.boundaries["pitch_min"].fraction == pytest.approx(0.5)
+    assert verdict.boundaries["top"].clearance == pytest.approx(100 - 160 * math.sin(crest), abs=1e-9)
+
+
+def test_roll_follows_a_wrist_that_moves_without_turning_the_tool():
+    """The separate angular run of the paper sees nothing here: the axis is constant, the roll is not."""
+    tips, axes = wrist_path([[300.0, -200.0, 100.0], [300.0, 207.0, 100.0]], axis(1.0, 0.0))
+    verdict = certified.verify(problem(tips, axes))
+    span = 340.0 - verdict.boundaries["roll_min"].clearance - verdict.boundaries["roll_max"].clearance
+    assert verdict.axis_angle_rad == 0.0
+    assert span > 50
+
+
+def test_the_roll_turn_with_most_room_is_chosen_and_one_that_does_not_fit_is_refused():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 40.0, 100.0]], axis(1.0, 0.0))
+    free = certified.verify(problem(tips, axes))
+    start = free.boundaries["roll_min"].clearance - 170
+    narrow = limits(q0=(-170, 170), q1=(0, 170), q3=(start + 360 - 30, start + 360 + 40))
+    verdict = certified.verify(problem(tips, axes, **narrow))
+    assert verdict.admissible, verdict.reasons
+    assert verdict.branch.roll_turns == 1
+    assert certified.verify(problem(tips, axes, branch=(0, 1), **narrow)).admissible
+    assert not certified.verify(problem(tips, axes, branch=(0, 0), **narrow)).admissible
+
+
+def test_ties_go_to_the_smallest_turn():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 40.0, 100.0]], axis(1.0, 0.0))
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-170, 170), q1=(0, 170))))
+    assert (verdict.branch.q0_turns, verdict.branch.roll_turns) == (0, 0)
+
+
+# -- calibration, residuals ----------------------------------------------------------------------
+
+
+def test_zero_calibration_is_bit_identical_to_none():
+    rng = np.random.default_rng(2)
+    centres = np.array([500.0, 0.0, 150.0]) + np.cumsum(rng.normal(0, 8, (40, 3)), axis=0)
+    tips, axes = wrist_path(centres, axis(1.0 + rng.normal(0, 0.05, 40), rng.normal(0, 0.2, 40)))
+    zero = Calibration(0.0, 0.0, np.zeros(5), np.zeros(2), 0.0, 0.0)
+    assert certified.verify(problem(tips, axes)) == certified.verify(problem(tips, axes, calibration=zero))
+
+
+def test_residuals_and_tolerances_widen_the_deadbands():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 40.0, 100.0]], axis(1.0, 0.0))
+    plain = certified.verify(problem(tips, axes))
+    wide = certified.verify(
+        problem(
+            tips,
+            axes,
+            calibration=Calibration(residual_mm=0.5, residual_rad=0.002),
+            deadband=Deadband(5.0, 2 * DEG, 0.25, 0.001),
+        )
+    )
+    assert wide.deadband_arm_mm == 5.75
+    assert wide.deadband_wrist_rad == pytest.approx(2 * DEG + 0.003)
+    assert wide.boundaries["outer"].clearance == plain.boundaries["outer"].clearance
+    elbow = math.acos((600.0**2 - 2 * 450.0**2) / (2 * 450.0**2))
+    more = math.asin(math.sin(0.003) / math.sin(1.0)) - 0.003 + 0.75 / (450 * math.sin(elbow))
+    lost = plain.boundaries["roll_max"].clearance - wide.boundaries["roll_max"].clearance
+    assert math.radians(lost) == pytest.approx(more, rel=0.02)
+
+
+def test_an_offset_past_the_straight_elbow_makes_extension_the_boundary():
+    offset = np.array([0.0, -0.1, 0.0, 0.0, 0.0])
+    tips, axes = wrist_path([[890.0, 0.0, 100.0], [890.0, 1.0, 100.0]], LEVEL)
+    shifted = certified.verify(problem(tips, axes, calibration=Calibration(joint_offset=offset)))
+    assert shifted.boundaries["outer"].clearance == pytest.approx(900 - math.hypot(890, 1), abs=1e-6)
+
+
+def test_a_leaning_slide_is_a_shear():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 0.0, 140.0]], LEVEL)
+    leaning = Calibration(slide_tilt=np.array([0.02, 0.0]))
+    verdict = certified.verify(problem(tips, axes, calibration=leaning))
+    assert verdict.boundaries["outer"].clearance == pytest.approx(900 - 600 + 100 * 0.02, abs=1e-6)
+
+
+# -- symmetries ----------------------------------------------------------------------------------
+
+
+def test_subdividing_segments_changes_nothing_but_the_place():
+    tips, axes = wrist_path([[500.0, -100.0, 120.0], [620.0, 90.0, 160.0]], axis(1.0, 0.3))
+    part = np.linspace(0, 1, 9)[:, None]
+    fine = tips[0] * (1 - part) + tips[1] * part
+    one, many = (
+        certified.verify(problem(tips, axes)),
+        certified.verify(problem(fine, np.repeat(axes[:1], 9, axis=0))),
+    )
+    for name, b in one.boundaries.items():
+        assert many.boundaries[name].clearance == pytest.approx(b.clearance, abs=0.011)
+        assert many.boundaries[name].tip_length_mm == pytest.approx(b.tip_length_mm, abs=2.5)
+
+
+# -- degenerate and bad --------------------------------------------------------------------------
+
+
+def test_duplicate_poses_and_a_single_pose_are_verified():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0]] * 3, axis(1.0, 0.2))
+    verdict = certified.verify(problem(tips, axes))
+    assert verdict.admissible, verdict.reasons
+    assert verdict.tip_length_mm == 0.0
+    assert [line.peak for line in verdict.speed] == [0.0] * 5
+    assert certified.verify(problem(tips[:1], axes[:1])).admissible
+
+
+def test_a_wrist_centre_on_the_column_is_refused():
+    folds = limits(q0=(-170, 170), q1=(0, 180))
+    tips, axes = wrist_path([[-50.0, 0.0, 100.0], [50.0, 0.0, 100.0]], axis(1.0, 0.2))
+    verdict = certified.verify(problem(tips, axes, **folds))
+    assert not verdict.admissible
+    assert verdict.boundaries["inner"].clearance == pytest.approx(0.0, abs=1e-9)
+    assert verdict.boundaries["roll_min"].clearance is None
+    tips, axes = wrist_path([[0.0, 0.0, 100.0], [0.0, 0.0, 100.0]], axis(1.0, 0.2))
+    assert not certified.verify(problem(tips, axes, **folds)).admissible
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"feed_mm_s": math.nan}, "feed"),
+        ({"feed_mm_s": 0.0}, "feed"),
+        ({"tool_length_mm": -1.0}, "tool_length"),
+        ({"lower": np.full(5, math.nan)}, "lower"),
+        ({"speed": np.array([1.0, 1.0, 0.0, 1.0, 1.0])}, "speed"),
+        ({"deadband": Deadband(0.0, 0.1)}, "arm deadband"),
+        ({"deadband": Deadband(5.0, math.nan)}, "wrist deadband"),
+        ({"arm": Arm(0.0, 450.0, "right")}, "upper link"),
+        ({"calibration": Calibration(residual_mm=-1.0)}, "residual"),
+        ({"hold_roll": math.inf}, "held roll"),
+        ({"upper": np.zeros(4)}, "shape"),
+    ],
+)
+def test_unusable_numbers_are_refused_and_named(change, named):
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [620.0, 0.0, 100.0]], LEVEL)
+    verdict = certified.verify(problem(tips, axes, **change))
+    assert not verdict.admissible
+    assert named in " ".join(verdict.reasons)
+    assert all(b.violated and b.clearance is None for b in verdict.boundaries.values())
+    assert not any(line.ok for line in verdict.speed)
+
+
+def test_unusable_poses_are_refused_and_named():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [620.0, 0.0, 100.0]], LEVEL)
+    good = problem(tips, axes)
+    bad = tips.copy()
+    bad[1, 1] = math.nan
+    assert "tips_mm are not all finite" in certified.verify(replace(good, tips_mm=bad)).reasons[0]
+    assert "not a unit" in certified.verify(replace(good, axes=axes * 1.01)).reasons[0]
+    assert "179 deg" in certified.verify(replace(good, axes=axes * [[1], [-1]])).reasons[0]
+    assert "no pose" in certified.verify(replace(good, tips_mm=tips[:0], axes=axes[:0])).reasons[0]
+
+
+def test_limits_that_exclude_each_other_are_refused():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [620.0, 0.0, 100.0]], LEVEL)
+    for swap in (0, 1):
+        good = problem(tips, axes)
+        lower, upper = good.lower.copy(), good.upper.copy()
+        lower[swap], upper[swap] = upper[swap], lower[swap]
+        verdict = certified.verify(replace(good, lower=lower, upper=upper))
+        assert not verdict.admissible
+        assert verdict.branch is None
+    wrong_elbow = certified.verify(replace(good, arm=Arm(450.0, 450.0, "left"), lower=good.lower))
+    assert not wrong_elbow.admissible

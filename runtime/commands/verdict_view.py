@@ -26,6 +26,7 @@ MEANING: Final = {
 }
 PLACE: Final = ("at segment", "path mm")
 JOINT_UNIT: Final = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
+METHOD: Final = {"certified": "certified", "stocco": "stocco (for comparison, never the gate)"}
 GOOD: Final = "bold green"
 BAD: Final = "bold red"
 
@@ -43,11 +44,13 @@ def print_verdict(
         facts: further lines, label and value, for example the plan and the registration.
     """
     console.print(headline(verdict))
-    parts: list[RenderableType] = [boundaries_table(verdict), speed_table(verdict)]
-    if verdict.reasons:
-        parts.append(reason_lines(verdict))
+    parts: list[RenderableType] = [boundaries_table(verdict)]
+    if verdict.speed:
+        parts.append(speed_table(verdict))
     if guidance is not None:
         parts.append(guidance_lines(guidance))
+    if verdict.reasons:
+        parts.append(reason_lines(verdict))
     parts.append(_facts({**_path_facts(verdict), **facts, **_digest_facts(digests)}))
     for part in parts:
         console.print()
@@ -76,13 +79,10 @@ def _decisive(verdict: Verdict) -> str:
         for b in sorted(known, key=_relative)
         if b.violated
     ]
-    parts += [
-        f"joint {line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None
-    ]
+    parts += [f"q{line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None]
     undefined = [name for name, b in verdict.boundaries.items() if b.certified is None]
-    undefined += [
-        f"speed of joint {line.joint}" for line in verdict.speed if not line.ok and line.peak is None
-    ]
+    unbounded = [f"q{line.joint}" for line in verdict.speed if not line.ok and line.peak is None]
+    undefined += [f"speed of {', '.join(unbounded)}"] if unbounded else []
     parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
     return "; ".join(parts) if parts else "see the reasons below"
 
@@ -156,6 +156,7 @@ def guidance_lines(guidance: Guidance) -> RenderableType:
     lines: list[RenderableType] = [Text("How to move the bone (robot frame, z up)", style="bold")]
     if guidance.translation_mm is None:
         lines.append(Text("  No translation of the bone cures this path.", style=BAD))
+        lines.append(Text(f"  {guidance.text}"))
     else:
         distance = math.hypot(*guidance.translation_mm)
         x, y, z = guidance.translation_mm
@@ -168,9 +169,7 @@ def guidance_lines(guidance: Guidance) -> RenderableType:
                 else f", smallest clearance then {guidance.predicted_clearance_mm:.2f} mm",
             )
         )  # fmt: skip
-        lines.append(Text("  A moved bone needs a new registration, and any permit is void."))
-    if guidance.text:
-        lines.append(Text(f"  {guidance.text}"))
+        lines.append(Text("  A moved bone needs a new registration; a permit given before is void."))
     if guidance.moves:
         lines.append(Text("  For each violated boundary's worst place alone (a hint, not verified):"))
         lines += [Text(f"    {_move(move)}") for move in guidance.moves]
@@ -195,10 +194,10 @@ def _path_facts(verdict: Verdict) -> dict[str, str]:
     )
     evaluations = verdict.evaluations
     return {
-        "path": f"{verdict.tip_length_mm:.1f} mm at the tip, {verdict.wrist_length_mm:.1f} mm at the wrist centre, "
-        f"tool axis turns {math.degrees(verdict.axis_angle_rad):.1f} deg",
+        "path length": f"tip {verdict.tip_length_mm:.1f} mm, wrist centre {verdict.wrist_length_mm:.1f} mm, "
+        f"tool axis {math.degrees(verdict.axis_angle_rad):.1f} deg",
         "joint branch": turns,
-        "method": f"{verdict.method}: {evaluations.arm} arm and {evaluations.wrist} wrist evaluations of at most "
+        "method": f"{METHOD[verdict.method]}: {evaluations.arm} arm and {evaluations.wrist} wrist evaluations of at most "
         f"{evaluations.worst_case}",
     }
 

@@ -125,19 +125,15 @@ def verify(
 
 def _facts(prepared: Prepared, checked: Checked) -> dict[str, str]:
     """What was verified, for the reader."""
-    registration = prepared.registration
-    placed = (
-        f"{registration.value.id} ({registration.path}), CT {prepared.ct_link}, "
-        f"residual {registration.value.residual_rms_mm:g} mm rms"
-        if registration
-        else "none given: identity"
-    )
-    return {
-        "plan": f"{prepared.plan.value.id} ({prepared.plan.path}), {checked.poses} poses, "
-        f"feed {prepared.path.feed_mm_s:g} mm/s, tool {prepared.path.tool_length_mm:g} mm",
-        "registration": placed,
-        "elapsed": f"{checked.elapsed_ms:.1f} ms",
+    plan, placed, path = prepared.plan, prepared.registration, prepared.path
+    facts = {
+        "plan": f"{plan.value.id} ({plan.path})",
+        "cut": f"{checked.poses} poses, feed {path.feed_mm_s:g} mm/s, tool {path.tool_length_mm:g} mm",
+        "registration": f"{placed.value.id} ({placed.path})" if placed else "none given: identity",
     }
+    if placed:
+        facts["CT"] = f"{prepared.ct_link}; registration residual {placed.value.residual_rms_mm:g} mm rms"
+    return facts | {"elapsed": f"{checked.elapsed_ms:.1f} ms"}
 
 
 def register(app: typer.Typer) -> None:

@@ -88,5 +88,5 @@ def _check_count(path: Path, poses: list[Any], pose_limit: int) -> None:
 def _check_extension(path: Path, accepted: tuple[str, ...], what: str) -> None:
     """Refuses an extension that is not read, before the file is touched."""
     if path.suffix.lower() not in accepted:
-        found = path.suffix or "no extension"
+        found = path.suffix or "missing"
         raise InputError(path, "extension", found, f"{' or '.join(accepted)} for {what}", "convert the file")

@@ -47,7 +47,7 @@ def test_an_inadmissible_path_names_known_shortfalls_before_what_is_undefined():
     verdict = replace(
         VERDICT, boundaries={**VERDICT.boundaries, "outer": short}, speed=(*VERDICT.speed, fast)
     )
-    said = "INADMISSIBLE: outer short by 1.000 mm; joint 3 too fast; joint 1 too fast; undefined: roll_min"
+    said = "INADMISSIBLE: outer short by 1.000 mm; q3 too fast; q1 too fast; undefined: roll_min"
     assert printed(verdict).split("\n\n")[0].split() == said.split()
 
 
@@ -75,10 +75,17 @@ def test_an_unverified_move_is_never_shown_as_verified():
 
 def test_no_translation_helps_is_an_answer():
     guidance = Guidance(
-        None, 0.0, (0.0, 0.0, 0.0), (Move("outer", "move", (1, 0, 0), distance_mm=1),), None, False, ""
+        None,
+        0.0,
+        (0.0, 0.0, 0.0),
+        (Move("outer", "move", (1, 0, 0), distance_mm=1),),
+        None,
+        False,
+        "part the path",
     )
     text = printed(guidance=guidance)
     assert "No translation of the bone cures this path." in text
+    assert "part the path" in text
     assert "verified" not in text.split("For each")[0]
 
 

@@ -86,6 +86,19 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
             f"[{BAD}]VIOLATED[/]" if violated else "",
         )
     console.print(table)
+    if verdict["guidance"]:
+        console.print(escape(_guidance(verdict["guidance"])))
+
+
+def _guidance(guidance: Mapping[str, Any]) -> str:
+    """The combined move of the bone that was shown, in one line."""
+    move = guidance.get("translation_mm")
+    if not isinstance(move, list):
+        return "Guidance: no translation was found that admits the path."
+    turn = guidance.get("yaw_deg")
+    turned = f", turn it by {_number(turn)} deg about the vertical" if turn else ""
+    proved = "verified" if guidance.get("verified") is True else "NOT verified"
+    return f"Guidance: move the bone by ({', '.join(map(_number, move))}) mm{turned} ({proved}), then register it again."
 
 
 def print_time_line(
@@ -173,9 +186,10 @@ def _refused(entry: Mapping[str, Any]) -> str:
 
 def _files(console: Console, story: Mapping[str, Any]) -> None:
     console.print()
+    # Never wrapped, so that a path can be copied.
+    for label, path in (("log", story["log"]), ("raw frames", story["candump"] or "not beside the log")):
+        console.print(f"  {label:<11}  {path}", markup=False, soft_wrap=True)
     rows = {
-        "log": story["log"],
-        "raw frames": story["candump"] or "not beside the log",
         "attachments": ", ".join(_text(entry, "name") for entry in story["attachments"]),
         "records": f"{story['messages']}, chain head {story['head'][:_DIGEST]}",
     }

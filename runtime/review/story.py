@@ -1,5 +1,6 @@
 """A log as one document for people: what was decided, when, why, and where the files are."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -74,8 +75,17 @@ def _verdicts(verdicts: list[dict[str, Any]], boundaries: list[dict[str, Any]]) 
         start = verdict["offset_s"]
         end = verdicts[number + 1]["offset_s"] if number + 1 < len(verdicts) else float("inf")
         own = [entry for entry in boundaries if start <= entry["offset_s"] < end]
-        found.append({**verdict, "boundaries": own})
+        found.append({**verdict, "boundaries": own, "guidance": _guidance(verdict)})
     return found
+
+
+def _guidance(verdict: Mapping[str, Any]) -> dict[str, Any] | None:
+    """How the bone was to be moved, from the verdict's document; None where it says nothing."""
+    try:
+        guidance = json.loads(verdict["document"])["guidance"]
+    except (KeyError, TypeError, ValueError, RecursionError):
+        return None
+    return guidance if isinstance(guidance, dict) else None
 
 
 def _first(log: Log, model: type[AuditRecord]) -> dict[str, Any]:

@@ -156,7 +156,7 @@ def guidance_lines(guidance: Guidance) -> RenderableType:
     lines: list[RenderableType] = [Text("How to move the bone (robot frame, z up)", style="bold")]
     if guidance.translation_mm is None:
         lines.append(Text("  No translation of the bone cures this path.", style=BAD))
-        lines.append(Text(f"  {guidance.text}"))
+        lines.append(Text(f"  {guidance.text[:1].upper()}{guidance.text[1:]}"))
     else:
         distance = math.hypot(*guidance.translation_mm)
         x, y, z = guidance.translation_mm

@@ -85,7 +85,7 @@ def test_no_translation_helps_is_an_answer():
     )
     text = printed(guidance=guidance)
     assert "No translation of the bone cures this path." in text
-    assert "part the path" in text
+    assert "Part the path" in text
     assert "verified" not in text.split("For each")[0]
 
 

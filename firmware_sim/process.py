@@ -212,8 +212,7 @@ class Process:
 
     def _item(self, item: object) -> None:
         match item:
-            case Accepted(frame=RuntimeHeartbeat() as beat):
-                fresh = self.port.endpoint.link.fresh(self._clock())
+            case Accepted(frame=RuntimeHeartbeat() as beat, fresh=fresh):
                 self._feed(HeartbeatReceived(beat.code, beat.epoch, beat.cause, fresh))
             case Accepted(frame=RuntimeStop() as stop):
                 self._feed(StopReceived(stop.code, stop.cause))

@@ -279,7 +279,8 @@ def permit_received(state: Controller, event: PermitReceived, now_s: float) -> O
         issued=None,
         device=DeviceCycle.UNSEEN if state.inputs.device_pressed else DeviceCycle.RELEASED,
     )
-    return permitted, (_reply(permitted, event.permit, event.sequence, Refusal.ACCEPTED),)
+    pressed = int(state.inputs.device_pressed)
+    return permitted, (_reply(permitted, event.permit, event.sequence, Refusal.ACCEPTED, detail=pressed),)
 
 
 def start_received(state: Controller, event: StartReceived, now_s: float) -> Outcome:
@@ -321,11 +322,20 @@ def _refuse(state: Controller, request: records.Record, sequence: int, refusal: 
 
 
 def _reply(
-    state: Controller, request: records.Record, sequence: int, refusal: Refusal, session: int | None = None
+    state: Controller,
+    request: records.Record,
+    sequence: int,
+    refusal: Refusal,
+    session: int | None = None,
+    detail: int = 0,
 ) -> Send:
     tag = session if session is not None else state.session.tag if state.session else 0
     answer = records.Reply(
-        request_type=request.TYPE, request_sequence=sequence, refusal=refusal, cause=state.cause, detail=0
+        request_type=request.TYPE,
+        request_sequence=sequence,
+        refusal=refusal,
+        cause=state.cause,
+        detail=detail,
     )
     return Send(answer, tag)
 

@@ -92,7 +92,7 @@ class Port:
         frames = self.endpoint.outgoing()
         for can_id, data in frames:
             message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-            self.bus.send(message)
+            self.bus.send(message, timeout=0)
             self._record("sent", message)
         return bool(frames)
 

@@ -58,7 +58,7 @@ class SessionView:
         self._output = messages() if quiet_output else output()
         self._began_s = time.monotonic()
         self._percent = 0
-        self._prompted = False
+        self._prompt = ""
 
     def note(self, text: str, style: str = "") -> None:
         """One line with the time since the beginning."""
@@ -100,10 +100,13 @@ class SessionView:
         """Tell the operator when start may be said: once per press of the enabling device."""
         pressed = state.controller is not None and state.controller.device_pressed
         if not pressed or state.phase is not Phase.PERMITTED:
-            self._prompted = False
-        elif not self._prompted and not failing(FOR_START, state, now_s):
-            self._prompted = True
-            self.note("enabling device is held: say start", GOOD)
+            self._prompt = ""
+            return
+        missing = "; ".join(map(str, failing(FOR_START, state, now_s)))
+        prompt = f"not ready to start: {missing}" if missing else "enabling device is held: say start"
+        if prompt != self._prompt:
+            self._prompt = prompt
+            self.note(prompt, "yellow" if missing else GOOD)
 
     def verdict(self, answer: Answer) -> None:
         """The worker's verdict, with every boundary and, if it is no, where to move the bone."""

@@ -289,11 +289,15 @@ class NonceReceived:
 
 @dataclass(frozen=True)
 class ReplyReceived:
-    """The controller's answer to one of our requests."""
+    """The controller's answer to one of our requests.
+
+    ``device_pressed`` counts in the answer to a permit only: the enabling device at the moment of acceptance.
+    """
 
     request_type: int
     refusal: Refusal
     cause: StopCause
+    device_pressed: bool = True
 
 
 @dataclass(frozen=True)

@@ -403,8 +403,9 @@ def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Out
         return _drop_reply(state)
     if event.refusal is not Refusal.ACCEPTED:
         return refuse(state, f"the controller refused the permit: {event.refusal.name}", now_s)
-    # what was seen so far may be older than the permit
-    return _enter(state, Phase.PERMITTED, now_s, device=DeviceCycle.UNSEEN), ()
+    # heartbeats seen so far may be older than the permit; the answer is not
+    device = DeviceCycle.UNSEEN if event.device_pressed else DeviceCycle.RELEASED
+    return _enter(state, Phase.PERMITTED, now_s, device=device), ()
 
 
 # ---------------------------------------------------------------- start

@@ -83,7 +83,7 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
     records.BlockStored: lambda r: BlockStored(r.index),
     records.PathStored: lambda r: PathStored(Stored(r.digest, r.refusal, r.pose)),
     records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
-    records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause),
+    records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause, r.detail != 0),
 }
 """What each record from the controller means to the table."""
 
@@ -226,8 +226,7 @@ class Session:
 
     def _item(self, item: object) -> None:
         match item:
-            case Accepted(frame=ControllerHeartbeat() as beat):
-                fresh = self._port.endpoint.link.fresh(self._clock())
+            case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
                 self._feed(HeartbeatReceived(_view_of(beat), fresh))
                 self._measure()
             case Accepted(frame=ControllerFault() as fault):

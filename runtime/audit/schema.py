@@ -39,21 +39,15 @@ def flat_schema(model: type[BaseModel]) -> dict[str, Any]:
     return flat
 
 
-def find_problem(schema: object) -> str:
+def find_problem(schema: Mapping[str, Any]) -> str:
     """The first thing in the schema that viewers cannot read; empty if nothing is."""
-    if isinstance(schema, list):
-        return next(filter(None, map(find_problem, schema)), "")
-    if not isinstance(schema, dict):
-        return ""
-    if schema.get("type") == "object" and "properties" in schema:
-        return next(filter(None, map(find_problem, schema["properties"].values())), "")
     forbidden = sorted(FORBIDDEN & schema.keys())
     if forbidden:
         return forbidden[0]
     if schema.get("type") == "array":
         items = schema.get("items", {})
         return "a list of lists" if items.get("type") in ("array", None) else find_problem(items)
-    return ""
+    return next(filter(None, map(find_problem, schema.get("properties", {}).values())), "")
 
 
 def _flatten(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,8 @@ import pytest
 from runtime.audit import records
 from runtime.audit.inspect import read_log
 from runtime.cli import execute
+from runtime.commands.screen import output
+from runtime.review.show import print_story
 from runtime.review.story import story
 from tests.runtime.audit.build import decision, forge, session_log, small_log
 from tests.runtime.audit.test_replay import admit, in_document
@@ -193,7 +195,7 @@ def test_show_repeats_the_guidance(capsys, refused, tmp_path, guidance, line):
 
     copy = changed(refused, tmp_path, forge(refused.log.read_bytes(), in_document(guide)))
     out = cutgate(capsys, "show", copy)[1]
-    assert line in out.replace("\n", " ")
+    assert line in " ".join(out.split())
     assert ("Guidance" in out) == bool(guidance)
 
 
@@ -288,5 +290,6 @@ def test_the_story_of_a_strange_log_is_told_without_an_error(tmp_path):
     data = forge(small_log(tmp_path).log.read_bytes(), lambda record: record)
     log = read_log(data.replace(b'"utc":', b'"utC":').replace(b'"monotonic"', b'"monotoniC"'))
     document = story(log, tmp_path / "x.mcap", None)
+    print_story(output(), document)
     assert document["candump"] is None
     assert document["judgement"] == "TAMPERED"

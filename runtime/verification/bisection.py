@@ -122,7 +122,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
         floor = np.maximum(best.value - aim.gap, np.minimum(aim.target, best.value))
         bounds, means, cut = lower_bounds(geometry, segments, scope, parts, floor)
         best.offer(SPEED, means, parts.segment, (parts.s0 + parts.s1) / 2)
-        open_rows = _open(geometry, parts, bounds, best.value, aim)
+        open_rows = _open(geometry, scope, parts, bounds, (best.value, aim))
         if spent > allowed:
             open_rows[:] = False
         closed = bounds[~open_rows]
@@ -155,10 +155,13 @@ def _pop(stack: list[Intervals]) -> Intervals:
     return whole
 
 
-def _open(geometry: Geometry, parts: Intervals, bounds: Floats, best: Floats, aim: Aim) -> Bools:
+def _open(
+    geometry: Geometry, scope: Scope, parts: Intervals, bounds: Floats, known: tuple[Floats, Aim]
+) -> Bools:
     """Which intervals must be split: the bound is too far below, or a deadband is not yet decided."""
+    best, aim = known
     straddles = (bounds < aim.target) & (best >= aim.target) & (bounds < best - aim.fine)
-    wanting = (bounds < best - aim.gap) | straddles
+    wanting = ((bounds < best - aim.gap) | straddles) & ~scope.undefined
     if (best[:ROLL_MIN] < 0.0).any():  # outside the reach no bracket is asked for
         within = bounds[:, :ROLL_MIN].min(axis=1, keepdims=True) >= 0.0
         wanting[:, :ROLL_MIN] &= within

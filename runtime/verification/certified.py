@@ -207,7 +207,13 @@ class _Verification:
         target[SPEED:] = -self.problem.speed
         if roll_target is not None:
             target[[ROLL_MIN, ROLL_MAX]] = roll_target
-        scope = Scope(wanted, wound=self.chain.wound, roll_defined=self.roll_defined, shoulder_shift=shift)
+        scope = Scope(
+            wanted,
+            reachable=not self.geometry.workspace.empty,
+            wound=self.chain.wound,
+            roll_defined=self.roll_defined,
+            shoulder_shift=shift,
+        )
         done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, target, fine))
         self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0

@@ -146,7 +146,9 @@ def build(geometry: Geometry, segments: Segments) -> Chain:
         gap = distance_from_column(points.centre[:-1], points.centre[1:])
         sag = sagitta(geometry, segments.theta[segment] * (s1 - s0))
         unclear = ~(gap > sag + geometry.pad_mm)
-        split = np.flatnonzero(unclear & (s1 - s0 > SMALLEST_SPLIT))
+        step = points.centre[1:] - points.centre[:-1]
+        size = np.sqrt(np.einsum("ij,ij->i", step, step)) + sag
+        split = np.flatnonzero(unclear & (s1 - s0 > SMALLEST_SPLIT) & (size > geometry.pad_mm))
         if len(split) == 0:
             break
         middle = (s0[split] + s1[split]) / 2

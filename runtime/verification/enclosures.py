@@ -38,15 +38,26 @@ class Scope:
 
     Attributes:
         wanted: columns to bound, shape (COLUMNS,).
+        reachable: whether the joint limits leave any planar workspace at all.
         wound: whether the winding about the column is known.
         roll_defined: whether besides the azimuth of the axis is defined.
         shoulder_shift: added to the lifted q0 where left and right count by lifted q0, else None.
     """
 
     wanted: Bools
+    reachable: bool
     wound: bool
     roll_defined: bool
     shoulder_shift: float | None = None
+
+    @property
+    def undefined(self) -> Bools:
+        """Columns that have no meaning on this path, shape (COLUMNS,)."""
+        out = np.zeros(COLUMNS, dtype=np.bool_)
+        out[:ROLL_MIN] = not self.reachable
+        out[[Q0_MIN, Q0_MAX, SPEED, SPEED + 1]] = not self.wound
+        out[[ROLL_MIN, ROLL_MAX, SPEED + 3]] = not self.roll_defined
+        return out
 
 
 def attained(geometry: Geometry, scope: Scope, points: Points) -> Floats:
@@ -103,12 +114,8 @@ def lower_bounds(
             )
         _bound_angles(parts, angles, bounds)
         means = _bound_speeds(geometry, parts, motion, angles, bounds)
-        if not scope.roll_defined:
-            bounds[:, [ROLL_MIN, ROLL_MAX, SPEED + 3]] = -np.inf
-            means[:, 3] = np.inf
-        if not scope.wound:
-            bounds[:, [Q0_MIN, Q0_MAX, SPEED, SPEED + 1]] = -np.inf
-            means[:, :2] = np.inf
+    undefined = scope.undefined
+    bounds[:, undefined], means[:, undefined[SPEED:]] = -np.inf, np.inf
     bounds[np.isnan(bounds)] = -np.inf
     bounds[:, ~scope.wanted] = np.inf
     means[:, ~scope.wanted[SPEED:]] = np.inf

@@ -51,7 +51,9 @@ class Endpoint:
         transfer_timeout_s: how long one record may take on the bus, s.
     """
 
-    def __init__(self, side: Side, *, heartbeat_s: float, timeout_s: float, transfer_timeout_s: float) -> None:
+    def __init__(
+        self, side: Side, *, heartbeat_s: float, timeout_s: float, transfer_timeout_s: float
+    ) -> None:
         self.side = side
         self.link = Link(side, timeout_s=timeout_s, heartbeat_s=heartbeat_s)
         self.session = NO_SESSION

@@ -9,7 +9,8 @@ from rich.text import Text
 
 from runtime.verification.document import Digests
 from runtime.verification.guidance import Guidance, Move
-from runtime.verification.verdict import Boundary, Verdict
+from runtime.verification.summary import summary
+from runtime.verification.verdict import Verdict
 
 MEANING: Final = {
     "inner": "reach, near",
@@ -60,40 +61,7 @@ def print_verdict(
 def headline(verdict: Verdict) -> Text:
     """The answer, in one line, and what decided it."""
     word, style = ("ADMISSIBLE", GOOD) if verdict.admissible else ("INADMISSIBLE", BAD)
-    return Text.assemble((word, style), f": {_decisive(verdict)}")
-
-
-def _decisive(verdict: Verdict) -> str:
-    """The smallest margin, or what is violated: known shortfalls first, worst first."""
-    known = [b for b in verdict.boundaries.values() if b.certified is not None]
-    if verdict.admissible:
-        if not known:
-            return "the whole path keeps every deadband"
-        tightest = min(known, key=_relative)
-        return (
-            f"the whole path keeps every deadband; tightest is {tightest.name}, "
-            f"{_value(tightest.certified)} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
-        )
-    parts = [
-        f"{b.name} short by {_value(None if b.certified is None else b.deadband - b.certified)} {b.unit}"
-        for b in sorted(known, key=_relative)
-        if b.violated
-    ]
-    parts += [f"q{line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None]
-    undefined = [name for name, b in verdict.boundaries.items() if b.certified is None]
-    unbounded = [f"q{line.joint}" for line in verdict.speed if not line.ok and line.peak is None]
-    undefined += [f"speed of {', '.join(unbounded)}"] if unbounded else []
-    parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
-    return "; ".join(parts) if parts else "see the reasons below"
-
-
-def _relative(boundary: Boundary) -> float:
-    """Margin per deadband, to compare over units."""
-    return (
-        -math.inf
-        if boundary.certified is None
-        else (boundary.certified - boundary.deadband) / boundary.deadband
-    )
+    return Text.assemble((word, style), f": {summary(verdict)}")
 
 
 def boundaries_table(verdict: Verdict) -> Table:

@@ -22,6 +22,7 @@ from runtime.verification.document import Digests, verdict_document
 from runtime.verification.guidance import Guidance, guide
 from runtime.verification.problem import Floats
 from runtime.verification.recorded import problem_from_records
+from runtime.verification.summary import summary
 
 JOIN_S = 2.0
 NOWHERE = (0, 0, 0, 0, 0)
@@ -88,7 +89,7 @@ def prove(request: Request) -> Answer:
         calibration=digests.calibration,
         tool=records.digest(request.tool),
         start_joints_u=_start(request, path, problem.hold_roll).counts if verdict.admissible else NOWHERE,
-        reason="admissible" if verdict.admissible else "; ".join(verdict.reasons),
+        reason=summary(verdict),
     )
     return Answer(answer, verdict, guidance, digests, document)
 

@@ -37,6 +37,9 @@ RESERVE_DEG = 0.1
 STEP_MM = 0.1
 """Translations are shown, and verified, in whole steps of this."""
 
+ON_THE_ARC_MM = 1e-6
+"""Nearer than this the difference to the arc has no direction."""
+
 _NOT_CURED = ("pitch_min", "pitch_max", "wrist_singularity")
 
 
@@ -147,12 +150,15 @@ def _away(geometry: Geometry, b: Boundary, place: Points) -> Vector:
     """Away from the nearest place of the arc; toward it from outside."""
     mirrored = {"left": "right", "right": "left"}
     name = mirrored.get(b.name, b.name) if geometry.side < 0 else b.name
-    nearest = nearest_on_arc(place.centre, geometry.arcs[SIDES.index(name)])[0]
-    inward = (place.centre[0] - nearest) * (1.0 if (b.clearance or 0.0) >= 0.0 else -1.0)
+    arc = geometry.arcs[SIDES.index(name)]
+    inward = place.centre[0] - nearest_on_arc(place.centre, arc)[0]
+    if (b.clearance or 0.0) < 0.0:
+        inward = -inward
     length = math.hypot(*inward)
-    if not length > 0.0:
-        radial = place.centre[0] * (1.0 if b.name == "inner" else -1.0)
-        inward, length = radial, max(math.hypot(*radial), 1e-300)
+    if not length > ON_THE_ARC_MM:  # on the arc itself: along its radius, inward for the right elbow
+        outward = place.centre[0] - (arc.x, arc.y)
+        inward = outward if name in {"inner", "right"} else -outward
+        length = max(math.hypot(*inward), ON_THE_ARC_MM)
     return (float(inward[0] / length), geometry.side * float(inward[1] / length), 0.0)
 
 

@@ -230,7 +230,7 @@ def test_a_chunk_that_holds_something_else_is_tampered(data, change, word):
     [
         ({"message_start_time": 0}, "times"),
         ({"message_end_time": 2**63}, "times"),
-        ({"uncompressed_crc": 0}, "checksum"),
+        ({"uncompressed_crc": 0}, ": its checksum is wrong"),
         ({"uncompressed_size": 1}, "not stored as it is"),
         ({"compression": "zstd"}, "not stored as it is"),
     ],

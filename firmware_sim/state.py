@@ -183,7 +183,7 @@ class AcknowledgeReceived:
 
 @dataclass(frozen=True)
 class HeartbeatReceived:
-    """A checked runtime heartbeat. ``fresh`` is the link's word, with this heartbeat counted: not timed out."""
+    """A checked runtime heartbeat. ``fresh`` is the link's word: its echo proves that it is young."""
 
     code: RuntimeCode
     epoch: int

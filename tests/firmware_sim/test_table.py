@@ -583,6 +583,13 @@ def test_a_permit_enables_the_cutter_and_no_motion():
     assert replies(effects) == [Refusal.ACCEPTED]
 
 
+@pytest.mark.parametrize(("device", "pressed"), [(HOLD, 1), (RELEASE, 0)], ids=["held", "released"])
+def test_the_answer_to_a_permit_says_whether_the_device_was_pressed(device, pressed):
+    """The runtime's last heartbeat may be older than the permit; the answer is not."""
+    _, effects = step(fed(ASKED, device), PermitReceived(SIGNED_PERMIT, 4), NOW)
+    assert [effect.record.detail for effect in effects] == [pressed]
+
+
 def test_a_permit_ages_from_its_nonce():
     for now_s in (NOW, NOW + 120.0):
         assert step(PERMITTED, Tick(), now_s) == (PERMITTED, ())

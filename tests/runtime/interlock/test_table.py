@@ -579,6 +579,16 @@ def test_a_device_held_since_before_the_permit_does_not_count():
     assert run.state.device is DeviceCycle.PRESSED
 
 
+def test_a_device_released_at_the_moment_of_the_permit_was_seen_released():
+    """By the controller's answer, never by a heartbeat that may be older than the permit."""
+    run = Run(in_phase(Phase.PERMITTING), NOW).feed(beat(ControllerState.LOADED, device_pressed=False))
+    assert run.state.device is DeviceCycle.RELEASED
+    held = Run(run.state, NOW).feed(reply(records.Permit))
+    assert held.state.device is DeviceCycle.UNSEEN
+    released = Run(run.state, NOW).feed(replace(reply(records.Permit), device_pressed=False))
+    assert released.state.device is DeviceCycle.RELEASED
+
+
 def test_words_while_stopping():
     state = in_phase(Phase.STOPPING, cause=StopCause.DEVICE_RELEASED)
     again, effects = step(state, Said(Word.STOP), NOW)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -195,8 +194,3 @@ def halve(
 
 def _follow(start: Floats, step: Floats, raw: Floats) -> Floats:
     return raw + TURN * np.rint((start + step - raw) / TURN)
-
-
-def shortest_angle(angle: float) -> float:
-    """An angle modulo a turn into [-pi, pi]."""
-    return math.remainder(angle, TURN)

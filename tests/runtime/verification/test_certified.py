@@ -399,3 +399,34 @@ def test_limits_that_exclude_each_other_are_refused():
         assert verdict.branch is None
     wrong_elbow = certified.verify(replace(good, arm=Arm(450.0, 450.0, "left"), lower=good.lower))
     assert not wrong_elbow.admissible
+
+
+def test_a_branch_that_the_path_does_not_lie_in_is_refused_and_named():
+    tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 40.0, 100.0]], axis(1.0, 0.0))
+    wide = limits(q0=(-1000, 1000), q1=(5, 170))
+    assert certified.verify(problem(tips, axes, branch=(2, 3), **wide)).branch.q0_turns == 2
+    held = wrist_path([[600.0, 0.0, 100.0], [600.0, 40.0, 100.0]], [0.0, 0.0, 1.0])
+    assert not certified.verify(problem(*held, hold_roll=0.0, branch=(0, 1))).admissible
+    assert certified.verify(problem(*held, hold_roll=0.0, branch=(0, 0))).admissible
+
+
+def test_a_shoulder_of_a_full_turn_out_of_reach_has_no_branch():
+    tips, axes = wrist_path([[1200.0, 0.0, 100.0], [1300.0, 40.0, 100.0]], axis(1.0, 0.0))
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-1000, 1000), q1=(5, 170))))
+    assert not verdict.admissible
+    assert verdict.branch is None
+    assert verdict.boundaries["outer"].clearance < 0
+
+
+def test_a_lifted_limit_that_decides_is_refused_in_mm():
+    tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
+    free = certified.verify(problem(tips, axes, **limits(q0=(-900, 900), q1=(10, 150))))
+    assert free.admissible
+    x, y = 500.0, 0.0
+    elbow = math.acos((x * x + y * y - 2 * 450.0**2) / (2 * 450.0**2))
+    q0 = -math.degrees(math.atan2(450 * math.sin(elbow), 450 + 450 * math.cos(elbow)))
+    # Only the turn k = 0 fits, and its right limit lies 0.1 deg below the start: under a millimetre.
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(q0 - 0.1, q0 + 360), q1=(10, 150))))
+    assert not verdict.admissible
+    assert verdict.boundaries["right"].violated
+    assert 0 < verdict.boundaries["right"].clearance < 1.0

@@ -1,8 +1,10 @@
 """The commit thread: durable is said only of what was synced, and after an error nothing more is done."""
 
+import ctypes
 import errno
 import os
 import select
+from types import SimpleNamespace
 
 import pytest
 
@@ -179,6 +181,19 @@ def test_a_c_library_without_fallocate_is_not_supported(monkeypatch, tmp_path):
     descriptor = disk.create(tmp_path / "x")
     assert not disk.reserve(descriptor, tmp_path / "x", 4096).reserved
     disk.close(descriptor)
+
+
+def test_an_interrupted_reservation_is_asked_for_again(monkeypatch, tmp_path):
+    calls = []
+
+    def fallocate(*arguments):
+        calls.append(arguments)
+        ctypes.set_errno(errno.EINTR)
+        return -1 if len(calls) == 1 else 0
+
+    monkeypatch.setattr("runtime.audit.disk._LIBC", SimpleNamespace(fallocate=fallocate))
+    assert SystemDisk().reserve(-1, tmp_path / "x", 4096).reserved
+    assert len(calls) == 2
 
 
 def test_waiting_jobs_share_one_sync(tmp_path):

@@ -25,6 +25,7 @@ PERCENT_STEP: Final = 10
 
 SAYS: Final = {
     Phase.OPENING: "controller found, opening a session",
+    Phase.HELD: "the controller carries a stop or a latched fault",
     Phase.COLLECTING: "collecting limits, calibration and tool",
     Phase.UPLOADING: "limits, calibration and tool equal the approved; uploading the path",
     Phase.VERIFYING: "path stored by the controller; verifying it",
@@ -59,6 +60,7 @@ class SessionView:
         self._began_s = time.monotonic()
         self._percent = 0
         self._prompt = ""
+        self._hold = ""
 
     def note(self, text: str, style: str = "") -> None:
         """One line with the time since the beginning."""
@@ -77,24 +79,27 @@ class SessionView:
             self.note(f"controller {announce.serial}, firmware {announce.firmware_version}")
         if after.phase is not before.phase:
             self._entered(after)
+        self._watch_hold(after)
         self._watch_device(after, now_s)
 
     def _entered(self, state: Interlock) -> None:
-        if state.phase is Phase.HELD:
-            self._held(state)
-        elif state.phase is Phase.STOPPING:
+        if state.phase is Phase.STOPPING:
             self.note(f"{SAYS[state.phase]}: {state.reason}", BAD)
         elif state.phase is Phase.ADMITTED:
             self.note("admitted; waiting for the permissives of the permit", GOOD)
         elif state.phase in SAYS:
             self.note(SAYS[state.phase])
 
-    def _held(self, state: Interlock) -> None:
-        self.note(
-            "the controller carries a stop or a latched fault; say acknowledge, then reset if it is latched"
-        )
-        if state.controller is not None and state.controller.cause is not StopCause.NONE:
-            self.note(f"its cause is {state.controller.cause.name}")
+    def _watch_hold(self, state: Interlock) -> None:
+        """Tell the operator what holds the controller and which word is next: once each."""
+        if state.phase is not Phase.HELD or state.controller is None:
+            return
+        prompt = "acknowledged; the fault is latched: say reset"
+        if state.controller.cause is not StopCause.NONE:
+            prompt = f"its cause is {state.controller.cause.name}: say acknowledge"
+        if prompt != self._hold:
+            self._hold = prompt
+            self.note(prompt)
 
     def _watch_device(self, state: Interlock, now_s: float) -> None:
         """Tell the operator when start may be said: once per press of the enabling device."""

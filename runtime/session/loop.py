@@ -156,6 +156,7 @@ class Session:
         self._next_heartbeat_s = self._turn_s
         self._sample_s = -1.0
         self._interrupted = False
+        self._bus_error: can.CanError | None = None
         self._poller = select.poll()
 
     # ------------------------------------------------------------ the loop
@@ -200,7 +201,10 @@ class Session:
             self._feed(Tick())
             self._heartbeat(now_s)
             self._port.flush()
+            if self._bus_error is not None:
+                raise self._bus_error
         except can.CanError as error:
+            self._bus_error = error
             self._feed(Failed(StopCause.BUS_FAILED, f"the bus failed: {error}"))
             self.state = self._gone(StopCause.BUS_FAILED)
 
@@ -329,9 +333,9 @@ class Session:
         endpoint, now_s = self._port.endpoint, self._clock()
         match effect:
             case SendStop():
-                if endpoint.link.is_open:
+                if endpoint.link.is_open and self._bus_error is None:
                     endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
-                    self._port.flush()
+                    self._leave_now()
             case Send(record=record):
                 self._send(record)
             case SendBlock(index=index):
@@ -347,6 +351,13 @@ class Session:
                 pass  # the journal's business
             case _:
                 assert_never(effect)
+
+    def _leave_now(self) -> None:
+        """Send what is queued. A bus that fails here stops this turn, after the step that ordered it is recorded."""
+        try:
+            self._port.flush()
+        except can.CanError as error:
+            self._bus_error = error
 
     def _send(self, record: records.Record) -> None:
         """Permit, start and reset are signed here, on their way out, and nowhere else."""

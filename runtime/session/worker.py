@@ -125,7 +125,10 @@ def _serve(requests: Connection) -> None:
             answer: Answer | Broken = prove(request)
         except Exception as error:  # noqa: BLE001 - whatever it is, nothing was proved and the runtime is told
             answer = Broken(request.number, f"{type(error).__name__}: {error}")
-        requests.send(answer)
+        try:
+            requests.send(answer)
+        except OSError:  # the runtime has gone meanwhile: nobody waits for an answer
+            return
 
 
 class Worker:

@@ -1,0 +1,1 @@
+"""Whole sessions: real processes over the project's own virtual bus."""

@@ -1,0 +1,205 @@
+"""What runs inside the processes of a system test, and the ways a test bends it.
+
+A program starts either in a fresh interpreter, as a user starts it, or in a process forked from a server that has
+imported it already: the same program, 1.5 s earlier. Only a forked runtime can be bent by a :class:`Script`.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.__main__ import main as controller_side
+from protocol.port import Port
+from runtime import cli
+from runtime.audit import log as audit_log
+from runtime.audit.disk import Reservation, SystemDisk
+from runtime.commands import run
+from runtime.interlock import permissives, table
+from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
+
+SECOND_BLOCK = "second block"
+HALF_THE_CUT = "half the cut"
+SIDE_FILE_BYTES = 8
+
+
+@dataclass(frozen=True)
+class Script:
+    """How this runtime differs from an ordinary one.
+
+    Attributes:
+        at: a phase, SECOND_BLOCK or HALF_THE_CUT; there the process sends itself ``number``.
+        sent: not on reaching it, but once the frames of that turn have left.
+        number: the signal.
+        synced: file that holds the log's size as of its last successful sync.
+        sync_s: how long every sync takes.
+        disk_stops_at: from this phase on no sync answers any more.
+        space_unanswered: the reservation of space is never answered.
+        blind: names of permissives that this defective runtime takes as true.
+    """
+
+    at: str | None = None
+    sent: bool = False
+    number: int = signal.SIGKILL
+    synced: Path | None = None
+    sync_s: float = 0.0
+    disk_stops_at: Phase | None = None
+    space_unanswered: bool = False
+    blind: tuple[str, ...] = ()
+
+
+def serve(streams: Sequence[Connection], program: str, arguments: list[str], script: Script | None) -> None:
+    """The body of a forked process: be ``program`` on these three streams."""
+    for descriptor, stream in enumerate(streams):
+        os.dup2(stream.fileno(), descriptor)
+        stream.close()
+    sys.stdin = open(0, closefd=False)  # noqa: PTH123, SIM115 - lives as long as the process
+    sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: PTH123, SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: PTH123, SIM115
+    sys.argv = [program, *arguments]
+    if program == "runtime.cli":
+        worker_from_the_same_server()
+        bend(script or Script())
+        sys.exit(cli.execute(arguments))
+    sys.exit(controller_side(arguments))
+
+
+def worker_from_the_same_server() -> None:
+    """The verification process too starts from the imported server instead of a new interpreter."""
+    start = multiprocessing.get_context("forkserver")
+    multiprocessing.get_context = lambda _method=None: start  # type: ignore[method-assign, assignment]
+
+
+def bend(script: Script) -> None:
+    """Put the script's disk, view and bus port in place of the ordinary ones."""
+    trap, disk = Trap(script), BentDisk(script)
+    audit_log.SystemDisk = lambda: disk  # type: ignore[misc, assignment]
+
+    class View(run.SessionView):
+        def step(
+            self,
+            before: Interlock,
+            event: Event,
+            after: Interlock,
+            effects: tuple[Effect, ...],
+            now_s: float,
+        ) -> None:
+            super().step(before, event, after, effects, now_s)
+            if after.phase is script.disk_stops_at:
+                disk.stopped.set()
+            trap.step(before, after, effects)
+
+        def progress(self, segment: int, segments: int) -> None:
+            super().progress(segment, segments)
+            if 2 * segment >= segments:
+                trap.reached(HALF_THE_CUT)
+
+    class BentPort(Port):
+        def flush(self) -> bool:
+            left = super().flush()
+            trap.flushed()
+            return left
+
+    run.SessionView, run.Port = View, BentPort  # type: ignore[misc]
+    for name in script.blind:
+        permissive: Any = getattr(permissives, name)
+        table.FOR_START = tuple(asked for asked in table.FOR_START if asked is not permissive)
+
+
+class Trap:
+    """Sends the signal at the scripted moment, once."""
+
+    def __init__(self, script: Script) -> None:
+        self._script = script
+        self._armed = False
+        self._sprung = False
+
+    def step(self, before: Interlock, after: Interlock, effects: tuple[Effect, ...]) -> None:
+        if after.phase is not before.phase or after.phase is Phase.WAITING:
+            self.reached(after.phase)
+        if SendBlock(1) in effects:
+            self.reached(SECOND_BLOCK)
+
+    def reached(self, name: str) -> None:
+        if name != self._script.at or self._sprung:
+            return
+        if self._script.sent:
+            self._armed = True
+        else:
+            self._spring()
+
+    def flushed(self) -> None:
+        if self._armed:
+            self._armed = False
+            self._spring()
+
+    def _spring(self) -> None:
+        self._sprung = True
+        os.kill(os.getpid(), self._script.number)
+
+
+class BentDisk(SystemDisk):
+    """The system's disk, slowed down or stopped, noting how far the log was synced."""
+
+    def __init__(self, script: Script) -> None:
+        self.stopped = threading.Event()
+        self._script = script
+        self._log = -1
+        self._note = (
+            os.open(script.synced, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600) if script.synced else -1
+        )
+
+    def create(self, path: Path) -> int:
+        descriptor = super().create(path)
+        if path.suffix == ".mcap":
+            self._log = descriptor
+        return descriptor
+
+    def reserve(self, descriptor: int, path: Path, size: int) -> Reservation:
+        if self._script.space_unanswered:
+            never()
+        return super().reserve(descriptor, path, size)
+
+    def sync(self, descriptor: int) -> None:
+        if self.stopped.is_set():
+            never()
+        size = os.fstat(descriptor).st_size
+        time.sleep(self._script.sync_s)
+        super().sync(descriptor)
+        if descriptor == self._log and self._note >= 0:
+            os.pwrite(self._note, size.to_bytes(SIDE_FILE_BYTES, "little"), 0)
+
+
+def never() -> None:
+    """What a disk does that does not answer."""
+    threading.Event().wait()
+
+
+def synced_bytes(note: Path) -> int:
+    """How much of the log was durable when this was called."""
+    return int.from_bytes(note.read_bytes()[:SIDE_FILE_BYTES], "little") if note.exists() else 0
+
+
+def fork(
+    streams: tuple[int, int, int], program: str, arguments: list[str], script: Script | None
+) -> BaseProcess:
+    """Start a program with these as its standard input, output and error; the streams stay the caller's."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.system.children", "runtime.session.worker"])
+    ends = [
+        Connection(os.dup(stream), writable=number > 0, readable=number == 0)
+        for number, stream in enumerate(streams)
+    ]
+    process = context.Process(target=serve, args=(ends, program, arguments, script))
+    process.start()
+    for end in ends:
+        end.close()
+    return process

@@ -1,0 +1,491 @@
+"""Hub, simulated controller and runtime as processes, driven by the words their users would say.
+
+Nothing here sleeps: every wait is for a line, a frame or an exit, and is bounded. A bound is not an expectation;
+it is what a test may take on the slowest machine before it counts as hung.
+"""
+
+import json
+import math
+import os
+import re
+import secrets
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Self
+
+import can
+
+from protocol import records
+from protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, Frame, RuntimeHeartbeat, decode_frame
+from protocol.permit import KEY_BYTES, new_key_file
+from protocol.states import ControllerState
+from runtime.audit.inspect import Log, read_log
+from tests.system import children
+from tests.system.children import Script
+
+WAIT_S = 20.0
+END_S = 10.0
+ROOT = Path(__file__).parents[2]
+ROBOT = ROOT / "examples" / "robot.toml"
+SITE = """schema = "cutgate.site/1"
+[timing]
+heartbeat_ms = 50
+timeout_ms = 500
+"""
+HEARTBEAT_S, TIMEOUT_S = 0.05, 0.5
+POSES = 450
+FEED_MM_S = 2.0
+FAST = 30
+"""Time scale at which the short path of 36 mm takes 0.6 s; at scale 1 it outlasts every test."""
+UNIT = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+SAFE = ("INHIBITED", "FAULT")
+
+
+class HungError(AssertionError):
+    """What was waited for did not come; the message shows everything that did."""
+
+
+# ---------------------------------------------------------------- one process
+
+
+class Child:
+    """A process, the words it is told and the lines it says.
+
+    Attributes:
+        lines: what it has said so far, line by line.
+        document: its standard output, where that is kept apart from the lines.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        process: subprocess.Popen[bytes] | BaseProcess,
+        words: int,
+        streams: tuple[int, ...],
+        apart: int | None,
+    ) -> None:
+        self.name = name
+        self.pid = process.pid or 0
+        self.lines: list[str] = []
+        self.document = ""
+        self._process = process
+        self._words = words
+        self._rest = dict.fromkeys(streams, b"")
+        self._apart = apart
+        self._seen = 0
+
+    def say(self, word: str) -> None:
+        """Type one word."""
+        os.write(self._words, f"{word}\n".encode())
+
+    def signal(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def line(self, pattern: str) -> str:
+        """The next line that matches; lines before it are passed over."""
+        until_s = time.monotonic() + WAIT_S
+        while True:
+            while self._seen < len(self.lines):
+                text = self.lines[self._seen]
+                self._seen += 1
+                if re.search(pattern, text):
+                    return text
+            if not self._rest or not self._read(until_s):
+                raise HungError(f"{self.name} did not say {pattern!r}; it said\n{self.told}")
+
+    def exit(self) -> int:
+        """Everything it still says, then its exit code; negative for a signal."""
+        until_s = time.monotonic() + WAIT_S
+        while self._rest and self._read(until_s):
+            pass
+        code = self._exit_code(max(0.1, until_s - time.monotonic()))
+        if code is None:
+            raise HungError(f"{self.name} did not end; it said\n{self.told}")
+        assert "Traceback" not in self.told, self.told
+        return code
+
+    @property
+    def told(self) -> str:
+        """Everything it has said."""
+        return "\n".join([*self.lines, self.document])
+
+    def listen(self) -> None:
+        """Take what has been said so far, without waiting."""
+        while self._rest and self._read(0.0):
+            pass
+
+    def _read(self, until_s: float) -> bool:
+        """Take what arrives until then; whether anything did. A stream at its end is closed."""
+        left_s = max(0.0, until_s - time.monotonic())
+        ready, _, _ = select.select(list(self._rest), [], [], left_s)
+        for stream in ready:
+            data = os.read(stream, 65536)
+            if stream == self._apart:
+                self.document += data.decode()
+            else:
+                *lines, self._rest[stream] = (self._rest[stream] + data).split(b"\n")
+                self.lines += [line.decode().rstrip() for line in lines]
+            if not data:
+                del self._rest[stream]
+                os.close(stream)
+        return bool(ready)
+
+    def _exit_code(self, timeout_s: float) -> int | None:
+        if isinstance(self._process, BaseProcess):
+            self._process.join(timeout_s)
+            return self._process.exitcode
+        with suppress(subprocess.TimeoutExpired):
+            return self._process.wait(timeout_s)
+        return None
+
+    def end(self) -> None:
+        """Make sure that it is gone."""
+        if self._exit_code(0) is None:
+            self.signal(signal.SIGKILL)
+        self._exit_code(END_S)
+        for stream in (self._words, *self._rest):
+            os.close(stream)
+        self._rest = {}
+
+
+def start(
+    name: str, program: str, arguments: list[str], *, apart: bool, fresh: bool, script: Script | None
+) -> Child:
+    """Start a program, in a fresh interpreter or forked; ``apart`` keeps its standard output from its lines."""
+    words_read, words = os.pipe2(os.O_CLOEXEC)
+    output, output_write = os.pipe2(os.O_CLOEXEC)
+    messages, messages_write = os.pipe2(os.O_CLOEXEC)
+    theirs = (words_read, output_write, messages_write)
+    process: subprocess.Popen[bytes] | BaseProcess
+    if fresh:
+        assert script is None, "a fresh interpreter runs the program as it is"
+        command = [sys.executable, "-m", program, *arguments]
+        process = subprocess.Popen(
+            command, stdin=words_read, stdout=output_write, stderr=messages_write, cwd=ROOT
+        )
+    else:
+        process = children.fork(theirs, program, arguments, script)
+    for stream in theirs:
+        os.close(stream)
+    return Child(name, process, words, (output, messages), output if apart else None)
+
+
+# ---------------------------------------------------------------- the bus
+
+
+class Observer:
+    """One more client of the bus, that writes down every frame; ``at_once`` sees each the moment it arrives."""
+
+    def __init__(self, channel: Path) -> None:
+        self.frames: list[can.Message] = []
+        self.at_once: Callable[[can.Message], None] = lambda _message: None
+        self.bus = can.Bus(interface="cutgate", channel=str(channel))
+        self._changed = threading.Condition()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ended:
+            try:
+                message = self.bus.recv(timeout=0.1)
+            except can.CanOperationError:
+                return
+            if message is not None:
+                self.at_once(message)
+                with self._changed:
+                    self.frames.append(message)
+                    self._changed.notify_all()
+
+    def frame(self, wanted: Callable[[can.Message], bool], *, after: int = 0) -> can.Message:
+        """The first such frame from index ``after`` on; waits for it."""
+        until_s = time.monotonic() + WAIT_S
+        with self._changed:
+            while True:
+                for message in self.frames[after:]:
+                    if wanted(message):
+                        return message
+                after = max(after, len(self.frames))
+                left_s = until_s - time.monotonic()
+                if left_s <= 0.0 or not self._changed.wait(left_s):
+                    raise HungError(f"no such frame among {len(self.frames)}")
+
+    def single(
+        self, kind: type[Frame], wanted: Callable[[Any], bool] = lambda _frame: True, *, after: int = 0
+    ) -> can.Message:
+        """The first frame of this kind that is wanted."""
+        return self.frame(lambda message: is_kind(message, kind) and wanted(decoded(message)), after=after)
+
+    def all(self, kind: type[Frame]) -> list[tuple[float, Any]]:
+        """Every frame of this kind so far, with its time on the bus, s."""
+        return [(m.timestamp, decoded(m)) for m in list(self.frames) if is_kind(m, kind)]
+
+    def records(self, can_id: int) -> list[records.Envelope]:
+        """Every whole record that was sent on a transfer identifier."""
+        return list(_reassembled([m.data for m in list(self.frames) if m.arbitration_id == can_id]))
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._ended = True
+        self._thread.join(END_S)
+        self.bus.shutdown()
+
+
+def is_kind(message: can.Message, kind: type[Frame]) -> bool:
+    """Whether the identifier is this frame's."""
+    return not message.is_error_frame and message.arbitration_id == IDS[kind]
+
+
+def decoded(message: can.Message) -> Any:
+    """The frame in a message."""
+    return decode_frame(message.arbitration_id, bytes(message.data))
+
+
+def begins(message: can.Message, kind: type[records.Record]) -> bool:
+    """Whether this is the ISO-TP first frame of such a record: length 4 + 12 bit, then the record's type."""
+    sent_on = CONTROL_IDS[kind.SENDER]
+    return message.arbitration_id == sent_on and message.data[0] >> 4 == 1 and message.data[2] == kind.TYPE
+
+
+def _reassembled(frames: list[bytearray]) -> Iterator[records.Envelope]:
+    """ISO-TP put together again, for frames of one sender that arrive in order; what breaks off is left out."""
+    length, data = 0, b""
+    for frame in frames:
+        kind = frame[0] >> 4
+        if kind == 0:
+            length, data = frame[0] & 0xF, bytes(frame[1:])
+        elif kind == 1:
+            length, data = (frame[0] & 0xF) << 8 | frame[1], bytes(frame[2:])
+        elif kind == 2:
+            data += bytes(frame[1:])
+        if kind != 3 and 0 < length <= len(data):
+            yield records.unpack(data[:length])
+            length = 0
+
+
+# ---------------------------------------------------------------- the whole
+
+
+class Rig:
+    """A hub with whatever a test starts on it; leaving the block ends all of it.
+
+    Attributes:
+        folder: plan, registration, robot, site, keys and logs.
+        bus: an observer of every frame.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.children: list[Child] = []
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        # Not in the folder: a socket's path has at most 107 bytes.
+        place = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="cutgate-"))
+        self.channel = Path(place) / "bus.sock"
+        write_inputs(self.folder)
+        try:
+            self.hub = self._start("hub", "firmware_sim", ["bus", "serve", "--socket", str(self.channel)])
+            self.hub.line("serving on")
+            self.bus = Observer(self.channel)
+            self._stack.callback(self.bus.close)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for child in reversed(self.children):
+            child.end()
+        self._stack.close()
+
+    def _start(self, name: str, program: str, arguments: list[str], **how: Any) -> Child:
+        child = start(name, program, arguments, **{"apart": False, "fresh": False, "script": None, **how})
+        self.children.append(child)
+        return child
+
+    @property
+    def _where(self) -> list[str]:
+        return ["--interface", "cutgate", "--channel", str(self.channel)]
+
+    def sim(
+        self,
+        *faults: str,
+        scale: float = 1,
+        key: str = "site.key",
+        robot: Path = ROBOT,
+        fresh: bool = False,
+        ready: bool = True,
+    ) -> Child:
+        """The simulated controller, ready for a session unless told otherwise."""
+        options = ["--robot", str(robot), "--key", str(self.folder / key), "--time-scale", str(scale)]
+        options += [word for fault in faults for word in ("--fault", fault)]
+        child = self._start("controller", "firmware_sim", ["sim", *options, *self._where], fresh=fresh)
+        if ready:
+            child.line("enabling device released")
+        return child
+
+    def run(
+        self,
+        *,
+        plan: Path | None = None,
+        registration: str = "registration.json",
+        robot: Path = ROBOT,
+        key: str = "site.key",
+        logs: str = "logs",
+        json: bool = False,
+        fresh: bool = False,
+        script: Script | None = None,
+    ) -> Child:
+        """The runtime."""
+        here = self.folder
+        options = [
+            "--robot",
+            str(robot),
+            "--registration",
+            str(here / registration),
+            "--key",
+            str(here / key),
+        ]
+        options += ["--site", str(here / "site.toml"), "--log-dir", str(here / logs), *self._where]
+        options += ["--json"] * json
+        return self._start(
+            "runtime",
+            "runtime.cli",
+            ["run", str(plan or here / "plan.json"), *options],
+            apart=True,
+            fresh=fresh,
+            script=script,
+        )
+
+    # ------------------------------------------------------------ a session's usual way
+
+    def permitted(self, *faults: str, scale: float = 1, **how: Any) -> tuple[Child, Child]:
+        """Controller and runtime, permitted, with the enabling device still released."""
+        run, sim = self.run(**how), self.sim(*faults, scale=scale)
+        run.line("permitted:")
+        return sim, run
+
+    def cutting(self, *, scale: float = 1, **how: Any) -> tuple[Child, Child]:
+        """Controller and runtime, with the arm moving."""
+        sim, run = self.permitted(scale=scale, **how)
+        self.begin(sim, run)
+        return sim, run
+
+    def begin(self, sim: Child, run: Child) -> None:
+        """Hold the enabling device, say start, and see the arm cut."""
+        mark = len(self.bus.frames)
+        sim.say("hold")
+        run.line("enabling device is held")
+        run.say("start")
+        run.line("cutting$")
+        self.bus.single(ControllerHeartbeat, lambda beat: beat.state is ControllerState.CUTTING, after=mark)
+
+    def at_rest(self, sim: Child) -> str:
+        """The controller's state once it is without a session and announces itself again."""
+        mark = len(self.bus.frames)
+        first = self.bus.frame(lambda m: begins(m, records.Announce), after=mark)
+        self.bus.frame(lambda m: begins(m, records.Announce) and m.timestamp > first.timestamp, after=mark)
+        return state_of(sim)
+
+    # ------------------------------------------------------------ what is left behind
+
+    def logs(self, folder: str = "logs") -> list[Path]:
+        """The logs, oldest first."""
+        return sorted((self.folder / folder).glob("*.mcap"), key=lambda path: path.stat().st_ctime_ns)
+
+    def log(self) -> Log:
+        """The last log, read and judged."""
+        return judged(self.logs()[-1])
+
+
+def state_of(sim: Child) -> str:
+    """The controller's last word on its state, with its cause in brackets if there is one."""
+    sim.listen()
+    said = [line.removeprefix("state ") for line in sim.lines if line.startswith("state ")]
+    return re.split("[:;]", said[-1])[0]
+
+
+def judged(path: Path) -> Log:
+    """A log, read and judged together with its raw frames."""
+    candump = path.with_suffix(".candump.log")
+    return read_log(path.read_bytes(), candump.read_bytes() if candump.exists() else None)
+
+
+def session_tag(bus: Observer) -> int:
+    """What the last OPEN on the bus and its boot nonce make of the session."""
+    request = next(
+        e.record for e in reversed(bus.records(CONTROL_IDS[0])) if isinstance(e.record, records.Open)
+    )
+    return records.session_tag(request.boot_nonce, request.runtime_nonce)
+
+
+def last_heartbeat(bus: Observer) -> RuntimeHeartbeat:
+    """The runtime's last heartbeat on the bus."""
+    beat: RuntimeHeartbeat = bus.all(RuntimeHeartbeat)[-1][1]
+    return beat
+
+
+# ---------------------------------------------------------------- inputs
+
+
+def write_inputs(folder: Path) -> None:
+    """A short shallow path, two registrations that hold the same transform, a site and two keys."""
+    (folder / "plan.json").write_text(json.dumps(plan()), encoding="utf-8")
+    for name in ("registration", "another"):
+        (folder / f"{name}.json").write_text(json.dumps(registration(name)), encoding="utf-8")
+    (folder / "site.toml").write_text(SITE, encoding="utf-8")
+    for name in ("site.key", "wrong.key"):
+        if not (folder / name).exists():
+            new_key_file(folder / name, secrets.token_bytes(KEY_BYTES))
+
+
+def plan() -> dict[str, object]:
+    """450 poses, three blocks on the wire, in the middle of the example robot's workspace."""
+    poses = []
+    for number in range(POSES):
+        part = number / (POSES - 1)
+        lean, toward = math.radians(30 + 10 * part), math.radians(40 + 20 * part)
+        axis = (math.sin(lean) * math.cos(toward), math.sin(lean) * math.sin(toward), math.cos(lean))
+        tip = (600 + 30 * part, 5 * math.sin(6 * part), 200.0)
+        poses.append([round(value, 6) for value in (*tip, *axis)])
+    return {
+        "schema": "cutgate.plan/1",
+        "id": "short",
+        "implant": "none",
+        "side": "left",
+        "units": "mm",
+        "feed_mm_s": FEED_MM_S,
+        "ct_T_implant": UNIT,
+        "poses": poses,
+    }
+
+
+def registration(name: str, shift_mm: tuple[float, float, float] = (0, 0, 0)) -> dict[str, object]:
+    """A registration that only shifts; another name makes other bytes, therefore another digest."""
+    return {
+        "schema": "cutgate.registration/1",
+        "id": name,
+        "R_T_CT": [[*row[:3], by] for row, by in zip(UNIT, (*shift_mm, 1), strict=True)],
+        "residual_rms_mm": 0.1,
+        "created_utc": "2026-01-01T00:00:00Z",
+    }
+
+
+@contextmanager
+def rig(folder: Path) -> Iterator[Rig]:
+    """A rig of its own in this folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with Rig(folder) as made:
+        yield made

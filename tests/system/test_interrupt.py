@@ -1,0 +1,58 @@
+"""Ctrl-C and SIGTERM, at any moment: the controller is inhibited, the log is closed, nothing is torn."""
+
+import signal
+
+import pytest
+
+from runtime.audit.inspect import Status
+from runtime.interlock.state import Phase
+from tests.system.children import SECOND_BLOCK, Script
+from tests.system.harness import state_of
+
+BOTH = (signal.SIGINT, signal.SIGTERM)
+
+
+def test_an_interrupted_wait_for_a_controller_closes_the_log(rig):
+    run = rig.run(script=Script(at=Phase.WAITING, number=signal.SIGINT))
+    assert run.exit() == 3
+    assert rig.log().report.status is Status.OK
+
+
+@pytest.mark.parametrize(
+    ("at", "number"),
+    [
+        (Phase.OPENING, signal.SIGTERM),
+        (SECOND_BLOCK, signal.SIGINT),
+        (Phase.VERIFYING, signal.SIGTERM),
+        (Phase.AUTHORISING_PERMIT, signal.SIGINT),
+        (Phase.PERMITTED, signal.SIGTERM),
+        (Phase.PERMITTED, signal.SIGINT),
+    ],
+)
+def test_an_interrupted_session_ends_with_the_controller_inhibited(rig, at, number):
+    run, sim = rig.run(script=Script(at=at, number=number)), rig.sim()
+    assert run.exit() == 3
+    assert rig.at_rest(sim) == "INHIBITED"
+    log = rig.log()
+    assert log.report.status is Status.OK
+    assert log.of("/audit/close")[-1]["clean"] is True
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_an_interrupted_cut_is_stopped(rig, number):
+    sim, run = rig.cutting(fresh=number == signal.SIGINT)
+    run.signal(number)
+    assert run.exit() == 3
+    sim.line("state INHIBITED")
+    assert state_of(sim) == "INHIBITED (OPERATOR_QUIT)"
+    assert rig.log().report.status is Status.OK
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_an_interrupted_controller_stops_and_says_so(rig, number):
+    sim, run = rig.cutting()
+    sim.signal(number)
+    assert sim.exit() == 0
+    assert state_of(sim) == "INHIBITED (OPERATOR_QUIT)"
+    assert run.exit() == 3
+    assert rig.log().report.status is Status.OK

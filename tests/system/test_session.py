@@ -1,0 +1,93 @@
+"""A whole session, from announcement to the closed log."""
+
+import json
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from protocol import records
+from protocol.frames import CONTROL_IDS, RuntimeStop
+from protocol.states import StopCode
+from runtime.audit.inspect import Status
+from runtime.audit.replay import Outcome, replay
+from runtime.cli import execute
+from runtime.session.job import VERIFIER
+from runtime.verification import certified
+from tests.system.harness import FAST, POSES, ROOT, judged, registration
+
+REAL = ROOT.parent / "shared" / "paths"
+real_paths = pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
+
+
+def reviewed(path: Path) -> tuple[Status, Outcome]:
+    """What ``audit verify`` and ``audit replay`` say of a log."""
+    log = judged(path)
+    return log.report.status, replay(log, certified.verify, verifier=VERIFIER).outcome
+
+
+def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
+    run, sim = rig.run(json=True, fresh=True), rig.sim(scale=FAST, fresh=True)
+    run.line("permitted:")
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    assert rig.at_rest(sim) == "INHIBITED"
+
+    document = json.loads(run.document)
+    log = Path(document["log"]["mcap"])
+    assert document["schema"] == "cutgate.run/1"
+    assert (document["outcome"], document["cause"], document["log"]["closed"]) == ("completed", "NONE", True)
+    assert document["verdict"]["verdict"] == "admissible"
+    assert [log] == rig.logs()
+
+    assert execute(["audit", "verify", str(log)]) == 0
+    assert "OK (unsigned)" in capsys.readouterr().out
+    assert execute(["audit", "replay", str(log)]) == 0
+    assert "IDENTICAL" in capsys.readouterr().out
+
+    with log.open("rb") as file:  # the stock reader, as anyone would use it
+        reader = make_reader(file, validate_crcs=True)
+        decisions = [json.loads(m.data) for _, _, m in reader.iter_messages(topics=["/audit/decision"])]
+        attached = {attachment.name for attachment in reader.iter_attachments()}
+    assert decisions[-1]["to_state"] == "done"
+    assert {"robot.toml", "site.toml", "registration.json", "path.bin", "cutgate.dbc"} <= attached
+
+
+def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):
+    sim, run = rig.cutting(scale=FAST)
+    assert run.exit() == 0
+    rig.at_rest(sim)
+    kinds = [type(envelope.record) for envelope in rig.bus.records(CONTROL_IDS[0])]
+    assert kinds == [
+        records.Open,
+        records.Collect,
+        records.NonceRequest,
+        records.Permit,
+        records.NonceRequest,
+        records.Start,
+    ]
+    assert [stop.code for _, stop in rig.bus.all(RuntimeStop)] == [StopCode.END]
+
+
+@real_paths
+def test_a_real_five_axis_path_is_cut_to_its_end(rig):
+    placed = registration("placed", (600, 0, 200))
+    (rig.folder / "placed.json").write_text(json.dumps(placed), encoding="utf-8")
+    sim, run = rig.cutting(scale=100, plan=REAL / "impeller-blade.csv", registration="placed.json")
+    assert run.exit() == 0
+    assert "DONE: 483 segments executed" in sim.line("state DONE")
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+
+
+@real_paths
+def test_a_real_path_that_goes_round_is_not_admitted(rig):
+    placed = registration("placed", (600, 0, 200))
+    (rig.folder / "placed.json").write_text(json.dumps(placed), encoding="utf-8")
+    run, sim = rig.run(plan=REAL / "impeller-op1.csv", registration="placed.json"), rig.sim()
+    assert run.exit() == 1
+    assert "INADMISSIBLE" in run.document
+    assert "roll_m" in run.document.partition("NOT ADMITTED")[2]
+    assert rig.at_rest(sim) == "INHIBITED"
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert "state PERMITTED" not in sim.told

@@ -1,0 +1,194 @@
+"""Whatever stops a cut stops it: at the controller, at the runtime, by its death, by the death of the bus."""
+
+import signal
+
+import pytest
+
+from protocol import records
+from protocol.frames import ControllerFault, ControllerHeartbeat, Joint4, Joints01, Joints23, RuntimeHeartbeat
+from protocol.states import ControllerState, StopCause
+from runtime.audit.inspect import Status
+from tests.system.harness import TIMEOUT_S, is_kind, state_of
+
+MARGIN_S = 0.45
+"""For a busy machine; nothing in here depends on its smallness but the claim that the stop came in time."""
+
+
+def moved_after(rig, stopped_s: float) -> bool:
+    """Whether any joint moved after this moment on the bus."""
+    kinds = (Joints01, Joints23, Joint4)
+    frames = [
+        m for m in list(rig.bus.frames) if m.timestamp > stopped_s and any(is_kind(m, k) for k in kinds)
+    ]
+    return any(len({bytes(m.data[3:]) for m in frames if is_kind(m, kind)}) > 1 for kind in kinds)
+
+
+@pytest.mark.parametrize(
+    ("word", "cause"),
+    [
+        ("release", StopCause.DEVICE_RELEASED),
+        ("estop", StopCause.EMERGENCY_STOP),
+        ("bone-motion", StopCause.BONE_MOVED),
+        ("limit", StopCause.LIMITS_CHANGED),
+    ],
+)
+def test_a_word_at_the_controller_stops_the_cut(rig, word, cause):
+    sim, run = rig.cutting()
+    sim.say(word)
+    assert run.exit() == 3
+    stopped = rig.bus.single(ControllerFault, lambda fault: fault.cause is cause)
+    assert state_of(sim) == f"INHIBITED ({cause.name})"
+    assert rig.at_rest(sim) == f"INHIBITED ({cause.name})"
+    assert not moved_after(rig, stopped.timestamp)
+    assert cause.name in run.told
+    assert rig.log().report.status is Status.OK
+
+
+@pytest.mark.parametrize(
+    ("word", "cause"),
+    [
+        ("stop", StopCause.OPERATOR_STOP),
+        ("withdraw", StopCause.REGISTRATION_WITHDRAWN),
+        ("quit", StopCause.OPERATOR_QUIT),
+    ],
+)
+def test_a_word_at_the_runtime_stops_the_cut(rig, word, cause):
+    sim, run = rig.cutting()
+    run.say(word)
+    assert run.exit() == 3
+    stopped = rig.bus.single(ControllerFault, lambda fault: fault.cause is cause)
+    assert rig.at_rest(sim) == f"INHIBITED ({cause.name})"
+    assert not moved_after(rig, stopped.timestamp)
+    assert rig.log().report.status is Status.OK
+
+
+def lost(rig) -> float:
+    """How long after the runtime's last heartbeat the controller said on the bus that it had stopped."""
+    fault = rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.HEARTBEAT_LOST)
+    return fault.timestamp - max(at for at, _ in rig.bus.all(RuntimeHeartbeat) if at < fault.timestamp)
+
+
+def test_a_killed_runtime_stops_the_cut_within_the_time_out(rig):
+    sim, run = rig.cutting()
+    run.signal(signal.SIGKILL)
+    assert run.exit() == -signal.SIGKILL
+    assert lost(rig) <= TIMEOUT_S + MARGIN_S
+    assert rig.at_rest(sim) == "INHIBITED (HEARTBEAT_LOST)"
+
+
+def test_a_wedged_loop_stops_the_cut_within_the_time_out_and_says_so_when_it_comes_back(rig):
+    sim, run = rig.cutting()
+    run.signal(signal.SIGSTOP)
+    sim.line("HEARTBEAT_LOST")
+    assert lost(rig) <= TIMEOUT_S + MARGIN_S
+    mark = len(rig.bus.frames)
+    run.signal(signal.SIGCONT)
+    run.line("STOP sent: the loop stood still")
+    assert run.exit() == 3
+    assert rig.log().of("/audit/decision")[-1]["first_out"] == "LOOP_STALLED"
+    assert rig.log().report.status is Status.OK
+    assert rig.at_rest(sim) == "INHIBITED (HEARTBEAT_LOST)"
+    states = {frame.state for _, frame in rig.bus.all(ControllerHeartbeat)[-1:]}
+    assert states <= {ControllerState.INHIBITED, ControllerState.CUTTING}
+    assert not any(
+        is_kind(m, ControllerHeartbeat) for m in rig.bus.frames[mark:]
+    )  # it stays without a session
+
+
+def test_a_wedged_controller_is_noticed_and_stops_by_itself_when_it_comes_back(rig):
+    sim, run = rig.cutting()
+    sim.signal(signal.SIGSTOP)
+    assert run.exit() == 3
+    assert "HEARTBEAT_LOST" in rig.log().of("/audit/decision")[-1]["first_out"]
+    mark = len(rig.bus.frames)
+    sim.signal(signal.SIGCONT)
+    sim.line("state INHIBITED")
+    assert rig.at_rest(sim) == "INHIBITED (LOOP_STALLED)"
+    assert not [m for m in rig.bus.frames[mark:] if is_kind(m, ControllerHeartbeat) and b"\x69\x69" in m.data]
+
+
+def test_a_dead_controller_ends_the_session(rig):
+    sim, run = rig.cutting()
+    sim.signal(signal.SIGKILL)
+    assert run.exit() == 3
+    assert rig.log().of("/audit/decision")[-1]["first_out"] == "HEARTBEAT_LOST"
+    assert rig.log().report.status is Status.OK
+
+
+def test_a_dead_bus_stops_both(rig):
+    sim, run = rig.cutting()
+    rig.hub.signal(signal.SIGKILL)
+    assert run.exit() == 3
+    assert sim.exit() == 2
+    assert state_of(sim) == "INHIBITED (BUS_FAILED)"
+    log = rig.log()
+    assert log.report.status is Status.OK
+    assert log.of("/audit/decision")[-1]["first_out"] == "BUS_FAILED"
+
+
+# ---------------------------------------------------------------- what it takes to go on
+
+
+def test_after_a_stop_a_new_session_waits_for_acknowledge(rig):
+    sim, run = rig.cutting()
+    sim.say("release")
+    assert run.exit() == 3
+    again = rig.run()
+    again.line("its cause is DEVICE_RELEASED")
+    again.say("reset")
+    again.line("reset refused: controller's stop cause")
+    again.say("acknowledge")
+    again.line("permitted:")
+    again.say("quit")
+    assert again.exit() == 3
+    assert rig.at_rest(sim) == "INHIBITED"
+
+
+def test_a_latched_fault_needs_acknowledge_and_then_reset(rig):
+    sim = rig.sim()
+    run = rig.run(key="wrong.key")
+    run.line("STOP sent")
+    assert run.exit() == 3
+    assert "refused: MAC_INVALID" in sim.line("MAC_INVALID")
+    assert rig.at_rest(sim) == "FAULT (AUTHENTICATION_FAILED)"
+
+    again = rig.run()
+    again.line("its cause is AUTHENTICATION_FAILED")
+    again.say("acknowledge")
+    again.line("the fault is latched: say reset")
+    again.say("start")
+    again.line("start refused")  # still held: acknowledging neither resets nor starts
+    again.say("reset")
+    again.line("permitted:")
+    again.say("quit")
+    assert again.exit() == 3
+    authorised = [r["kind"] for r in rig.log().of("/audit/permit") if r["stage"] == "sent"]
+    assert authorised == ["reset", "permit"]
+
+
+# ---------------------------------------------------------------- a bone that has moved
+
+
+def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
+    sim, run = rig.cutting()
+    sim.say("bone-motion")
+    assert run.exit() == 3
+
+    again = rig.run()
+    again.line("its cause is BONE_MOVED")
+    again.say("acknowledge")
+    assert again.exit() == 1
+    assert "the controller refused the permit: REGISTRATION_WITHDRAWN" in again.told
+
+    sim.signal(signal.SIGINT)
+    assert sim.exit() == 0
+    sim = rig.sim()
+    after_reboot = rig.run()
+    assert after_reboot.exit() == 1
+    assert "REGISTRATION_WITHDRAWN" in after_reboot.told
+    assert "state PERMITTED" not in sim.told
+
+    other = rig.run(registration="another.json")
+    other.line("permitted:")
+    other.say("quit")
+    assert other.exit() == 3

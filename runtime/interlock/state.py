@@ -228,6 +228,8 @@ class Interlock:
     cause: StopCause = StopCause.NONE
     """First-out."""
     reason: str = ""
+    stops_sent: frozenset[StopCause] = frozenset()
+    """The causes for which a stop has left."""
 
 
 # ---------------------------------------------------------------- events

@@ -93,15 +93,19 @@ def _enter(state: Interlock, phase: Phase, now_s: float, **changes: Any) -> Inte
 def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
     """Stop at once. Permit, nonce and pending record are void; the first cause is kept.
 
-    A later cause leaves as well: the first frame may be lost, and this one may latch or withdraw.
+    A later cause leaves as well, once: it may latch or withdraw. A lost frame is made good by the heartbeat's level.
     """
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
+    sent = state.stops_sent | {cause}
     if state.phase is Phase.STOPPING:
-        return state, (SendStop(StopCode.STOP, cause),)
+        news = sent != state.stops_sent
+        return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause),) if news else ()
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
-    stopped = _enter(state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None)
+    stopped = _enter(
+        state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None, stops_sent=sent
+    )
     return stopped, (SendStop(StopCode.STOP, cause), *withheld)
 
 

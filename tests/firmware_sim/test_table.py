@@ -638,6 +638,11 @@ def test_only_a_fresh_cut_of_this_epoch_begins_the_motion_and_only_that_upholds_
     assert not fed(stopped, alive(RuntimeCode.CUT)).may_move, "there is no pause to resume from"
 
 
+def test_a_stale_cut_does_not_count_as_the_cut_that_must_follow_a_start():
+    after = fed(fed(STARTED, alive(RuntimeCode.CUT, fresh=False)), Tick(), now_s=NOW + 0.11)
+    assert (after.state, after.cause) == (C.INHIBITED, StopCause.HEARTBEAT_LOST)
+
+
 def test_twenty_six_stale_heartbeats_do_not_keep_the_gate_open():
     state = fed(CUTTING, *(alive(RuntimeCode.CUT, fresh=False) for _ in range(26)))
     assert (state.state, state.epoch) == (C.INHIBITED, 2)

@@ -224,6 +224,35 @@ def test_hopeless_is_what_no_act_can_cure():
         assert not p.all_hold(p.FOR_PERMIT, curable, NOW)
 
 
+HOPELESS = [
+    (field, value, evaluate)
+    for field, value, evaluate, *_ in ALONE
+    if evaluate
+    in set(p.COLLECTED)
+    | {p.path_accepted, p.path_digest, p.verdict_admissible, p.verdict_current}
+    | {p.registration_age, p.registration_stands, p.log_writable}
+]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "evaluate"), HOPELESS, ids=[f"{field}={value!r:.30}" for field, value, _ in HOPELESS]
+)
+def test_what_no_act_can_cure_is_not_waited_for(field, value, evaluate):
+    assert [one.name for one in p.hopeless(altered(READY, field, value), NOW)] == [_name(evaluate)]
+
+
+def test_a_reset_needs_the_same_controller_at_rest_and_the_log():
+    assert set(p.FOR_RESET) == {
+        p.protocol_version,
+        p.serial_number,
+        p.log_writable,
+        p.heartbeat_fresh,
+        p.no_stop_cause,
+        p.emergency_stop,
+        p.epoch_current,
+    }
+
+
 def test_space_is_hopeless_only_after_the_file_system_has_answered():
     assert p.hopeless(altered(READY, "log.reserved_bytes", 0), NOW) == ()
     assert [one.name for one in p.hopeless(altered(READY, "log.reserved_bytes", 1), NOW)] == [

@@ -592,10 +592,23 @@ def test_a_device_released_at_the_moment_of_the_permit_was_seen_released():
 def test_words_while_stopping():
     state = in_phase(Phase.STOPPING, cause=StopCause.DEVICE_RELEASED)
     again, effects = step(state, Said(Word.STOP), NOW)
-    assert (again, stops(effects)) == (state, [StopCause.OPERATOR_STOP])
+    assert (again.cause, stops(effects)) == (StopCause.DEVICE_RELEASED, [StopCause.OPERATOR_STOP])
     withdrawn, effects = step(state, Said(Word.WITHDRAW), NOW)
     assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
-    assert withdrawn == replace(state, registration_withdrawn=True)
+    assert withdrawn.registration_withdrawn
+
+
+@each_phase
+def test_a_cause_that_the_shell_reports_every_turn_leaves_once(phase):
+    """Each stop is answered by a fault frame, which wakes the loop: repeated, they would chase each other."""
+    run = Run(in_phase(phase), NOW).feed(Failed(StopCause.AUDIT_FAILED, "the disk does not answer"))
+    assert stops(run.effects) == [StopCause.AUDIT_FAILED]
+    for _ in range(5):
+        run.feed(
+            FaultReceived(FaultCode.LATCHED, StopCause.AUDIT_FAILED),
+            Failed(StopCause.AUDIT_FAILED, "the disk does not answer"),
+        )
+        assert run.effects == ()
 
 
 # ---------------------------------------------------------------- opening and the held controller

@@ -95,9 +95,11 @@ class Dense:
         xy, q = self.joints(tip, axis)
         lo, hi = self.lo, self.hi
         planar = np.stack([self.side_distance(xy, n) for n in ("inner", "outer", "left", "right")], axis=1)
+        self.unsigned = {"left": planar[:, 2], "right": planar[:, 3]}
+        bounding = 2 if hi[0] - lo[0] >= 2 * math.pi else 4
         turn = np.mod(q[:, 0] - lo[0], 2 * math.pi)
         self.inside = (q[:, 1] >= self.q1[0]) & (q[:, 1] <= self.q1[1]) & (turn <= hi[0] - lo[0])
-        nearest = planar.argmin(axis=1)
+        nearest = planar[:, :bounding].argmin(axis=1)
         signed = planar.copy()
         rows = np.flatnonzero(~self.inside)
         signed[rows, nearest[rows]] *= -1
@@ -116,12 +118,25 @@ class Dense:
         with np.errstate(invalid="ignore"):
             return np.arcsin(np.sin(e) / np.sin(q[:, 4])) - e + mm / (self.a1 * np.abs(np.sin(q[:, 1])))
 
-    def roll(self, roll_turns):
-        """Roll margins in deg for a branch; the branch counts reported joints at the first pose."""
-        offset = self.problem.calibration.joint_offset[3]
-        first = self.q3[0] - offset
+    def lifted(self, joint, turns):
+        """A joint followed continuously; its turns count the reported joint at the first pose."""
+        followed = self.q0 if joint == 0 else self.q3
+        first = followed[0] - self.problem.calibration.joint_offset[joint]
         wrapped = -((-first + math.pi) % (2 * math.pi) - math.pi)
-        lifted = self.q3 + (wrapped + 2 * math.pi * roll_turns - first)
+        return followed + (wrapped + 2 * math.pi * turns - first)
+
+    def lifted_sides(self, q0_turns):
+        """Left and right of a shoulder of a turn or more: they count within half a turn of their limit."""
+        q0 = self.lifted(0, q0_turns)
+        out = {}
+        for name, beyond in (("left", q0 - self.hi[0]), ("right", self.lo[0] - q0)):
+            signed = np.where(beyond <= 0, self.unsigned[name], -self.unsigned[name])
+            out[name] = np.where(np.abs(beyond) <= math.pi, signed, np.inf)
+        return out
+
+    def roll(self, roll_turns):
+        """Roll margins in deg for a branch."""
+        lifted = self.lifted(3, roll_turns)
         return {
             "roll_min": np.degrees(lifted - self.widening - self.lo[3]),
             "roll_max": np.degrees(self.hi[3] - lifted - self.widening),

@@ -41,12 +41,14 @@ def wrist_path(centres, axes, tool=160.0):
     return np.asarray(centres, float) - tool * axes, np.array(axes)
 
 
-def random_problem(rng, *, calibrated=True, segments=3, wide=False):
+def random_problem(rng, *, calibrated=True, segments=3, wide=False, spinning=False):
     """A path through random joints of a random arm, from tiny steps to large sweeps."""
     elbow = rng.choice(["right", "left"])
     side = 1.0 if elbow == "right" else -1.0
     a0, a1 = rng.uniform(200, 600, 2)
     centre, span = rng.uniform(-math.pi, math.pi), rng.uniform(0.3, 5.5)
+    if spinning:
+        span = rng.uniform(6.3, 9.0)
     bend = np.sort(rng.uniform(0, math.pi, 2)) * side
     if rng.random() < 0.3:
         bend = np.array([0.0, side * rng.uniform(1.5, math.pi)])

@@ -69,6 +69,19 @@ def test_a_search_that_runs_out_of_effort_admits_nothing(monkeypatch):
     assert verdict.evaluations.arm <= verdict.evaluations.worst_case
 
 
+@pytest.mark.parametrize("allowed", range(1, 14))
+def test_what_an_exhausted_search_left_open_counts_as_its_parents_proved_it(monkeypatch, allowed):
+    """The way between the poses comes to 1.72 mm at a third of a 137 deg turn, where no cut falls."""
+    monkeypatch.setattr(bisection, "budget", lambda _: allowed)
+    monkeypatch.setattr(bisection, "BLOCK", 1)
+    axes = axis(90 * DEG, np.array([-137 / 3, 137 * 2 / 3]) * DEG)
+    tips = np.array([[400.0, 0.0, 100.0]] * 2)
+    lower, upper = np.array([-2.9, 0.0, 0.0, -50.0, 0.0]), np.array([2.9, 3.1, 450.0, 50.0, 3.0])
+    verdict = certified.verify(problem(tips, axes, tool_length_mm=498.28, lower=lower, upper=upper))
+    assert verdict.boundaries["outer"].certified <= 1.7200001
+    assert not verdict.admissible
+
+
 def test_the_size_of_the_blocks_changes_nothing(monkeypatch):
     rng = np.random.default_rng(3)
     paths = [random_problem(rng, segments=30) for _ in range(6)] + [round_the_column(880.0, poses=40)]

@@ -199,6 +199,8 @@ def test_the_same_passage_is_admitted_with_a_free_roll_and_refused_by_its_speed(
     assert certified.verify(problem(tips, axes, deadband=tiny, **free)).admissible
     slow = free | {"speed": np.array([1.0, 1.0, 200.0, 2.0, 2.0])}
     verdict = certified.verify(problem(tips, axes, deadband=tiny, **slow))
+    assert not verdict.admissible
+    assert not any(b.violated for b in verdict.boundaries.values())
     assert [line.joint for line in verdict.speed if not line.ok] == [3]
     assert verdict.speed[3].peak > 100
     assert any(reason.startswith("joint 3: needs up to") for reason in verdict.reasons)
@@ -430,3 +432,28 @@ def test_a_lifted_limit_that_decides_is_refused_in_mm():
     assert not verdict.admissible
     assert verdict.boundaries["right"].violated
     assert 0 < verdict.boundaries["right"].clearance < 1.0
+
+
+def test_an_offset_past_the_folded_elbow_makes_the_fold_the_boundary():
+    tips, axes = wrist_path([[60.0, 0.0, 100.0], [60.0, 1.0, 100.0]], LEVEL)
+    folds = limits(q0=(-170, 170), q1=(0, 179))
+    offset = Calibration(joint_offset=np.array([0.0, 0.1, 0.0, 0.0, 0.0]))
+    verdict = certified.verify(
+        problem(tips, axes, arm=Arm(450.0, 400.0, "right"), calibration=offset, **folds)
+    )
+    assert verdict.boundaries["inner"].clearance == pytest.approx(60.0 - 50.0, abs=1e-9)
+
+
+def test_a_tie_set_by_another_boundary_goes_to_the_smallest_turn():
+    """The arm keeps 1.2 of its deadband; both roll turns keep more, the larger one by far."""
+    tips, axes = wrist_path([[894.0, 0.0, 100.0], [893.0, 1.0, 100.0]], axis(1.0, 0.0))
+    free = certified.verify(problem(tips, axes, **limits(q0=(-170, 170), q1=(0, 170))))
+    start = free.boundaries["roll_min"].clearance - 36000
+    verdict = certified.verify(
+        problem(tips, axes, **limits(q0=(-170, 170), q1=(0, 170), q3=(start - 60, start + 360 + 200)))
+    )
+    assert verdict.branch.roll_turns == 0
+    tighter = certified.verify(
+        problem(tips, axes, **limits(q0=(-170, 170), q1=(0, 170), q3=(start - 2.1, start + 360 + 200)))
+    )
+    assert tighter.branch.roll_turns == 1

@@ -219,3 +219,56 @@ def test_tiny_deadbands_near_the_limits_admit_nothing_that_touches():
             assert dense.inside.all()
             assert min(np.nanmin(m) for m in margins(problem, verdict, dense).values()) > 0
     assert admitted > 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_shoulder_of_more_than_a_turn_is_followed_continuously(seed):
+    rng = np.random.default_rng([20260102, seed])
+    counted = 0
+    for case in range(16):
+        problem = random_problem(
+            rng, segments=int(rng.integers(2, 9)), spinning=True, wide=rng.random() < 0.5
+        )
+        verdict, dense = certified.verify(problem), Dense(problem, 150)
+        if verdict.branch is None:
+            assert not verdict.admissible
+            continue
+        sides = dense.lifted_sides(verdict.branch.q0_turns)
+        q0 = dense.lifted(0, verdict.branch.q0_turns)
+        assert dense.lo[0] - 1e-9 <= q0.min() <= q0.max() <= dense.hi[0] + 1e-9, case
+        for name in ("left", "right"):
+            least = sides[name].min()
+            if name not in verdict.boundaries:
+                assert least > verdict.deadband_arm_mm, (case, name)
+                continue
+            b = verdict.boundaries[name]
+            counted += 1
+            assert b.certified <= least + ORACLE_MM, (case, b)
+            if verdict.admissible:
+                assert least >= b.deadband - ORACLE_MM
+    assert counted > 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_shoulder_that_leaves_its_lifted_limits_is_bounded_from_below(seed):
+    """The branch is asked for, so the path may leave its limit: the bound then holds outside as well."""
+    rng = np.random.default_rng([20260103, seed])
+    left = 0
+    for _ in range(12):
+        problem = random_problem(rng, calibrated=False, segments=4, spinning=True, wide=True)
+        free = Dense(problem, 150)
+        q0 = free.lifted(0, 0)
+        short = np.array([*problem.upper])
+        short[0] = (q0.min() + q0.max()) / 2
+        lower = np.array([*problem.lower])
+        lower[0] = short[0] - 6.4
+        cut = replace(problem, upper=short, lower=lower, branch=(0, 0))
+        verdict, dense = certified.verify(cut), Dense(cut, 150)
+        b = verdict.boundaries.get("left")
+        if not dense.inside.all() or b is None or b.certified is None:
+            continue
+        left += 1
+        assert not verdict.admissible
+        assert b.certified <= dense.lifted_sides(0)["left"].min() + ORACLE_MM
+        assert verdict.branch is None
+    assert left > 3

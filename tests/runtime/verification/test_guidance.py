@@ -160,3 +160,10 @@ def test_a_shoulder_of_more_than_a_turn_is_guided_by_its_circles():
     _, found = advice(path)
     assert found.verified
     assert moved(path, found.translation_mm).admissible
+
+
+def test_a_move_that_the_certified_method_does_not_admit_is_not_shown():
+    path = spot(930.0, 100.0, speed=np.full(5, 1e-6))
+    _, found = advice(path)
+    assert (found.translation_mm, found.verified) == (None, False)
+    assert "no translation found" in found.text

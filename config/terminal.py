@@ -6,6 +6,8 @@ from typing import Generic, TypeVar
 
 READ_BYTES = 4096
 LINE_BYTES_MAX = 256
+CUT = b"..."
+"""Stands for what a line is too long by."""
 
 W = TypeVar("W", bound=StrEnum)
 
@@ -40,7 +42,8 @@ class WordReader(Generic[W]):
             self.descriptor = None
             return []
         *lines, self._rest = (self._rest + data).split(b"\n")
-        self._rest = self._rest[-LINE_BYTES_MAX:]
+        if len(self._rest) > LINE_BYTES_MAX:  # no word is so long; what is cut off must not make one of it
+            self._rest = self._rest[:LINE_BYTES_MAX] + CUT
         texts = [line.decode("ascii", "replace").strip().lower() for line in lines]
         return [self._word(text) for text in texts if text]
 

@@ -31,6 +31,7 @@ from protocol.records import Side
 
 EXIT_OK: Final = 0
 EXIT_BAD_INPUT: Final = 2
+EXIT_INTERNAL: Final = 70
 LISTEN_S: Final = 0.6
 """How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
 TIME_SCALE_MAX: Final = 1000.0
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the simulated controller until SIGINT or SIGTERM.
 
     Returns:
-        0 after a clean end, 2 on bad input, key or bus.
+        0 after a clean end, 2 on bad input, key or bus, 70 on an internal error.
     """
     options = _parser().parse_args(arguments)
     try:
@@ -62,6 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (can.CanInitializationError, can.CanError) as error:
         print(f"cutgate sim: bus: {error}", file=sys.stderr)  # noqa: T201 - the command's output
         return EXIT_BAD_INPUT
+    except Exception as error:  # noqa: BLE001 - the arm stands already; one line and a code, never a traceback
+        text = f"{type(error).__name__}: {error}".replace("\n", " ")
+        print(f"cutgate sim: internal error: {text}", file=sys.stderr)  # noqa: T201 - the command's output
+        return EXIT_INTERNAL
     return EXIT_OK
 
 

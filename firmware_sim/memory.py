@@ -32,7 +32,9 @@ def load(path: Path) -> frozenset[bytes]:
         entries = json.loads(text)["withdrawn"]
         withdrawn = frozenset(bytes.fromhex(entry) for entry in entries)
     except (ValueError, KeyError, TypeError) as error:
-        raise ControllerMemoryError(f"{path}: not a memory file ({error}); restore it or use another key") from None
+        raise ControllerMemoryError(
+            f"{path}: not a memory file ({error}); restore it or use another key"
+        ) from None
     if not all(len(entry) == 32 for entry in withdrawn):
         raise ControllerMemoryError(f"{path}: a withdrawn digest is not 32 bytes long; restore the file")
     return withdrawn

@@ -4,11 +4,12 @@ One turn: look at the clocks, read the bus and the terminal, feed the table, mov
 heartbeat, flush. The heartbeat is the last act of a turn in which the table was evaluated.
 """
 
+import contextlib
 import math
 import os
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path as FilePath
@@ -106,6 +107,8 @@ class Process:
         words: the terminal, None without one.
         say: shows one line to the person at the controller.
         clock: monotonic seconds.
+        random: the operating system's generator.
+        sleep: stands still for so many seconds, for the fault that hangs the loop.
     """
 
     def __init__(
@@ -119,6 +122,7 @@ class Process:
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.controller = controller
         self.port = port
@@ -128,6 +132,7 @@ class Process:
         self._say = say
         self._clock = clock
         self._random = random
+        self._sleep = sleep
         self._faults = list(options.faults)
         self._silent = False
         self._turn_s = clock()
@@ -149,49 +154,71 @@ class Process:
         poller = select.poll()
         poller.register(wake, select.POLLIN)
         poller.register(self.port.bus.fileno(), select.POLLIN)
-        if self._words is not None and self._words.descriptor is not None:
-            poller.register(self._words.descriptor, select.POLLIN)
+        if self._words_descriptor is not None:
+            poller.register(self._words_descriptor, select.POLLIN)
         while True:
             ready = {descriptor for descriptor, _ in poller.poll(self._wait_ms())}
             if wake in ready:
                 self._feed(Fault(StopCause.OPERATOR_QUIT))
                 self.port.flush()
                 return
-            if self._words is not None and self._words.descriptor in ready:
-                descriptor = self._words.descriptor
-                self._read_words()
-                if self._words.descriptor is None:
-                    poller.unregister(descriptor)
-            self.turn()
+            descriptor = self._words_descriptor
+            self.turn(ready)
+            if descriptor is not None and self._words_descriptor is None:  # end of file
+                poller.unregister(descriptor)
 
-    def turn(self) -> None:
-        """One turn of the loop.
+    def turn(self, ready: Collection[int] = ()) -> None:
+        """One turn of the loop. After anything that is raised the arm stands, for nothing else moves it.
+
+        Args:
+            ready: descriptors that can be read.
 
         Raises:
-            can.CanError: the bus failed; the arm has been stopped.
+            can.CanError: the bus failed.
         """
-        now_s = self._clock()
-        gap_s, self._turn_s = now_s - self._turn_s, now_s
         try:
-            self._look_at_clocks(gap_s, now_s)
-            for item in self.port.read(now_s):
-                self._item(item)
-            self._continue_check()
-            self._feed(Tick())
-            self._move(gap_s)
-            self._inject()
-            self._speak(now_s)
-            if not self._silent:
-                self.port.flush()
+            self._turn(ready)
         except can.CanError:
             self._feed(Fault(StopCause.BUS_FAILED))
             raise
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _turn(self, ready: Collection[int]) -> None:
+        now_s = self._clock()
+        gap_s, self._turn_s = now_s - self._turn_s, now_s
+        self._look_at_clocks(gap_s, now_s)
+        for item in self.port.read(now_s):
+            self._item(item)
+        self._read_words(ready)
+        self._continue_check()
+        self._feed(Tick())
+        self._move(gap_s)
+        self._inject()
+        self._speak(now_s)
+        if not self._silent:
+            self.port.flush()
+
+    def _give_up(self) -> None:
+        """The program itself failed: latch, tell the runtime if the bus still carries it, send nothing else."""
+        self.controller, effects = step(self.controller, Fault(StopCause.INTERNAL_ERROR), self._clock())
+        self.port.endpoint.abort()
+        for effect in effects:
+            if isinstance(effect, SendFault):
+                self._carry_out(effect)
+        with contextlib.suppress(can.CanError):  # heartbeats cease: the runtime stops within the time-out
+            self.port.flush()
 
     def _wait_ms(self) -> float:
         if self._check is not None:
             return 0.0
         due = self._next_heartbeat_s if self._link_open else self._next_announce_s
         return max(0.0, (due - self._clock()) * 1000.0)
+
+    @property
+    def _words_descriptor(self) -> int | None:
+        return self._words.descriptor if self._words is not None else None
 
     @property
     def _link_open(self) -> bool:
@@ -299,8 +326,8 @@ class Process:
 
     # ------------------------------------------------------------ the person at the controller
 
-    def _read_words(self) -> None:
-        if self._words is None:
+    def _read_words(self, ready: Collection[int]) -> None:
+        if self._words is None or self._words.descriptor not in ready:
             return
         for word in self._words.read():
             if isinstance(word, Word):
@@ -356,7 +383,9 @@ class Process:
         cause = "" if now.cause is StopCause.NONE else f" ({now.cause.name})"
         detail = ""
         if isinstance(event, PathFinished):
-            detail = f": {self._executed} segments executed, peak joint speed {self._speed_ratio:.0%} of its limit"
+            detail = (
+                f": {self._executed} segments executed, peak joint speed {self._speed_ratio:.0%} of its limit"
+            )
         self._say(f"state {now.state.name}{cause}{detail}")
 
     def _carry_out(self, effect: Effect) -> None:
@@ -530,7 +559,7 @@ class Process:
                 joints = (q0 + math.radians(OFF_START_DEG), q1, q2, q3, q4)
                 self._arm_state = replace(self._arm_state, joints=joints)
             case FaultName.HANG:
-                time.sleep(HANG_S)
+                self._sleep(HANG_S)
             case FaultName.SILENT:
                 self._silent = True
             case FaultName.CHANGE_LIMIT:
@@ -558,6 +587,7 @@ class Process:
     def _reboot(self) -> None:
         old = self.controller
         self.port.endpoint.end_session()
+        self._assembly, self._check = records.Assembly(), None
         self.controller = Controller(
             identity=replace(old.identity, boot_nonce=self._random(16)),
             holdings=replace(old.holdings, path=None, start_joints_u=None),

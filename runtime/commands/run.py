@@ -25,7 +25,7 @@ from runtime.commands.screen import working
 from runtime.commands.session_view import SessionView, print_outcome, run_document
 from runtime.interlock.state import Interlock, Phase, Word
 from runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
-from runtime.session.journal import Journal
+from runtime.session.journal import Journal, plain
 from runtime.session.loop import Session, wake_pipe
 from runtime.session.worker import Request, Worker
 from runtime.verification.document import document_text
@@ -106,19 +106,15 @@ def _session(
         else None,
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
     )
-    try:
-        with _signals(session) as wake:
+    with _signals(session) as wake:  # to the very end: a second Ctrl-C must not leave the log open
+        try:
             journal.processes(worker.pid)
             session.run(wake)
             clean = True
-    finally:
-        worker.close()
-        paths = log.close(
-            final_state=session.state.phase,
-            verdict=session.answer.document["verdict"] if session.answer else None,
-            outcome=session.state.reason or session.state.phase,
-            clean=clean,
-        )
+        finally:
+            worker.close()
+            verdict = session.answer.document["verdict"] if session.answer else None
+            paths = journal.close(session.state, verdict, clean=clean)
     return session, paths
 
 
@@ -174,7 +170,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     log = AuditLog.create(
         directory,
         log_id=os.urandom(16).hex(),
-        opened=OpenInfo(SOFTWARE, VERIFIER, (("bus", bus),)),
+        opened=OpenInfo(SOFTWARE, VERIFIER, (("bus", plain(bus)),)),
         chunk_period_s=files.settings.log.chunk_period_ms / 1000,
     )
     prepared = files.prepared

@@ -10,7 +10,7 @@ from protocol.endpoint import RecordReceived
 from protocol.port import Passed
 from protocol.states import Purpose, Refusal, StopCause
 from runtime.audit import records as audit
-from runtime.audit.log import AuditLog
+from runtime.audit.log import AuditLog, Paths
 from runtime.interlock.permissives import COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
 from runtime.interlock.state import (
     Announced,
@@ -67,6 +67,11 @@ SIGNED: dict[type[records.Record], Kind] = {
 BY_TYPE = {kind.TYPE: name for kind, name in SIGNED.items()}
 
 
+def plain(text: str) -> str:
+    """Text that every file can hold: names of files and messages of errors may carry bytes that are no UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 class Journal:
     """Writes what happens to the log. It decides nothing and waits for nothing.
 
@@ -77,7 +82,7 @@ class Journal:
 
     def __init__(self, log: AuditLog, interface: str) -> None:
         self.log = log
-        self._interface = interface
+        self._interface = plain(interface)
         self._sequence = 0
         self._view: ControllerView | None = None
         self._authorised: Kind = "permit"
@@ -116,7 +121,7 @@ class Journal:
                 effects=tuple(_effect_name(effect) for effect in effects),
                 permissives=tuple(audit.PermissiveValue.of(permissive) for permissive in shown),
                 first_out=None if after.cause is StopCause.NONE else after.cause.name,
-                reason=_reason(event, effects) or after.reason or None,
+                reason=plain(_reason(event, effects) or after.reason) or None,
                 token=commit.token if commit else None,
             )
         )
@@ -132,7 +137,10 @@ class Journal:
             case Withheld(token=token):
                 self.log.write(
                     audit.Permit(
-                        kind=self._authorised, stage="withheld", token=token, reason=after.reason or None
+                        kind=self._authorised,
+                        stage="withheld",
+                        token=token,
+                        reason=plain(after.reason) or None,
                     )
                 )
 
@@ -155,11 +163,14 @@ class Journal:
                 self.log.write(audit.Fault(source="controller", code=event.code.name, cause=event.cause.name))
             case Failed():
                 self.log.write(
-                    audit.Fault(source="runtime", code="STOP", cause=event.cause.name, detail=event.reason)
+                    audit.Fault(
+                        source="runtime", code="STOP", cause=event.cause.name, detail=plain(event.reason)
+                    )
                 )
             case Said(word=word):
                 refused = next((effect.reason for effect in effects if isinstance(effect, Refused)), None)
-                self.log.write(audit.Operator(word=word, accepted=refused is None, reason=refused))
+                reason = None if refused is None else plain(refused)
+                self.log.write(audit.Operator(word=word, accepted=refused is None, reason=reason))
 
     def _collected(self, before: Interlock, record: records.Record) -> None:
         data, job = record.body(), before.job
@@ -205,9 +216,21 @@ class Journal:
         for boundary in audit.boundaries_of(document):
             self.log.write(boundary)
 
+    def close(self, state: Interlock, verdict: str | None, *, clean: bool) -> Paths:
+        """End the log with the session's last state; waits for the disk for a bounded time.
+
+        Args:
+            state: the interlock's last state.
+            verdict: the verdict in one word, None if there was none.
+            clean: the session ended as the table ordered, not by an error of the program.
+        """
+        return self.log.close(
+            final_state=state.phase, verdict=verdict, outcome=plain(state.reason) or state.phase, clean=clean
+        )
+
     def processes(self, worker_pid: int) -> None:
         """Who takes part, by process number."""
-        self.log.write(audit.Process(role="runtime", pid=os.getpid(), argv=tuple(sys.argv)))
+        self.log.write(audit.Process(role="runtime", pid=os.getpid(), argv=tuple(map(plain, sys.argv))))
         self.log.write(audit.Process(role="verifier", pid=worker_pid))
 
     # ------------------------------------------------------------ the bus

@@ -22,7 +22,7 @@ from protocol.endpoint import RecordReceived
 from protocol.frames import ControllerFault, ControllerHeartbeat, Progress, RuntimeHeartbeat, RuntimeStop
 from protocol.link import Accepted, Violation
 from protocol.port import Port
-from protocol.states import RuntimeCode, StopCause
+from protocol.states import RuntimeCode, StopCause, StopCode
 from runtime.audit import names
 from runtime.audit.commit import Durable, Reserved
 from runtime.audit.commit import Failed as LogFailed
@@ -171,14 +171,18 @@ class Session:
         Args:
             wake: descriptor that becomes readable when a signal has arrived.
         """
+        self.begin(wake)
+        while self.state.phase not in ENDED:
+            self.turn(self._wait(wake))
+        return self.state
+
+    def begin(self, wake: int) -> None:
+        """Before the first turn: what to wait for, and space for the log."""
         for descriptor in (wake, self._port.bus.fileno(), self._journal.log.fileno(), self._worker.fileno()):
             self._poller.register(descriptor, select.POLLIN)
         if self._words is not None and self._words.descriptor is not None:
             self._poller.register(self._words.descriptor, select.POLLIN)
         self._reserve()
-        while self.state.phase not in ENDED:
-            self.turn(self._wait(wake))
-        return self.state
 
     def _wait(self, wake: int) -> set[int]:
         due_s = self._next_heartbeat_s - self._clock()
@@ -188,7 +192,18 @@ class Session:
         return ready
 
     def turn(self, ready: set[int]) -> None:
-        """One turn. Whatever goes wrong in it stops the session; nothing unwinds past the table."""
+        """One turn. Whatever goes wrong in it stops the session; what cannot be mended is raised after the stop.
+
+        Args:
+            ready: descriptors that can be read.
+        """
+        try:
+            self._turn(ready)
+        except BaseException as error:
+            self._give_up(error)
+            raise
+
+    def _turn(self, ready: set[int]) -> None:
         now_s = self._clock()
         gap_s, self._turn_s = now_s - self._turn_s, now_s
         try:
@@ -208,8 +223,18 @@ class Session:
             self._feed(Failed(StopCause.BUS_FAILED, f"the bus failed: {error}"))
             self.state = self._gone(StopCause.BUS_FAILED)
 
+    def _give_up(self, error: BaseException) -> None:
+        """The program itself failed: nothing that waits may leave, the stop does, and no heartbeat follows it."""
+        reason = f"internal error: {type(error).__name__}: {error}"
+        self.state = replace(self._gone(StopCause.INTERNAL_ERROR), reason=reason, permit=None, nonce=None)
+        endpoint = self._port.endpoint
+        endpoint.abort()
+        if endpoint.link.is_open and self._bus_error is None:
+            endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.INTERNAL_ERROR), self._clock())
+            self._leave_now()
+
     def _gone(self, cause: StopCause) -> Interlock:
-        """Without a bus there is nothing to wait for: the controller stops by itself within the time-out."""
+        """No confirmation can be waited for: the controller stops by itself within the time-out."""
         return replace(self.state, phase=Phase.STOPPED, cause=self.state.cause or cause)
 
     def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
@@ -280,19 +305,23 @@ class Session:
             return
         match self._worker.poll():
             case Answer(verdict=verdict) as answer:
-                self.answer = answer
-                self._journal.verdict(answer.document, self._request.tool, verdict.reason)
-                self._view.verdict(answer)
-                if verdict.admissible:
-                    calibration = records.Calibration.parse(self._request.calibration)
-                    hold = self._request.robot.wrist
-                    hold_rad = math.radians(hold.hold_roll_deg) if hold.hold_roll_when_vertical else None
-                    path = records.Path.parse(self._request.path)
-                    self._start = StartPose.of(path, calibration, hold_rad)
+                if verdict.request == self._request.number:
+                    self._keep(answer)
                 self._feed(VerdictReady(verdict))
             case Broken(reason=reason):
                 self._poller.unregister(self._worker.fileno())
                 self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
+
+    def _keep(self, answer: Answer) -> None:
+        """The verdict on what was asked: recorded, shown, and the start pose it gives."""
+        self.answer = answer
+        self._journal.verdict(answer.document, self._request.tool, answer.verdict.reason)
+        self._view.verdict(answer)
+        if answer.verdict.admissible:
+            calibration = records.Calibration.parse(self._request.calibration)
+            hold = self._request.robot.wrist
+            hold_rad = math.radians(hold.hold_roll_deg) if hold.hold_roll_when_vertical else None
+            self._start = StartPose.of(records.Path.parse(self._request.path), calibration, hold_rad)
 
     def _read_words(self, ready: set[int]) -> None:
         if self._interrupted:
@@ -333,6 +362,7 @@ class Session:
         endpoint, now_s = self._port.endpoint, self._clock()
         match effect:
             case SendStop():
+                endpoint.abort()  # a permit that waits behind the stop must not follow it
                 if endpoint.link.is_open and self._bus_error is None:
                     endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
                     self._leave_now()

@@ -41,6 +41,7 @@ from runtime.interlock.state import (
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
+    Job,
     LogChanged,
     NonceReceived,
     OpenLink,
@@ -169,7 +170,7 @@ def quit_session(state: Interlock, now_s: float) -> Outcome:
 
 
 def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
-    announce, timing = event.announce, state.job.timing
+    announce = event.announce
     session = Session(
         boot_nonce=announce.boot_nonce,
         runtime_nonce=event.nonce,
@@ -184,11 +185,16 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
     refusing = failing(IDENTITY, seen, now_s)
     if refusing:
         return refuse(seen, _reasons(refusing), now_s)
-    request = records.Open(
+    return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(_open(state.job, session)))
+
+
+def _open(job: Job, session: Session) -> records.Open:
+    timing = job.timing
+    return records.Open(
         protocol_version=records.PROTOCOL_VERSION,
-        boot_nonce=announce.boot_nonce,
-        runtime_nonce=event.nonce,
-        registration_digest=state.job.registration,
+        boot_nonce=session.boot_nonce,
+        runtime_nonce=session.runtime_nonce,
+        registration_digest=job.registration,
         timing=records.Timing(
             heartbeat_ms=timing.heartbeat_ms,
             timeout_ms=timing.timeout_ms,
@@ -198,7 +204,6 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
             start_tolerance_mdeg=round(timing.start_tolerance_deg * 1000),
         ),
     )
-    return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(request))
 
 
 def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
@@ -215,9 +220,12 @@ def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcom
     return refuse(state, f"the controller refused the session: {event.refusal.name}", now_s)
 
 
-def announced_again(state: Interlock, _event: Announced, _now_s: float) -> Outcome:
-    """An announcement that crossed our OPEN."""
-    return state, ()
+def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome:
+    """It crossed our OPEN, or OPEN was lost: the same OPEN again does no harm, for a second one is only refused."""
+    assert state.session is not None  # noqa: S101 - OPENING has a session
+    if event.announce.boot_nonce != state.session.boot_nonce:
+        return announced(state, event, now_s)
+    return state, (Send(_open(state.job, state.session)),)
 
 
 # ---------------------------------------------------------------- a controller that is held

@@ -331,9 +331,7 @@ def test_an_announcement_in_a_session_is_a_reboot(phase):
     after, effects = step(in_phase(phase), Announced(ANNOUNCE, RUNTIME_NONCE), NOW)
     if phase is Phase.WAITING:
         assert after.phase is Phase.OPENING
-    elif phase is Phase.OPENING:
-        assert (after, effects) == (in_phase(phase), ())
-    else:
+    elif phase is not Phase.OPENING:
         assert stops(effects) == [StopCause.PEER_REBOOTED]
 
 
@@ -626,6 +624,34 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
         registration_digest=JOB.registration,
         timing=records.Timing(20, 100, 120, 2000, 500, 200),
     )
+
+
+def test_an_open_that_was_lost_is_sent_again_at_the_next_announcement():
+    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    first = run.effects[1]
+    opening = run.state
+    run.feed(Announced(ANNOUNCE, b"another nonce..."))
+    assert (run.state, run.effects) == (opening, (first,)), "the same session, the same deadline"
+
+
+def test_an_open_that_crossed_an_announcement_is_refused_the_second_time_without_harm():
+    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE), Announced(ANNOUNCE, RUNTIME_NONCE))
+    for cause, following in ((StopCause.NONE, Phase.COLLECTING), (StopCause.BONE_MOVED, Phase.HELD)):
+        opened = Run(run.state).feed(
+            SessionOpened(EPOCH, ControllerState.OPEN, cause), reply(records.Open, Refusal.SESSION_IN_USE)
+        )
+        assert opened.phase is following
+        assert [type(effect) for effect in opened.effects] == [Dropped]
+
+
+def test_a_controller_that_reboots_before_it_opened_is_asked_anew():
+    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    rebooted = replace(ANNOUNCE, boot_nonce=b"B" * 16)
+    run.feed(Announced(rebooted, b"N" * 16))
+    assert run.phase is Phase.OPENING
+    use, send = run.effects
+    assert use.session == run.state.session
+    assert (send.record.boot_nonce, send.record.runtime_nonce) == (b"B" * 16, b"N" * 16)
 
 
 @pytest.mark.parametrize(

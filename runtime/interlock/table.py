@@ -221,10 +221,15 @@ def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcom
 
 
 def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome:
-    """It crossed our OPEN, or OPEN was lost: the same OPEN again does no harm, for a second one is only refused."""
+    """At first it crossed our OPEN; later it means that OPEN was lost, and the same one is sent again.
+
+    Two on their way at the same time would disturb each other's transfer; half the reply's time rules that out.
+    """
     assert state.session is not None  # noqa: S101 - OPENING has a session
     if event.announce.boot_nonce != state.session.boot_nonce:
         return announced(state, event, now_s)
+    if not now_s - state.since_s >= state.job.timing.reply_timeout_s / 2:
+        return state, ()
     return state, (Send(_open(state.job, state.session)),)
 
 

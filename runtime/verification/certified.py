@@ -259,8 +259,6 @@ class _Verification:
             found = candidates(self.geometry, 0, start, (start, start), asked)[0]
             return found if found.fits else None
         reach = (float(first.attained[Q0_MIN]), -float(first.attained[Q0_MAX]))
-        if not (math.isfinite(reach[0]) and math.isfinite(reach[1])):
-            return None
         others = self._worst_ratio(values, leave_out=("left", "right"))
         best: tuple[float, Candidate, dict[str, Enclosed]] | None = None
         for option in candidates(self.geometry, 0, start, reach, asked):
@@ -383,12 +381,6 @@ class _Verification:
             out.append(
                 "the path starts outside the planar workspace: no joint position within the limits "
                 "reaches the first wrist centre; move the bone toward the workspace"
-            )
-        asked = self.problem.branch
-        if asked is not None and branch is not None and asked != (branch.q0_turns, branch.roll_turns):
-            out.append(
-                f"the path asks for q0_turns {asked[0]} and roll_turns {asked[1]}, but it lies in "
-                f"{branch.q0_turns} and {branch.roll_turns}: verify it again for that branch"
             )
         if branch is None:
             out.append(

@@ -261,7 +261,9 @@ def test_the_roll_turn_with_most_room_is_chosen_and_one_that_does_not_fit_is_ref
     assert verdict.admissible, verdict.reasons
     assert verdict.branch.roll_turns == 1
     assert certified.verify(problem(tips, axes, branch=(0, 1), **narrow)).admissible
-    assert not certified.verify(problem(tips, axes, branch=(0, 0), **narrow)).admissible
+    other = certified.verify(problem(tips, axes, branch=(0, 0), **narrow))
+    assert not other.admissible
+    assert "q0_turns 0, roll_turns 0 do not keep" in other.reasons[0]
 
 
 def test_ties_go_to_the_smallest_turn():

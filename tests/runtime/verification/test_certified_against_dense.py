@@ -13,7 +13,7 @@ from runtime.verification.verdict import ARM_BOUNDARIES
 from tests.oracle.dense import Dense
 from tests.runtime.verification.cases import DEG, random_problem
 
-SEEDS = range(14)
+SEEDS = range(11)
 CASES = 16
 ORACLE_MM = 2e-5
 """What the reference's sampled distance to an arc may be off."""
@@ -104,7 +104,7 @@ def test_speeds_bound_every_sampled_speed(seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_a_boundary_is_violated_exactly_from_its_clearance_on(seed):
     """Whatever the place and the boundary: the deadband a little above its clearance refuses, below it not."""
-    for case, problem in enumerate(draw(seed)):
+    for case, problem in enumerate(draw(seed)[:8]):
         verdict = certified.verify(problem)
         rest = problem.calibration.residual_mm
         for name in ARM_BOUNDARIES:
@@ -205,7 +205,7 @@ def test_the_mirror_image_swaps_left_and_right_and_the_ends_of_the_roll(seed):
 def test_tiny_deadbands_near_the_limits_admit_nothing_that_touches():
     rng = np.random.default_rng(11)
     admitted = 0
-    for _ in range(40):
+    for _ in range(25):
         problem = replace(
             random_problem(rng, calibrated=False, segments=2),
             deadband=Deadband(1e-4, 1e-4 * DEG),

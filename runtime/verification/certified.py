@@ -383,9 +383,13 @@ class _Verification:
                 "reaches the first wrist centre; move the bone toward the workspace"
             )
         if branch is None:
-            out.append(
-                "no choice of whole turns keeps shoulder and roll within their limits along the whole path"
+            asked = self.problem.branch
+            turn = (
+                "no choice of whole turns keeps"
+                if asked is None
+                else f"q0_turns {asked[0]}, roll_turns {asked[1]} do not keep"
             )
+            out.append(f"{turn} shoulder and roll within their limits along the whole path")
         return tuple(out)
 
     def _wrist_length(self) -> float:

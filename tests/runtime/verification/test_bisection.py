@@ -45,7 +45,9 @@ def test_a_constant_clearance_at_its_deadband_is_undecided_and_said_so():
     assert any(reason.startswith("outer: undecided") for reason in verdict.reasons)
 
 
-@pytest.mark.parametrize(("spare_deg", "admitted"), [(0.002, True), (0.0006, True), (0.00005, False), (-1e-6, False)])
+@pytest.mark.parametrize(
+    ("spare_deg", "admitted"), [(0.002, True), (0.0006, True), (0.00005, False), (-1e-6, False)]
+)
 @pytest.mark.parametrize("end", ["roll_min", "roll_max"])
 def test_a_constant_roll_is_decided_at_its_deadband(spare_deg, admitted, end):
     roll, keep = roll_on_the_circle(600.0), (2 + spare_deg) * DEG

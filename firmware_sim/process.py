@@ -434,7 +434,8 @@ class Process:
     def _middle(self) -> Joints:
         limits = records.Limits.parse(self.controller.holdings.limits)
         q0, q1, q2, q3, q4 = ((low + high) / 2 for low, high in zip(limits.q_min, limits.q_max, strict=True))
-        return (q0, q1, q2, q3, q4)
+        # limits of many turns stand for none; what is reported has to fit its frame
+        return (math.remainder(q0, math.tau), q1, q2, math.remainder(q3, math.tau), q4)
 
     def _load(self) -> None:
         """The stored path has changed: the arm stands at its first pose, or keeps its place where there is none."""
@@ -526,6 +527,8 @@ class Process:
 
     def _announce(self, now_s: float) -> None:
         self._next_announce_s = now_s + self._options.announce_s
+        if self.port.endpoint.receiving:  # most likely an OPEN
+            return
         scale = "" if self._options.time_scale == 1.0 else f" x{self._options.time_scale:g}"
         self.port.endpoint.abort()  # an announcement nobody took
         self.port.endpoint.send_record(

@@ -92,6 +92,11 @@ class Endpoint:
 
     # ------------------------------------------------------------ receiving
 
+    @property
+    def receiving(self) -> bool:
+        """Whether a record is coming in on either channel."""
+        return any(transfer.receiving for transfer in self._transfers.values())
+
     def receive(
         self,
         can_id: int,
@@ -124,9 +129,12 @@ class Endpoint:
         return [outcome]
 
     def _lost(self, channel: Channel, transfer: Transfer) -> list[Item]:
-        """Records that were lost on the way; outside a session nobody waits for one."""
+        """Records that were lost on the way; until the link is open nobody waits for one.
+
+        An announcement that crosses the runtime's OPEN is broken off by the controller's answer.
+        """
         errors = [error for error in transfer.errors() if error.lost]
-        if self.session == NO_SESSION:
+        if not self.link.is_open:
             return []
         return [_failed(channel, error) for error in errors]
 
@@ -162,7 +170,7 @@ class Endpoint:
             found.append(Violation(lost, f"no fresh heartbeat within {self.link.timeout_s * 1000:g} ms"))
         for channel, transfer in self._transfers.items():
             late = transfer.expire(now_s)
-            if late is not None and self.session != NO_SESSION:
+            if late is not None and self.link.is_open:
                 found.append(_failed(channel, late))
         return found
 

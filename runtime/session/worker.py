@@ -119,7 +119,7 @@ def _serve(requests: Connection) -> None:
     while True:
         try:
             request: Request = requests.recv()
-        except EOFError:
+        except (EOFError, OSError):  # the runtime has gone, killed perhaps
             return
         try:
             answer: Answer | Broken = prove(request)

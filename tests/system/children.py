@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from runtime.audit.disk import Reservation, SystemDisk
 from runtime.commands import run
 from runtime.interlock import permissives, table
 from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
+from runtime.session import worker
 
 SECOND_BLOCK = "second block"
 HALF_THE_CUT = "half the cut"
@@ -41,6 +42,7 @@ class Script:
         number: the signal.
         synced: file that holds the log's size as of its last successful sync.
         sync_s: how long every sync takes.
+        unsynced: no sync does anything.
         disk_stops_at: from this phase on no sync answers any more.
         space_unanswered: the reservation of space is never answered.
         blind: names of permissives that this defective runtime takes as true.
@@ -51,6 +53,7 @@ class Script:
     number: int = signal.SIGKILL
     synced: Path | None = None
     sync_s: float = 0.0
+    unsynced: bool = False
     disk_stops_at: Phase | None = None
     space_unanswered: bool = False
     blind: tuple[str, ...] = ()
@@ -61,21 +64,28 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
     for descriptor, stream in enumerate(streams):
         os.dup2(stream.fileno(), descriptor)
         stream.close()
-    sys.stdin = open(0, closefd=False)  # noqa: PTH123, SIM115 - lives as long as the process
-    sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: PTH123, SIM115
-    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: PTH123, SIM115
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115 - lives as long as the process
+    sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.argv = [program, *arguments]
     if program == "runtime.cli":
-        worker_from_the_same_server()
+        worker_by_fork()
         bend(script or Script())
         sys.exit(cli.execute(arguments))
     sys.exit(controller_side(arguments))
 
 
-def worker_from_the_same_server() -> None:
-    """The verification process too starts from the imported server instead of a new interpreter."""
-    start = multiprocessing.get_context("forkserver")
-    multiprocessing.get_context = lambda _method=None: start  # type: ignore[method-assign, assignment]
+def worker_by_fork() -> None:
+    """The verification process too is forked instead of started anew; it keeps nothing but its own pipe."""
+    serve_requests, fork_context = worker._serve, multiprocessing.get_context("fork")
+
+    def alone(requests: Connection) -> None:
+        os.closerange(3, requests.fileno())
+        os.closerange(requests.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
+        serve_requests(requests)
+
+    worker._serve = alone
+    multiprocessing.get_context = lambda _method=None: fork_context  # type: ignore[method-assign, assignment]
 
 
 def bend(script: Script) -> None:
@@ -171,6 +181,8 @@ class BentDisk(SystemDisk):
     def sync(self, descriptor: int) -> None:
         if self.stopped.is_set():
             never()
+        if self._script.unsynced:
+            return
         size = os.fstat(descriptor).st_size
         time.sleep(self._script.sync_s)
         super().sync(descriptor)
@@ -193,13 +205,27 @@ def fork(
 ) -> BaseProcess:
     """Start a program with these as its standard input, output and error; the streams stay the caller's."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.system.children", "runtime.session.worker"])
+    context.set_forkserver_preload(["tests.system.children"])
     ends = [
         Connection(os.dup(stream), writable=number > 0, readable=number == 0)
         for number, stream in enumerate(streams)
     ]
     process = context.Process(target=serve, args=(ends, program, arguments, script))
-    process.start()
+    with _one_at_a_time:
+        process.start()
     for end in ends:
         end.close()
     return process
+
+
+def exit_code(process: BaseProcess, timeout_s: float) -> int | None:
+    """The exit code of a forked process, negative for a signal; None if it still runs then."""
+    if not wait([process.sentinel], timeout_s):
+        return None
+    with _one_at_a_time:
+        process.join(0)
+        return process.exitcode
+
+
+_one_at_a_time = threading.Lock()
+"""``Process.start`` looks after all processes of this module, which must not happen while another thread does."""

@@ -16,9 +16,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
@@ -86,7 +85,8 @@ class Child:
 
     def say(self, word: str) -> None:
         """Type one word."""
-        os.write(self._words, f"{word}\n".encode())
+        with suppress(BrokenPipeError):  # it has ended meanwhile: its exit code tells
+            os.write(self._words, f"{word}\n".encode())
 
     def signal(self, number: int) -> None:
         """Send it a signal."""
@@ -104,11 +104,19 @@ class Child:
             if not self._rest or not self._read(until_s):
                 raise HungError(f"{self.name} did not say {pattern!r}; it said\n{self.told}")
 
-    def exit(self) -> int:
-        """Everything it still says, then its exit code; negative for a signal."""
+    def exit(self, cues: Mapping[str, Callable[[], None]] | None = None) -> int:
+        """Everything it still says, then its exit code; negative for a signal.
+
+        Args:
+            cues: what to do on a line that matches.
+        """
         until_s = time.monotonic() + WAIT_S
         while self._rest and self._read(until_s):
-            pass
+            for text in self.lines[self._seen :]:
+                self._seen += 1
+                for pattern, act in (cues or {}).items():
+                    if re.search(pattern, text):
+                        act()
         code = self._exit_code(max(0.1, until_s - time.monotonic()))
         if code is None:
             raise HungError(f"{self.name} did not end; it said\n{self.told}")
@@ -143,8 +151,7 @@ class Child:
 
     def _exit_code(self, timeout_s: float) -> int | None:
         if isinstance(self._process, BaseProcess):
-            self._process.join(timeout_s)
-            return self._process.exitcode
+            return children.exit_code(self._process, timeout_s)
         with suppress(subprocess.TimeoutExpired):
             return self._process.wait(timeout_s)
         return None
@@ -152,7 +159,8 @@ class Child:
     def end(self) -> None:
         """Make sure that it is gone."""
         if self._exit_code(0) is None:
-            self.signal(signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has just ended
+                self.signal(signal.SIGKILL)
         self._exit_code(END_S)
         for stream in (self._words, *self._rest):
             os.close(stream)

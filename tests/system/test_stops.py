@@ -4,7 +4,6 @@ import signal
 
 import pytest
 
-from protocol import records
 from protocol.frames import ControllerFault, ControllerHeartbeat, Joint4, Joints01, Joints23, RuntimeHeartbeat
 from protocol.states import ControllerState, StopCause
 from runtime.audit.inspect import Status

@@ -172,7 +172,7 @@ START_RULES: tuple[Rule, ...] = (
     *_nonce_rules(Purpose.START),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     (Refusal.PERMIT_EXPIRED, _permit_alive),
-    (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == digest(_permit(c).canonical())),
+    (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == _permit(c).digest),
     (Refusal.START_JOINTS, lambda c: c.request.start_joints_u == _permit(c).start_joints_u),
     *HELD_RULES,
     (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),

@@ -214,8 +214,8 @@ class Permit(SignedRecord):
 
     @property
     def digest(self) -> bytes:
-        """SHA-256 of the body with its code: what a Start names."""
-        return digest(self.body())
+        """SHA-256 of what is signed: what a Start names. The code follows from it and the key."""
+        return digest(self.canonical())
 
 
 @dataclass(frozen=True)
@@ -260,17 +260,6 @@ class Acknowledge(Record):
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
 
     cause: CauseCode
-
-
-@dataclass(frozen=True)
-class Withdraw(Record):
-    """This registration no longer holds; the controller keeps it on its withdrawn list."""
-
-    TYPE: ClassVar[int] = 0x0B
-    SENDER: ClassVar[Side] = Side.RUNTIME
-    CHANNEL: ClassVar[Channel] = Channel.CONTROL
-
-    registration_digest: Digest32
 
 
 @dataclass(frozen=True)

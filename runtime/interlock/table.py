@@ -451,7 +451,7 @@ def _start(state: Interlock, nonce: bytes) -> records.Start:
         nonce=nonce,
         epoch=state.epoch,
         session_digest=state.session.digest,
-        permit_digest=records.digest(state.permit.canonical()),
+        permit_digest=state.permit.digest,
         start_joints_u=state.permit.start_joints_u,
     )
 

@@ -62,6 +62,7 @@ def test_domains_differ():
 
 
 @given(blocks(Permit))
-def test_permit_digest_covers_its_code(permit):
-    assert permit.digest == digest(permit.body())
-    assert replace(permit, mac=bytes([permit.mac[0] ^ 1]) + permit.mac[1:]).digest != permit.digest
+def test_permit_digest_covers_all_that_is_signed_and_not_the_code(permit):
+    other = replace(permit, mac=bytes([permit.mac[0] ^ 1]) + permit.mac[1:])
+    assert other.digest == permit.digest == digest(permit.canonical())
+    assert replace(permit, lifetime_s=permit.lifetime_s ^ 1).digest != permit.digest

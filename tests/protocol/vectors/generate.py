@@ -156,12 +156,13 @@ def signed() -> dict[str, object]:
         + b"".join(digests.values()) + named("certified/1") + struct.pack("<5q", *joints)
         + struct.pack("<Bhh", 2, -1, 3) + struct.pack("<H", 120)
     )  # fmt: skip
-    permit += cmac(derived, b"cutgate/permit/1\0" + permit)
+    signed = b"cutgate/permit/1\0" + permit
+    permit += cmac(derived, signed)
     start = (
         patterned(16, 5)
         + bytes([200])
         + session
-        + hashlib.sha256(permit).digest()
+        + hashlib.sha256(signed).digest()
         + struct.pack("<5q", *joints)
     )
     start += cmac(derived, b"cutgate/start/1\0" + start)
@@ -178,7 +179,7 @@ def signed() -> dict[str, object]:
         "digests": {name: value.hex() for name, value in digests.items()},
         "start_joints_u": list(joints),
         "permit": envelope(0x07, 0xDEADBEEF, 41, permit),
-        "permit_digest": hashlib.sha256(permit).hexdigest(),
+        "permit_digest": hashlib.sha256(signed).hexdigest(),
         "start": envelope(0x08, 0xDEADBEEF, 42, start),
         "reset": envelope(0x09, 0xDEADBEEF, 43, reset),
     }

@@ -229,7 +229,7 @@ class Session:
         self.state = replace(self._gone(StopCause.INTERNAL_ERROR), reason=reason, permit=None, nonce=None)
         endpoint = self._port.endpoint
         endpoint.abort()
-        if endpoint.link.is_open and self._bus_error is None:
+        if endpoint.link.is_open:
             endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.INTERNAL_ERROR), self._clock())
             self._leave_now()
 
@@ -363,7 +363,7 @@ class Session:
         match effect:
             case SendStop():
                 endpoint.abort()  # a permit that waits behind the stop must not follow it
-                if endpoint.link.is_open and self._bus_error is None:
+                if endpoint.link.is_open:
                     endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
                     self._leave_now()
             case Send(record=record):
@@ -383,7 +383,10 @@ class Session:
                 assert_never(effect)
 
     def _leave_now(self) -> None:
-        """Send what is queued. A bus that fails here stops this turn, after the step that ordered it is recorded."""
+        """Send what is queued: also on a bus that has failed, which may still be written.
+
+        A bus that fails here stops this turn, after the step that ordered it is recorded.
+        """
         try:
             self._port.flush()
         except can.CanError as error:

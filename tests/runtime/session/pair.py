@@ -1,0 +1,512 @@
+"""A runtime and a simulated controller, joined by a bus in memory, turned one after the other in virtual time.
+
+Nothing here waits: the disk answers when the test says so, verification is done in place, both loops see one clock.
+"""
+
+import os
+import select
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import can
+
+from config.terminal import WordReader
+from firmware_sim import memory
+from firmware_sim import process as controller_side
+from firmware_sim.faults import FaultSpec
+from firmware_sim.process import Options, Process
+from firmware_sim.state import Controller, Holdings, Identity
+from protocol import records
+from protocol.endpoint import Endpoint, RecordReceived
+from protocol.frames import BULK_IDS, CONTROL_IDS
+from protocol.port import Port
+from protocol.records import Side
+from runtime.audit import names
+from runtime.audit.commit import Committer, Failed, Files, Job
+from runtime.audit.inspect import Log, read_log
+from runtime.audit.log import AuditLog, OpenInfo, Paths
+from runtime.audit.log import Clock as LogClock
+from runtime.audit.replay import Replay, replay
+from runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
+from runtime.interlock.state import Job as SessionJob
+from runtime.session.job import VERIFIER, make_job, read_files
+from runtime.session.job import Files as InputFiles
+from runtime.session.journal import Journal
+from runtime.session.loop import Session, wake_pipe
+from runtime.session.worker import Answer, Broken, Request, prove
+from runtime.verification import certified
+from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
+from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
+
+KEY = bytes(range(32))
+TURN_S = 0.005
+NOW = datetime(2026, 9, 1, tzinfo=UTC)
+ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
+
+
+# ---------------------------------------------------------------- disk
+
+
+@dataclass
+class Disk(WatchedDisk):
+    """Files that are never synced for real; what a sync would have covered is kept.
+
+    ``answers`` False: the disk never answers again. ``delay_s``: it takes that long for each job.
+    """
+
+    clock: Clock = field(default_factory=Clock)
+    answers: bool = True
+    delay_s: float = 0.0
+    log: int | None = None
+
+    def create(self, path: Path) -> int:
+        made = super().create(path)
+        self.log = made if self.log is None else self.log
+        return made
+
+    def sync(self, descriptor: int) -> None:
+        self._before("sync")
+        self.synced[descriptor] = os.fstat(descriptor).st_size
+
+    def sync_directory(self, directory: Path) -> None:
+        pass
+
+    @property
+    def durable(self) -> int:
+        """How many bytes of the log are safe."""
+        return self.synced.get(self.log, 0) if self.log is not None else 0
+
+
+class TurnByTurn(Committer):
+    """The commit thread's work, done when the disk answers in virtual time instead of in a thread."""
+
+    def __init__(self, disk: Disk, files: Files) -> None:
+        super().__init__(disk, files)
+        self._thread.join()
+        self._disk_in_time = disk
+        self._waiting: deque[tuple[float, Job]] = deque()
+        self._ended = False
+
+    def _run(self) -> None:
+        """No thread."""
+
+    def submit(self, job: Job) -> None:
+        self._waiting.append((self._disk_in_time.clock() + self._disk_in_time.delay_s, job))
+        self.work()
+
+    def work(self) -> None:
+        """Do what the disk has had time for."""
+        disk = self._disk_in_time
+        while disk.answers and not self._ended and self._waiting and self._waiting[0][0] <= disk.clock():
+            _, job = self._waiting.popleft()
+            try:
+                self._ended = self._work([job])
+            except OSError as error:
+                self._report(Failed(os.strerror(error.errno)))
+                self._ended = True
+            if self._ended:
+                for descriptor in (self._files.log, self._files.frames):
+                    os.close(descriptor)
+
+    def events(self) -> list[Any]:
+        self.work()
+        return super().events()
+
+    def join(self, timeout_s: float) -> bool:
+        if self._disk_in_time.answers and timeout_s > 0.0:
+            self._disk_in_time.clock.now_s += self._disk_in_time.delay_s
+        self.work()
+        return self._ended
+
+
+# ---------------------------------------------------------------- worker, view, generator
+
+
+@cache
+def _proved(request: Request) -> Answer:
+    return prove(request)
+
+
+def proved(request: Request) -> Answer:
+    """What the worker would answer; each path is proved once for all tests."""
+    answer = _proved(replace(request, number=0))
+    return replace(answer, verdict=replace(answer.verdict, request=request.number))
+
+
+@dataclass
+class Prover:
+    """The verification process without the process."""
+
+    answer: Callable[[Request], Answer | Broken | None] = proved
+    asked: list[Request] = field(default_factory=list)
+    answers: deque[Answer | Broken] = field(default_factory=deque)
+    pid: int = 4242
+
+    def __post_init__(self) -> None:
+        self._reading, self._writing = os.pipe2(os.O_NONBLOCK)
+
+    def fileno(self) -> int:
+        return self._reading
+
+    def submit(self, request: Request) -> None:
+        self.asked.append(request)
+        answer = self.answer(request)
+        if answer is not None:
+            self.give(answer)
+
+    def give(self, answer: Answer | Broken) -> None:
+        self.answers.append(answer)
+        os.write(self._writing, b"\0")
+
+    def poll(self) -> Answer | Broken | None:
+        os.read(self._reading, 1)
+        return self.answers.popleft() if self.answers else None
+
+    def close(self) -> None:
+        os.close(self._reading)
+        os.close(self._writing)
+
+
+@dataclass
+class Notes:
+    """A view that remembers."""
+
+    notes: list[str] = field(default_factory=list)
+    phases: list[Phase] = field(default_factory=list)
+    effects: list[Any] = field(default_factory=list)
+    verdicts: list[Answer] = field(default_factory=list)
+    segments: list[tuple[int, int]] = field(default_factory=list)
+
+    def step(
+        self, before: Interlock, _event: Any, after: Interlock, effects: tuple[Any, ...], _now: float
+    ) -> None:
+        if after.phase is not before.phase:
+            self.phases.append(after.phase)
+        self.effects += effects
+
+    def verdict(self, answer: Answer) -> None:
+        self.verdicts.append(answer)
+
+    def progress(self, segment: int, segments: int) -> None:
+        self.segments.append((segment, segments))
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+class Generator:
+    """Random bytes that are the same in every run."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._count = name, 0
+
+    def __call__(self, size: int) -> bytes:
+        self._count += 1
+        return sha256(f"{self._name} {self._count}".encode()).digest()[:size]
+
+
+# ---------------------------------------------------------------- inputs
+
+
+@cache
+def _job(directory: Path, bone_x_mm: float) -> tuple[InputFiles, SessionJob]:
+    i = inputs(bone_x_mm)
+    for name, data in (
+        ("plan.csv", i.plan),
+        ("robot.toml", i.robot.data),
+        ("registration.json", i.registration),
+    ):
+        (directory / name).write_bytes(data)
+    files = read_files(
+        directory / "plan.csv", directory / "robot.toml", directory / "registration.json", None, None
+    )
+    return files, make_job(files, now=NOW)
+
+
+def job_of(tmp_path_factory: Any, bone_x_mm: float = ADMISSIBLE_MM) -> tuple[InputFiles, SessionJob]:
+    """Input files and their job; read once for all tests."""
+    directory = tmp_path_factory.getbasetemp() / f"inputs-{bone_x_mm:g}"
+    directory.mkdir(exist_ok=True)
+    return _job(directory, bone_x_mm)
+
+
+# ---------------------------------------------------------------- the pair
+
+
+class Terminal:
+    """A pipe that somebody types into."""
+
+    def __init__(self, words: Any) -> None:
+        self._reading, self._writing = os.pipe2(os.O_NONBLOCK)
+        self.reader = WordReader(self._reading, words)
+
+    def type(self, text: str) -> None:
+        os.write(self._writing, f"{text}\n".encode())
+
+    def hang_up(self) -> None:
+        os.close(self._writing)
+        self._writing = -1
+
+    def close(self) -> None:
+        for descriptor in (self._reading, self._writing):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+
+class Pair:
+    """Two loops, one bus, one clock."""
+
+    def __init__(self, directory: Path, files: InputFiles, job: SessionJob) -> None:
+        self.directory, self.files, self.job = directory, files, job
+        self.clock = Clock()
+        self.disk = Disk(clock=self.clock)
+        self.wire = Wire(self.clock, durable=lambda: self.disk.durable)
+        self.memory_file = directory / "memory.json"
+        self.said: list[str] = []
+        self.boots = 0
+        self.sessions = 0
+        self.closing: list[Callable[[], None]] = [node.shutdown for node in self.wire.nodes.values()]
+        self.options = Options(time_scale=4.0)
+        self.runtime_turns = self.controller_turns = True
+        self.strangers: list[Stranger] = []
+        self.turn_s = TURN_S
+        self.session: Session | None = None
+        self.power_up()
+
+    # ------------------------------------------------------------ set-up
+
+    def power_up(self, *faults: str, serial: str = "SIM-1", **options: Any) -> None:
+        """A controller with nothing but its memory file, and with these faults to come."""
+        self.boots += 1
+        self.options = replace(self.options, faults=tuple(map(FaultSpec.parse, faults)), **options)
+        self.controller_terminal = Terminal(controller_side.Word)
+        self.closing.append(self.controller_terminal.close)
+        holdings = Holdings(self.job.limits, self.job.calibration, self.job.tool)
+        random = Generator(f"controller {self.boots}")
+        self.process = Process(
+            Controller(Identity(serial, KEY, random(16)), holdings, withdrawn=memory.load(self.memory_file)),
+            Port(self.wire.nodes[CONTROLLER], self._endpoint(Side.CONTROLLER)),  # type: ignore[arg-type]
+            self.memory_file,
+            options=self.options,
+            words=self.controller_terminal.reader,
+            say=self.said.append,
+            clock=self.clock,
+            random=random,
+            sleep=self._stand_still,
+        )
+
+    def _stand_still(self, seconds: float) -> None:
+        """The controller sleeps; everybody else goes on."""
+        self.controller_turns = False
+        self.run(seconds)
+        self.controller_turns = True
+
+    def _endpoint(self, side: Side) -> Endpoint:
+        timing = self.job.timing
+        return Endpoint(
+            side,
+            heartbeat_s=timing.heartbeat_ms / 1000,
+            timeout_s=timing.timeout_ms / 1000,
+            transfer_timeout_s=timing.reply_timeout_s,
+        )
+
+    def begin(self, job: SessionJob | None = None) -> "Pair":
+        """A new session of the runtime, with a log of its own."""
+        self.job = job or self.job
+        self.sessions += 1
+        self.disk.log = None
+        self.log = self._log()
+        self.journal = Journal(self.log, "vcan0")
+        self.prover, self.notes = Prover(), Notes()
+        self.terminal = Terminal(Word)
+        self.closing += [self.prover.close, self.terminal.close]
+        self.wire.nodes[RUNTIME].inbox.clear()
+        self.session = Session(
+            Interlock(self.job),
+            request=Request(0, self.job.path, b"", b"", b"", self.job.registration, self.files.robot.value),
+            key=KEY,
+            port=Port(self.wire.nodes[RUNTIME], self._endpoint(Side.RUNTIME), self.journal.frame),  # type: ignore[arg-type]
+            journal=self.journal,
+            worker=self.prover,  # type: ignore[arg-type]
+            view=self.notes,
+            words=self.terminal.reader,
+            checkpoint_deadline_s=5.0,
+            clock=self.clock,
+            random=Generator(f"runtime {self.sessions}"),
+        )
+        wake = wake_pipe()
+        self.closing += [lambda: os.close(wake[0]), lambda: os.close(wake[1])]
+        self.journal.processes(self.prover.pid)
+        self.session.begin(wake[0])
+        return self
+
+    def _log(self) -> AuditLog:
+        with mock.patch("runtime.audit.log.Committer", TurnByTurn):
+            log = AuditLog.create(
+                self.directory / "logs",
+                log_id=f"{self.sessions:08x}{LOG_ID[8:]}",
+                opened=OpenInfo("cutgate 0.1.0", VERIFIER),
+                disk=self.disk,
+                clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
+            )
+        i = self.files
+        assert i.prepared.registration is not None
+        for name, data in (
+            ("plan.csv", i.prepared.plan.data),
+            ("registration.json", i.prepared.registration.data),
+            (names.ROBOT, i.robot.data),
+            (names.PATH, self.job.path),
+        ):
+            log.attach(name, "application/octet-stream", data)
+        return log
+
+    # ------------------------------------------------------------ time
+
+    def turn(self) -> None:
+        """Time passes, then the controller turns, then the runtime."""
+        self.clock.now_s += self.turn_s
+        if self.controller_turns:
+            self.process.turn(_readable(self.controller_terminal.reader.descriptor))
+        for stranger in self.strangers:
+            stranger.speak()
+        if self.runtime_turns and self.session is not None and self.phase not in ENDED:
+            self.session.turn(_readable(self.terminal.reader.descriptor, self.prover.fileno()))
+
+    def run(self, seconds: float) -> "Pair":
+        """Turn for so long."""
+        until_s = self.clock() + seconds - 1e-9
+        while self.clock() < until_s:
+            self.turn()
+        return self
+
+    def until(
+        self, condition: Callable[[], bool], limit_s: float = 10.0, act: Callable[[], None] = lambda: None
+    ) -> "Pair":
+        """Turn until it is so, acting before each turn; it must be within the limit."""
+        until_s = self.clock() + limit_s
+        while not condition():
+            assert self.clock() < until_s, (
+                f"not so in {limit_s} s: {self.phase} {self.state.reason} {self.said}"
+            )
+            act()
+            self.turn()
+        return self
+
+    # ------------------------------------------------------------ the way to a place
+
+    def to(self, *phases: Phase, limit_s: float = 10.0) -> "Pair":
+        """Turn until the session is in one of these phases, doing what a patient operator does on the way."""
+        if self.session is None:
+            self.begin()
+        return self.until(lambda: self.phase in phases, limit_s, self._lead)
+
+    def _lead(self) -> None:
+        """Release the enabling device, hold it, say start: whatever comes next."""
+        if self.phase is not Phase.PERMITTED:
+            return
+        match self.state.device:
+            case DeviceCycle.UNSEEN:
+                self.controller_terminal.type("release")
+            case DeviceCycle.RELEASED:
+                self.controller_terminal.type("hold")
+            case DeviceCycle.PRESSED:
+                self.terminal.type("start")
+
+    def say(self, word: str) -> "Pair":
+        """The operator says a word; it is heard in this turn."""
+        self.terminal.type(word)
+        self.turn()
+        return self
+
+    def end(self, limit_s: float = 10.0) -> Phase:
+        """Turn until the session has ended; how."""
+        self.to(*ENDED, limit_s=limit_s)
+        return self.phase
+
+    # ------------------------------------------------------------ what has become of it
+
+    @property
+    def state(self) -> Interlock:
+        assert self.session is not None
+        return self.session.state
+
+    @property
+    def phase(self) -> Phase:
+        return self.state.phase
+
+    @property
+    def controller(self) -> Controller:
+        return self.process.controller
+
+    def close(self, *, clean: bool = True) -> Paths:
+        """Close the session's log as the command does."""
+        assert self.session is not None
+        verdict = self.session.answer.document["verdict"] if self.session.answer else None
+        self.paths = self.journal.close(self.state, verdict, clean=clean)
+        return self.paths
+
+    def read(self) -> Log:
+        """The closed log, judged."""
+        return read_log(self.paths.log.read_bytes(), self.paths.candump.read_bytes())
+
+    def replayed(self) -> Replay:
+        return replay(self.read(), certified.verify, verifier=VERIFIER)
+
+
+class Stranger:
+    """Another node that speaks as a runtime does, straight into the controller's ears, and hears what it answers."""
+
+    def __init__(self, pair: Pair, session: int = 0) -> None:
+        self._pair = pair
+        self.endpoint = pair._endpoint(Side.RUNTIME)
+        self.endpoint.use_session(session)
+        self.endpoint._sent = dict.fromkeys(self.endpoint._sent, 1000)  # beyond what the session has used
+        self.heard: list[Any] = []
+        pair.wire.rules.append(self._listen)
+        pair.strangers.append(self)
+
+    def _listen(self, message: can.Message) -> list[can.Message]:
+        if message.arbitration_id in (CONTROL_IDS[CONTROLLER], BULK_IDS[CONTROLLER]):
+            self.heard += self.endpoint.receive(
+                message.arbitration_id, bytes(message.data), now_s=self._pair.clock()
+            )
+        return [message]
+
+    def say(self, record: Any) -> None:
+        self.endpoint.send_record(record, self._pair.clock())
+
+    def speak(self, most: int | None = None) -> int:
+        """Put what may leave into the controller's ears, at most so many frames."""
+        frames = self.endpoint.outgoing()[:most]
+        for can_id, data in frames:
+            self._pair.wire.nodes[CONTROLLER].put(can_id, data)
+        return len(frames)
+
+    @property
+    def replies(self) -> list[records.Reply]:
+        found = [item.record for item in self.heard if isinstance(item, RecordReceived)]
+        return [record for record in found if isinstance(record, records.Reply)]
+
+
+def _readable(*descriptors: int | None) -> set[int]:
+    wanted = [descriptor for descriptor in descriptors if descriptor is not None]
+    return set(select.select(wanted, [], [], 0)[0])
+
+
+@contextmanager
+def pair_of(directory: Path, files: InputFiles, job: SessionJob) -> Iterator[Pair]:
+    """A pair whose descriptors are closed at the end."""
+    pair = Pair(directory, files, job)
+    try:
+        yield pair
+    finally:
+        for close in pair.closing:
+            close()

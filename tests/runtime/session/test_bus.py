@@ -1,0 +1,294 @@
+"""What may happen to frames on the bus, one row after the other: tolerated and counted, or stopped."""
+
+import pytest
+
+from protocol import permit as permits
+from protocol import records
+from protocol.endpoint import RecordReceived
+from protocol.frames import (
+    BULK_IDS,
+    CONTROL_IDS,
+    ControllerFault,
+    ControllerHeartbeat,
+    RuntimeHeartbeat,
+    RuntimeStop,
+    encode_frame,
+)
+from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from runtime.interlock.state import Commit, Phase
+from tests.runtime.session.pair import KEY, Stranger
+from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
+
+KINDS = [RuntimeHeartbeat, ControllerHeartbeat]
+
+
+@pytest.fixture
+def cutting(pair):
+    """A pair in the middle of a cut that lasts longer than any test."""
+    pair.power_up(time_scale=0.05)
+    return pair.to(Phase.CUTTING).run(0.1)
+
+
+def hears(pair, kind):
+    """The link that receives this kind of frame."""
+    port = pair.process.port if kind is RuntimeHeartbeat else pair.session._port
+    return port.endpoint.link
+
+
+def goes_on(pair, seconds=0.3):
+    pair.run(seconds)
+    return pair.phase is Phase.CUTTING and pair.controller.may_move
+
+
+def stopped(pair):
+    """End the session; the causes of both sides."""
+    pair.end()
+    pair.run(0.3)
+    assert not pair.controller.may_move
+    return pair.state.cause, pair.controller.cause
+
+
+# ---------------------------------------------------------------- loss, corruption, repetition
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_lost_heartbeats_within_the_gap_are_counted_and_cutting_goes_on(cutting, kind, lost):
+    cutting.wire.rules.append(nth(of(kind), range(lost), lose))
+    assert goes_on(cutting)
+    assert hears(cutting, kind).statistics.losses == lost
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gap_beyond_the_tolerance_stops(cutting, kind):
+    cutting.wire.rules.append(nth(of(kind), range(3), lose))
+    assert StopCause.SEQUENCE_ERROR in stopped(cutting)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_silence_beyond_the_time_out_stops_both_sides(cutting, kind):
+    cutting.wire.rules.append(nth(of(kind), range(10_000), lose))
+    began_s = cutting.clock()
+    cutting.until(lambda: not cutting.controller.may_move)
+    assert cutting.clock() - began_s <= 0.100 + 0.020 + 0.010
+    assert StopCause.HEARTBEAT_LOST in stopped(cutting)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_corrupted_frames_in_a_second_are_counted_and_cutting_goes_on(cutting, kind):
+    cutting.wire.rules.append(nth(of(kind), range(2), flip))
+    assert goes_on(cutting)
+    assert hears(cutting, kind).statistics.crc_failures == 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_third_corrupted_frame_in_a_second_stops(cutting, kind):
+    cutting.wire.rules.append(nth(of(kind), range(0, 6, 2), flip))
+    assert StopCause.CORRUPTION in stopped(cutting)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_repeated_frame_is_discarded_and_cutting_goes_on(cutting, kind):
+    cutting.wire.rules.append(nth(of(kind), range(1), double))
+    assert goes_on(cutting)
+    assert hears(cutting, kind).statistics.repetitions == 1
+
+
+# ---------------------------------------------------------------- delay
+
+
+def test_heartbeats_whose_echo_is_too_old_do_not_keep_the_gate_open(cutting):
+    """60 ms each way: never silent for the time-out, but every echo is older than it."""
+    before = [hears(cutting, kind).statistics.losses for kind in KINDS]
+    cutting.wire.delay_s = dict.fromkeys(map(of, KINDS), 0.060)
+    began_s = cutting.clock()
+    cutting.until(lambda: not cutting.controller.may_move)
+    assert cutting.clock() - began_s < 0.2
+    assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
+    assert hears(cutting, RuntimeHeartbeat).statistics.stale_heartbeats > 0
+    assert [hears(cutting, kind).statistics.losses for kind in KINDS] == before
+    assert StopCause.HEARTBEAT_LOST in stopped(cutting)
+
+
+def test_twenty_six_heartbeats_that_queued_while_the_loop_slept_move_nothing(cutting):
+    link = cutting.session._port.endpoint.link
+    for _ in range(26):
+        beat = RuntimeHeartbeat(RuntimeCode.CUT, cutting.state.epoch, StopCause.NONE)
+        cutting.wire.nodes[CONTROLLER].put(*link.encode(beat, cutting.clock()))
+    place = cutting.process._arm_state
+    cutting.clock.now_s += 0.5
+    cutting.process.turn()
+    assert cutting.controller.cause is StopCause.LOOP_STALLED
+    assert not cutting.controller.may_move
+    assert cutting.process._arm_state.joints == place.joints
+    assert any("frames discarded" in line for line in cutting.said)
+    cutting.runtime_turns = False
+    cutting.run(0.2)
+    assert cutting.process._arm_state.joints == place.joints
+
+
+# ---------------------------------------------------------------- insertion, masquerade, a second node
+
+
+@pytest.mark.parametrize(("side", "kind"), [(RUNTIME, RuntimeHeartbeat), (CONTROLLER, ControllerHeartbeat)])
+def test_a_frame_on_ones_own_identifier_latches_on_both_sides(cutting, side, kind):
+    cutting.wire.nodes[side].put(of(kind), bytes(8))
+    assert stopped(cutting) == (StopCause.SECOND_NODE, StopCause.SECOND_NODE)
+    assert cutting.controller.state is ControllerState.FAULT
+
+
+@pytest.mark.parametrize("identifier", [CONTROL_IDS, BULK_IDS])
+def test_a_transfer_on_ones_own_identifier_is_a_second_node_as_well(cutting, identifier):
+    cutting.wire.nodes[RUNTIME].put(identifier[RUNTIME], bytes(8))
+    assert stopped(cutting) == (StopCause.SECOND_NODE, StopCause.SECOND_NODE)
+
+
+def test_frames_from_outside_the_session_are_ignored(cutting):
+    order = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
+    cutting.wire.nodes[CONTROLLER].put(*encode_frame(order, 77, 0))
+    assert goes_on(cutting)
+    assert hears(cutting, RuntimeHeartbeat).statistics.outside_session == 1
+
+
+def test_frames_of_another_session_count_as_corrupted(cutting):
+    order = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
+    other = cutting.state.session.tag ^ 1
+    for counter in range(2):
+        cutting.wire.nodes[CONTROLLER].put(*encode_frame(order, counter, other))
+    assert goes_on(cutting)
+    cutting.wire.nodes[CONTROLLER].put(*encode_frame(order, 9, other))
+    assert stopped(cutting)[1] is StopCause.CORRUPTION
+
+
+def test_records_of_another_session_are_ignored(cutting):
+    stranger = Stranger(cutting, session=cutting.state.session.tag ^ 1)
+    stranger.say(records.NonceRequest(purpose=Purpose.PERMIT))
+    assert goes_on(cutting)
+    assert cutting.controller.issued is None
+
+
+@pytest.mark.parametrize("data", [bytes(8), b"", b"\xff" * 8])
+def test_anything_on_the_stop_identifier_stops(cutting, data):
+    cutting.wire.nodes[CONTROLLER].put(of(RuntimeStop), data)
+    assert StopCause.CORRUPTION in stopped(cutting)
+
+
+def test_a_controllers_fault_frame_stops_the_runtime_at_once(cutting):
+    cutting.controller_terminal.type("estop")
+    cutting.turn()
+    assert cutting.wire.frames(ControllerFault)
+    assert Phase.STOPPING in cutting.notes.phases
+    assert stopped(cutting) == (StopCause.EMERGENCY_STOP, StopCause.EMERGENCY_STOP)
+
+
+# ---------------------------------------------------------------- a stop overtakes a permit
+
+
+@pytest.fixture
+def authorising(pair):
+    """A pair whose permit is decided and waits for the disk."""
+    pair.begin().until(lambda: pair.phase is Phase.UPLOADING)
+    pair.disk.answers = False
+    pair.until(lambda: pair.phase is Phase.AUTHORISING_PERMIT)
+    return pair
+
+
+def signed(pair):
+    """The permit that waits, as it would leave."""
+    commit = next(effect for effect in pair.notes.effects if isinstance(effect, Commit))
+    return permits.sign(KEY, commit.record)
+
+
+def test_only_the_stop_makes_the_difference_in_the_next_tests(authorising):
+    """Without it the permit is accepted; then it falls, for no heartbeat of the runtime says READY."""
+    stranger = Stranger(authorising, authorising.state.session.tag)
+    stranger.say(signed(authorising))
+    authorising.run(0.05)
+    assert "state PERMITTED" in authorising.said
+    assert authorising.said[-1] == "state INHIBITED (PROTOCOL_VIOLATION)"
+
+
+def test_a_permit_that_arrives_whole_after_a_stop_is_void(authorising):
+    stranger = Stranger(authorising, authorising.state.session.tag)
+    authorising.say("stop")
+    stranger.say(signed(authorising))
+    authorising.run(0.05)
+    assert [reply.refusal for reply in stranger.replies] == [Refusal.VOIDED_BY_STOP]
+    assert authorising.controller.state is ControllerState.INHIBITED
+
+
+def test_a_permit_in_flight_when_the_stop_arrives_is_dead(authorising):
+    stranger = Stranger(authorising, authorising.state.session.tag)
+    stranger.say(signed(authorising))
+    authorising.turn()
+    authorising.turn()  # the first block is under way, the second waits for its flow control
+    assert stranger.endpoint.outgoing() == []
+    authorising.say("stop")
+    authorising.run(0.06)
+    assert stranger.replies == []
+    assert authorising.controller.state is ControllerState.INHIBITED
+    assert authorising.controller.permit is None
+
+
+def test_a_permit_that_waits_behind_a_stop_never_leaves(pair):
+    pair.begin().until(lambda: pair.phase is Phase.PERMITTING)
+    begun = sum(seen.can_id == CONTROL_IDS[RUNTIME] for seen in pair.wire.seen)
+    pair.say("stop")
+    pair.run(0.2)
+    sent = [seen for seen in pair.wire.seen if seen.can_id == CONTROL_IDS[RUNTIME]]
+    assert all(seen.data[0] >> 4 == 3 for seen in sent[begun:])  # flow controls at most
+    assert pair.controller.state is ControllerState.INHIBITED
+
+
+def test_an_old_permit_opens_nothing_in_the_next_session(pair):
+    pair.to(Phase.PERMITTED)
+    old = signed(pair)
+    pair.say("quit").end()
+    pair.close()
+    pair.run(0.2).begin()
+    pair.prover.answer = lambda _request: None
+    pair.to(Phase.VERIFYING)
+    stranger = Stranger(pair, pair.state.session.tag)
+    stranger.say(old)
+    pair.run(0.05)
+    assert [reply.refusal for reply in stranger.replies] == [Refusal.WRONG_SESSION]
+
+
+# ---------------------------------------------------------------- transfers
+
+
+@pytest.mark.parametrize("which", [1, 5, 22])
+@pytest.mark.parametrize("change", [lose, flip], ids=["lost", "flipped"])
+def test_a_damaged_upload_ends_the_session_and_never_loads_a_path(pair, change, which):
+    pair.wire.rules.append(nth(BULK_IDS[RUNTIME], range(which + 3, which + 4), change))  # after flow controls
+    pair.begin()
+    assert pair.end() is Phase.STOPPED
+    assert {pair.state.cause, pair.controller.cause} & {
+        StopCause.TRANSFER_FAILED,
+        StopCause.PROTOCOL_VIOLATION,
+    }
+    assert Phase.VERIFYING not in pair.notes.phases
+    assert pair.controller.holdings.path is None
+
+
+@pytest.mark.parametrize("change", [lose, flip], ids=["lost", "flipped"])
+def test_a_damaged_record_of_the_controller_ends_the_session(pair, change):
+    pair.wire.rules.append(nth(BULK_IDS[CONTROLLER], range(4, 5), change))
+    pair.begin()
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause in (StopCause.TRANSFER_FAILED, StopCause.PROTOCOL_VIOLATION)
+    assert not pair.state.collected.complete
+
+
+def test_an_announcement_that_was_damaged_is_followed_by_another(pair):
+    pair.wire.rules.append(nth(CONTROL_IDS[CONTROLLER], range(1, 2), lose))
+    assert pair.begin().end() is Phase.DONE
+
+
+def test_a_record_that_was_heard_twice_counts_once(pair):
+    pair.to(Phase.CUTTING)
+    stranger = Stranger(pair, pair.state.session.tag)
+    stranger.endpoint._sent = dict.fromkeys(stranger.endpoint._sent, 0)
+    stranger.say(records.Collect())
+    pair.run(0.05)
+    assert not [item for item in stranger.heard if isinstance(item, RecordReceived)]

@@ -1,0 +1,112 @@
+"""Loops that stand still, and the two that a clock drives for real."""
+
+import os
+from dataclasses import replace
+
+import pytest
+
+from protocol.frames import RuntimeHeartbeat
+from protocol.states import ControllerState, StopCause
+from runtime.interlock.state import Phase
+from tests.runtime.session.wire import Clock
+
+
+@pytest.fixture
+def cutting(pair):
+    pair.power_up(time_scale=0.05)
+    return pair.to(Phase.CUTTING).run(0.1)
+
+
+def test_a_wedged_runtime_stops_the_arm_within_the_time_out(cutting):
+    cutting.runtime_turns = False
+    began_s = cutting.clock()
+    cutting.until(lambda: not cutting.controller.may_move)
+    assert cutting.clock() - began_s <= 0.100 + 2 * cutting.turn_s
+    assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
+    place = cutting.process._arm_state.joints
+    cutting.run(0.2)
+    assert cutting.process._arm_state.joints == place
+
+
+def test_a_runtime_that_wakes_up_discards_what_queued_and_says_that_it_stalled(cutting):
+    cutting.runtime_turns = False
+    cutting.run(0.5)
+    cutting.runtime_turns = True
+    assert cutting.wire.nodes[0].inbox
+    cutting.turn()
+    assert cutting.state.cause is StopCause.LOOP_STALLED
+    assert "frames discarded" in cutting.state.reason
+    assert cutting.end() is Phase.STOPPED
+
+
+def test_a_gap_as_long_as_the_time_out_is_not_a_stall(cutting):
+    cutting.turn_s = 0.08
+    cutting.turn()
+    cutting.turn_s = 0.005
+    cutting.run(0.2)
+    assert cutting.phase is Phase.CUTTING
+
+
+def test_a_controller_that_hangs_stops_by_itself_when_it_wakes_up(pair):
+    pair.power_up("hang@cutting", time_scale=0.05)
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.HEARTBEAT_LOST
+    pair.run(0.2)
+    assert pair.controller.cause is StopCause.LOOP_STALLED
+    assert pair.controller.state is ControllerState.INHIBITED
+
+
+def test_a_heartbeat_is_sent_only_by_a_turn(cutting):
+    cutting.runtime_turns = False
+    before = len(cutting.wire.frames(RuntimeHeartbeat))
+    cutting.run(0.3)
+    assert len(cutting.wire.frames(RuntimeHeartbeat)) == before
+
+
+class Leaping(Clock):
+    """Goes on by more than a heartbeat whenever it is read, so that no loop has to wait."""
+
+    def __call__(self):
+        self.now_s += 0.03
+        return self.now_s
+
+
+def leaping(pair):
+    pair.clock = pair.disk.clock = pair.wire.clock = Leaping()
+    return pair
+
+
+def test_the_loop_ends_when_the_session_does(pair):
+    timing = replace(pair.job.timing, announce_wait_s=1.0)
+    leaping(pair).begin(replace(pair.job, timing=timing))
+    reading, writing = os.pipe()
+    state = pair.session.run(reading)
+    os.close(reading)
+    os.close(writing)
+    assert state.phase is Phase.REFUSED
+    assert "no controller announced itself" in state.reason
+
+
+def test_a_signal_wakes_the_loop_and_quits(pair):
+    leaping(pair).begin()
+    reading, writing = os.pipe2(os.O_NONBLOCK)
+    os.write(writing, b"\0\0")
+    pair.session.interrupt()
+    state = pair.session.run(reading)
+    with pytest.raises(BlockingIOError):  # emptied, or it would wake the loop for ever
+        os.read(reading, 1)
+    os.close(reading)
+    os.close(writing)
+    assert (state.phase, state.cause) == (Phase.STOPPED, StopCause.OPERATOR_QUIT)
+
+
+def test_a_session_without_a_terminal_can_be_waited_for(pair):
+    pair.begin()
+    pair.session._words = None
+    leaping(pair)
+    pair.session._clock = pair.clock
+    reading, writing = os.pipe()
+    pair.session.interrupt()
+    assert pair.session.run(reading).cause is StopCause.OPERATOR_QUIT
+    os.close(reading)
+    os.close(writing)

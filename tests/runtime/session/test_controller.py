@@ -1,0 +1,236 @@
+"""The controller refuses for its own reasons, whatever the runtime believes; and what it remembers."""
+
+from dataclasses import replace
+
+import pytest
+
+from firmware_sim.faults import FaultName
+from protocol import records
+from protocol.states import ControllerState, Refusal, StopCause
+from runtime.interlock.state import Phase, Refused
+from tests.runtime.session.pair import Stranger
+from tests.runtime.session.test_session import first_frames
+
+
+def refusals(pair):
+    """Why words of the operator were refused."""
+    return [effect.reason for effect in pair.notes.effects if isinstance(effect, Refused)]
+
+
+@pytest.mark.parametrize(
+    ("fault", "refusal"),
+    [("flip-path-bit@loaded", Refusal.PATH_DIGEST), ("change-limit@loaded", Refusal.LIMITS_DIGEST)],
+)
+def test_what_changes_after_the_upload_is_found_at_the_permit(pair, fault, refusal):
+    pair.power_up(fault)
+    assert pair.end() is Phase.REFUSED
+    assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
+    assert Phase.PERMITTED not in pair.notes.phases
+
+
+@pytest.mark.parametrize(
+    ("fault", "refusal"),
+    [("flip-path-bit@permitted", Refusal.PATH_DIGEST), ("change-limit@permitted", Refusal.LIMITS_DIGEST)],
+)
+def test_what_changes_after_the_permit_is_found_at_the_start(pair, fault, refusal):
+    pair.power_up(fault)
+    pair.begin().until(lambda: bool(refusals(pair)), act=pair._lead)
+    assert refusals(pair)[0] == f"the controller refused the start: {refusal.name}"
+    pair.say("quit").run(0.2)
+    assert not any("CUTTING" in line for line in pair.said)
+
+
+def test_a_bit_that_flips_while_cutting_stops_the_arm(pair):
+    pair.power_up("flip-path-bit@cutting", time_scale=1.0)
+    assert pair.end() is Phase.STOPPED
+    assert (pair.state.cause, pair.controller.cause) == (StopCause.PATH_CHANGED, StopCause.PATH_CHANGED)
+
+
+def test_an_arm_off_its_start_is_seen_by_the_runtime(pair):
+    pair.power_up("off-start@permitted")
+    pair.begin().until(lambda: bool(refusals(pair)), act=pair._lead)
+    assert "measured tip to the path's first pose: 17.5" in refusals(pair)[0]
+    assert "measured joints to the path's first pose: 1.99" in refusals(pair)[0]
+    assert not first_frames(pair, records.Start)
+
+
+def test_an_arm_off_its_start_is_refused_by_the_controller_as_well(pair):
+    """The arm slips after the runtime has last measured it."""
+    pair.to(Phase.PERMITTED)
+    pair.disk.delay_s = 0.1
+    pair.to(Phase.AUTHORISING_START)
+    pair.until(lambda: bool(first_frames(pair, records.Start)))
+    pair.process._happen(FaultName.OFF_START)
+    pair.until(lambda: bool(refusals(pair)))
+    assert refusals(pair) == ["the controller refused the start: NOT_AT_START"]
+
+
+@pytest.mark.parametrize("state", ["loaded", "permitted", "cutting"])
+def test_a_reboot_ends_the_session(pair, state):
+    pair.power_up(f"reboot@{state}", time_scale=0.1)
+    boot = pair.controller.identity.boot_nonce
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.PEER_REBOOTED
+    assert pair.controller.identity.boot_nonce != boot
+    assert pair.controller.holdings.path is None
+    assert pair.controller.state is ControllerState.INHIBITED
+
+
+def test_a_path_that_was_being_checked_does_not_survive_a_reboot(pair, monkeypatch):
+    monkeypatch.setattr("firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    pair.begin().until(lambda: pair.process._check is not None)
+    assert pair.process._wait_ms() == 0.0
+    pair.process._happen(FaultName.REBOOT)
+    assert pair.process._check is None
+    pair.end()
+    assert pair.controller.holdings.path is None
+
+
+def test_a_silent_controller_is_lost(pair):
+    pair.power_up("silent@cutting", time_scale=0.05)
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.HEARTBEAT_LOST
+    assert not pair.controller.may_move
+
+
+@pytest.mark.parametrize(
+    ("word", "cause"),
+    [
+        ("release", StopCause.DEVICE_RELEASED),
+        ("estop", StopCause.EMERGENCY_STOP),
+        ("bone-motion", StopCause.BONE_MOVED),
+        ("limit", StopCause.LIMITS_CHANGED),
+    ],
+)
+def test_the_person_at_the_controller_stops_the_cut(pair, word, cause):
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING).controller_terminal.type(word)
+    pair.turn()
+    assert not pair.controller.may_move
+    assert pair.end() is Phase.STOPPED
+    assert (pair.state.cause, pair.controller.cause) == (cause, cause)
+
+
+def test_an_unknown_word_at_the_controller_is_answered(pair):
+    pair.controller_terminal.type("dance")
+    pair.turn()
+    assert "'dance' is not a word here; say one of hold, release," in pair.said[-1]
+
+
+# ---------------------------------------------------------------- opening
+
+
+def open_request(pair, **changes):
+    """An OPEN as the session would send it."""
+    timing = records.Timing(20, 100, 120, 2000, 500, 200)
+    values = {
+        "protocol_version": records.PROTOCOL_VERSION,
+        "boot_nonce": pair.controller.identity.boot_nonce,
+        "runtime_nonce": b"n" * 16,
+        "registration_digest": pair.job.registration,
+        "timing": timing,
+    }
+    return records.Open(**(values | changes))
+
+
+def test_a_second_session_is_refused_while_one_lives(pair):
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING)
+    stranger = Stranger(pair)
+    stranger.say(open_request(pair))
+    pair.run(0.1)
+    assert [reply.refusal for reply in stranger.replies] == [Refusal.SESSION_IN_USE]
+    assert pair.phase is Phase.CUTTING
+    assert pair.controller.may_move
+
+
+def test_timing_outside_the_controllers_bounds_is_refused(pair):
+    timing = replace(pair.job.timing, heartbeat_ms=4)
+    pair.begin(replace(pair.job, timing=timing))
+    assert pair.end() is Phase.REFUSED
+    assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
+
+
+def test_another_controller_than_the_configured_one_is_refused(pair):
+    pair.begin(replace(pair.job, serial="SIM-2"))
+    assert pair.end() is Phase.REFUSED
+    assert "controller serial number: SIM-1 (required: SIM-2)" in pair.state.reason
+
+
+def test_announcements_that_nobody_takes_are_dropped_and_repeated(pair):
+    pair.run(1.1)
+    assert len(pair.wire.seen) == 6  # a first frame each, every 200 ms; nobody answers
+    assert pair.begin().end() is Phase.DONE
+
+
+def test_other_limits_than_the_approved_are_refused_before_the_upload(pair):
+    pair.begin()
+    pair.controller_terminal.type("limit")
+    pair.run(0.02)
+    pair.close()
+    pair.run(0.3).begin()
+    pair.to(Phase.HELD).run(0.05).say("acknowledge")
+    assert pair.end() is Phase.REFUSED
+    assert "controller's joint limits equal the approved" in pair.state.reason
+    assert Phase.UPLOADING not in pair.notes.phases
+
+
+# ---------------------------------------------------------------- memory
+
+
+def test_a_withdrawn_registration_stays_withdrawn_over_a_restart(pair):
+    pair.to(Phase.PERMITTED).controller_terminal.type("bone-motion")
+    assert pair.end() is Phase.STOPPED
+    pair.close()
+    pair.power_up()
+    assert pair.begin().end() is Phase.REFUSED
+    assert pair.state.reason == "the controller refused the permit: REGISTRATION_WITHDRAWN"
+
+
+def test_only_a_withdrawn_registration_is_remembered(pair):
+    pair.to(Phase.PERMITTED).controller_terminal.type("estop")
+    pair.end()
+    pair.close()
+    pair.power_up()
+    assert pair.begin().end() is Phase.DONE
+
+
+# ---------------------------------------------------------------- records that do not fit
+
+
+@pytest.mark.parametrize(
+    "block",
+    [records.split(bytes(5000))[1], records.split(bytes(100))[0]],
+    ids=["a second block without the first", "no path"],
+)
+def test_a_path_block_that_makes_no_path_is_refused(pair, block):
+    pair.begin()
+    pair.prover.answer = lambda _request: None
+    pair.to(Phase.VERIFYING)
+    stranger = Stranger(pair, pair.state.session.tag)
+    stranger.say(block)
+    pair.run(0.2)
+    assert any("path refused: " in line for line in pair.said)
+    assert pair.controller.holdings.path is None
+
+
+def test_a_path_block_outside_loading_is_ignored(pair):
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING)
+    stranger = Stranger(pair, pair.state.session.tag)
+    stranger.say(records.split(pair.job.path)[0])
+    pair.run(0.2)
+    assert pair.controller.may_move
+    assert pair.process._check is None
+
+
+@pytest.mark.parametrize("side", ["q_min_u", "q_max_u"])
+def test_limits_beyond_what_a_joints_frame_can_carry_are_refused(pair, side):
+    i = records.Limits.parse(pair.job.limits)
+    far = {"q_min_u": -36_000_000_000, "q_max_u": 36_000_000_000}[side]
+    bounds = getattr(i, side)
+    wide = replace(i, **{side: (*bounds[:3], far, bounds[4])})
+    pair.job = replace(pair.job, limits=wide.body())
+    pair.power_up()
+    pair.begin().end()
+    assert "JOINTS_BEYOND_WIRE" in pair.state.reason

@@ -1,0 +1,213 @@
+"""What the operator and the worker say, at the right and at the wrong moment."""
+
+from dataclasses import replace
+
+import pytest
+
+from protocol import records
+from protocol.frames import ControllerHeartbeat
+from protocol.states import ControllerState, StopCause
+from runtime.interlock.state import Dropped, Phase, Refused, Word
+from runtime.session.worker import Broken
+from tests.runtime.session.test_session import first_frames
+
+QUIET = [
+    Phase.WAITING,
+    Phase.OPENING,
+    Phase.COLLECTING,
+    Phase.UPLOADING,
+    Phase.VERIFYING,
+    Phase.AUTHORISING_PERMIT,
+    Phase.PERMITTING,
+    Phase.PERMITTED,
+    Phase.NONCE_START,
+    Phase.AUTHORISING_START,
+]
+
+
+def reach(pair, phase):
+    """Stand in a phase, with a disk and a worker that hold still where it would pass by."""
+    pair.begin()
+    if phase is Phase.VERIFYING:
+        pair.prover.answer = lambda _request: None
+    if phase is Phase.AUTHORISING_PERMIT:
+        pair.to(Phase.COLLECTING).disk.answers = False
+    if phase is Phase.AUTHORISING_START:
+        pair.to(Phase.PERMITTED).disk.answers = False
+    pair.to(phase)
+    return pair
+
+
+@pytest.mark.parametrize("phase", QUIET)
+def test_quit_ends_every_phase_in_order(pair, phase):
+    reach(pair, phase).say("quit")
+    pair.disk.answers = True
+    assert (pair.phase, pair.state.cause) == (Phase.STOPPED, StopCause.OPERATOR_QUIT)
+    assert not first_frames(pair, records.Start)
+    pair.run(0.2)
+    assert pair.controller.state is ControllerState.INHIBITED
+    assert pair.close().closed
+
+
+@pytest.mark.parametrize("phase", [Phase.STARTING, Phase.CUTTING])
+def test_quit_stops_the_arm_first(pair, phase):
+    pair.power_up(time_scale=0.05)
+    reach(pair, phase).say("quit")
+    assert pair.end() is Phase.STOPPED
+    pair.run(0.2)
+    assert pair.state.cause is StopCause.OPERATOR_QUIT
+    assert pair.controller.cause is StopCause.OPERATOR_QUIT
+
+
+@pytest.mark.parametrize("word", [Word.START, Word.ACKNOWLEDGE, Word.RESET])
+@pytest.mark.parametrize("phase", [Phase.COLLECTING, Phase.AUTHORISING_PERMIT, Phase.CUTTING])
+def test_a_word_at_the_wrong_moment_is_refused_and_recorded(pair, word, phase):
+    pair.power_up(time_scale=0.05)
+    reach(pair, phase).say(word)
+    refused = [effect for effect in pair.notes.effects if isinstance(effect, Refused)]
+    assert refused[-1].word is word
+    assert pair.state.cause is StopCause.NONE
+    pair.disk.answers = True
+    pair.say("stop").end()
+    pair.close()
+    said = [(record["word"], record["accepted"]) for record in pair.read().of("/audit/operator")]
+    assert said[-2:] == [(word, False), ("stop", True)]
+
+
+def test_an_unknown_word_is_answered_and_changes_nothing(pair):
+    pair.to(Phase.COLLECTING).say("go")
+    assert "'go' is not a word here; say one of start, stop," in pair.notes.notes[-1]
+    assert pair.end() is Phase.DONE
+
+
+def test_the_end_of_standard_input_stops_nothing(pair):
+    pair.to(Phase.STARTING)
+    pair.terminal.hang_up()
+    assert pair.end() is Phase.DONE
+    assert pair.terminal.reader.descriptor is None
+
+
+def test_start_before_the_device_was_released_and_pressed_is_refused(pair):
+    pair.controller_terminal.type("hold")
+    pair.to(Phase.PERMITTED).run(0.1).say("start")
+    assert "enabling device" in next(
+        effect.reason for effect in pair.notes.effects if isinstance(effect, Refused)
+    )
+    assert not first_frames(pair, records.Start)
+
+
+def test_withdraw_reaches_the_controllers_memory(pair):
+    pair.to(Phase.PERMITTED).say("withdraw")
+    pair.end()
+    assert pair.state.cause is StopCause.REGISTRATION_WITHDRAWN
+    pair.run(0.2)
+    assert pair.controller.withdrawn == {pair.job.registration}
+
+
+# ---------------------------------------------------------------- the worker
+
+
+def test_a_broken_worker_stops_and_latches(pair):
+    pair.begin()
+    pair.prover.answer = lambda request: Broken(request.number, "ValueError: no")
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.INTERNAL_ERROR
+    assert pair.state.reason == "verification failed: ValueError: no"
+    assert pair.controller.state is ControllerState.FAULT
+    assert not first_frames(pair, records.Permit)
+
+
+def test_an_answer_to_another_request_is_dropped_recorded_and_not_kept(pair):
+    pair.begin()
+    prove, pair.prover.answer = pair.prover.answer, lambda _request: None
+    pair.to(Phase.VERIFYING)
+    right = prove(pair.prover.asked[0])
+    pair.prover.give(replace(right, verdict=replace(right.verdict, request=right.verdict.request + 1)))
+    pair.run(0.1)
+    assert pair.phase is Phase.VERIFYING
+    assert Dropped("a verdict for another request") in pair.notes.effects
+    assert (pair.session.answer, pair.notes.verdicts) == (None, [])
+    pair.prover.give(right)
+    assert pair.end() is Phase.DONE
+    pair.close()
+    log = pair.read()
+    assert len(log.of("/audit/verdict")) == 1
+    assert "dropped a verdict for another request" in {d.get("reason") for d in log.of("/audit/decision")}
+
+
+def test_an_answer_that_comes_too_late_ends_without_a_permit(pair):
+    pair.begin(replace(pair.job, timing=replace(pair.job.timing, verify_timeout_s=0.3)))
+    pair.prover.answer = lambda _request: None
+    assert pair.end() is Phase.REFUSED
+    assert "no verdict within 0.3 s" in pair.state.reason
+
+
+def test_a_worker_that_wakes_the_loop_for_nothing_changes_nothing(pair):
+    pair.begin()
+    pair.prover.answer = lambda _request: None
+    pair.to(Phase.VERIFYING)
+    pair.prover.give(None)
+    pair.run(0.1)
+    assert pair.phase is Phase.VERIFYING
+
+
+# ---------------------------------------------------------------- acknowledge and reset
+
+
+def next_session(pair):
+    pair.close()
+    pair.run(0.3).begin()
+    return pair.to(Phase.HELD).run(0.05)
+
+
+def test_a_stop_is_acknowledged_in_the_next_session_before_anything_else(pair):
+    pair.to(Phase.CUTTING)
+    pair.controller_terminal.type("estop")
+    pair.end()
+    assert (pair.state.cause, pair.controller.state) == (
+        StopCause.EMERGENCY_STOP,
+        ControllerState.INHIBITED,
+    )
+    next_session(pair).say("acknowledge").run(0.05)
+    assert pair.phase is Phase.HELD
+    assert "EMERGENCY_STOP" in [e.reason for e in pair.notes.effects if isinstance(e, Refused)][-1]
+    pair.controller_terminal.type("estop")  # released
+    pair.run(0.05).say("acknowledge")
+    assert pair.end() is Phase.DONE
+
+
+def test_a_latched_fault_needs_acknowledge_and_then_reset(pair):
+    pair.to(Phase.CUTTING)
+    pair.wire.nodes[0].put(0x080, bytes(8))
+    pair.end()
+    assert (pair.controller.state, pair.controller.cause) == (ControllerState.FAULT, StopCause.SECOND_NODE)
+    next_session(pair).say("reset").run(0.05)
+    assert "say acknowledge" in [e.reason for e in pair.notes.effects if isinstance(e, Refused)][-1]
+    pair.say("acknowledge").run(0.1)
+    assert (pair.phase, pair.controller.state) == (Phase.HELD, ControllerState.FAULT)
+    pair.say("reset")
+    assert pair.end() is Phase.DONE
+    (reset,) = first_frames(pair, records.Reset)
+    pair.close()
+    kinds = [(record["kind"], record["stage"]) for record in pair.read().of("/audit/permit")]
+    assert kinds[:3] == [("reset", "authorised"), ("reset", "sent"), ("reset", "acknowledged")]
+    assert reset.durable > 0
+
+
+def test_a_reset_waits_for_the_disk(pair):
+    pair.to(Phase.CUTTING)
+    pair.wire.nodes[0].put(0x080, bytes(8))
+    pair.end()
+    next_session(pair).say("acknowledge").run(0.1)
+    pair.disk.answers = False
+    pair.say("reset")
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.AUDIT_FAILED
+    assert not first_frames(pair, records.Reset)
+
+
+def test_a_stop_before_any_session_was_held_names_the_cause_in_the_heartbeats(pair):
+    pair.to(Phase.PERMITTED)
+    pair.controller_terminal.type("bone-motion")
+    pair.end()
+    assert pair.wire.frames(ControllerHeartbeat)[-1][1].cause is StopCause.BONE_MOVED

@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
@@ -25,9 +25,8 @@ from typing import Any, Self
 import can
 
 from protocol import records
-from protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, Frame, RuntimeHeartbeat, decode_frame
+from protocol.frames import CONTROL_IDS, IDS, Frame, Progress, decode_frame
 from protocol.permit import KEY_BYTES, new_key_file
-from protocol.states import ControllerState
 from runtime.audit.inspect import Log, read_log
 from tests.system import children
 from tests.system.children import Script
@@ -392,13 +391,13 @@ class Rig:
         return sim, run
 
     def begin(self, sim: Child, run: Child) -> None:
-        """Hold the enabling device, say start, and see the arm cut."""
+        """Hold the enabling device, say start, and see the arm move."""
         mark = len(self.bus.frames)
         sim.say("hold")
         run.line("enabling device is held")
         run.say("start")
         run.line("cutting$")
-        self.bus.single(ControllerHeartbeat, lambda beat: beat.state is ControllerState.CUTTING, after=mark)
+        self.bus.single(Progress, lambda progress: progress.fraction > 0, after=mark)
 
     def at_rest(self, sim: Child) -> str:
         """The controller's state once it is without a session and announces itself again."""
@@ -406,6 +405,14 @@ class Rig:
         first = self.bus.frame(lambda m: begins(m, records.Announce), after=mark)
         self.bus.frame(lambda m: begins(m, records.Announce) and m.timestamp > first.timestamp, after=mark)
         return state_of(sim)
+
+    def until(self, condition: Callable[[], object]) -> None:
+        """Wait for something that only the file system shows."""
+        until_s = time.monotonic() + WAIT_S
+        while not condition():
+            if time.monotonic() > until_s:
+                raise HungError("what was waited for in the file system did not come")
+            select.select([], [], [], 0.01)
 
     # ------------------------------------------------------------ what is left behind
 
@@ -437,12 +444,6 @@ def session_tag(bus: Observer) -> int:
         e.record for e in reversed(bus.records(CONTROL_IDS[0])) if isinstance(e.record, records.Open)
     )
     return records.session_tag(request.boot_nonce, request.runtime_nonce)
-
-
-def last_heartbeat(bus: Observer) -> RuntimeHeartbeat:
-    """The runtime's last heartbeat on the bus."""
-    beat: RuntimeHeartbeat = bus.all(RuntimeHeartbeat)[-1][1]
-    return beat
 
 
 # ---------------------------------------------------------------- inputs
@@ -489,11 +490,3 @@ def registration(name: str, shift_mm: tuple[float, float, float] = (0, 0, 0)) ->
         "residual_rms_mm": 0.1,
         "created_utc": "2026-01-01T00:00:00Z",
     }
-
-
-@contextmanager
-def rig(folder: Path) -> Iterator[Rig]:
-    """A rig of its own in this folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with Rig(folder) as made:
-        yield made

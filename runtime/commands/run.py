@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -55,17 +56,21 @@ def run(
     Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit.
     Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped or fault.
     """
-    with working(f"reading {path}"):
-        files = read_files(path, robot, registration, site, feed_mm_s)
-        secret = _key(key, files)
-        job = make_job(files, now=utc_now())
-    view = SessionView(quiet_output=json)
-    bus, name = _bus(interface, channel, files)
     try:
-        log = _log(log_dir or Path(files.settings.log.directory), files, job.path, name)
-        session, paths = _session(files, Interlock(job), secret, bus, name, log, view)
-    finally:
-        bus.shutdown()
+        with working(f"reading {path}"):
+            files = read_files(path, robot, registration, site, feed_mm_s)
+            secret = _key(key, files)
+            job = make_job(files, now=utc_now())
+    except KeyboardInterrupt:
+        raise typer.Exit(EXIT[Phase.STOPPED]) from None
+    view = SessionView(quiet_output=json)
+    with _signals() as signals:
+        bus, name = _bus(interface, channel, files)
+        try:
+            log = _log(log_dir or Path(files.settings.log.directory), files, job.path, name)
+            session, paths = _session(files, Interlock(job), secret, bus, name, log, view, signals)
+        finally:
+            bus.shutdown()
     if json:
         typer.echo(document_text(run_document(session.state, session.answer, paths)))
     else:
@@ -81,6 +86,7 @@ def _session(
     bus_name: str,
     log: AuditLog,
     view: SessionView,
+    signals: "Signals",
 ) -> tuple[Session, Paths]:
     """Run one session; the log is closed and the worker ended whatever happens."""
     timing = state.job.timing
@@ -106,30 +112,51 @@ def _session(
         else None,
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
     )
-    with _signals(session) as wake:  # to the very end: a second Ctrl-C must not leave the log open
-        try:
-            journal.processes(worker.pid)
-            session.run(wake)
-            clean = True
-        finally:
-            worker.close()
-            verdict = session.answer.document["verdict"] if session.answer else None
-            paths = journal.close(session.state, verdict, clean=clean)
+    signals.interrupts(session)
+    try:
+        journal.processes(worker.pid)
+        session.run(signals.wake)
+        clean = True
+    finally:
+        worker.close()
+        verdict = session.answer.document["verdict"] if session.answer else None
+        paths = journal.close(session.state, verdict, clean=clean)
     return session, paths
 
 
+@dataclass
+class Signals:
+    """What SIGINT and SIGTERM do: they interrupt the session, now or as soon as there is one, and wake its loop."""
+
+    wake: int
+    arrived: bool = False
+    session: Session | None = None
+
+    def interrupts(self, session: Session) -> None:
+        """This is the session to interrupt; one that arrived before counts."""
+        self.session = session
+        if self.arrived:
+            session.interrupt()
+
+
 @contextmanager
-def _signals(session: Session) -> Iterator[int]:
-    """SIGINT and SIGTERM only wake the loop; the table decides what they mean."""
+def _signals() -> Iterator[Signals]:
+    """SIGINT and SIGTERM only wake the loop; the table decides what they mean.
+
+    From before the log is made until after it is closed: no Ctrl-C leaves it open.
+    """
     reading, writing = wake_pipe()
+    signals = Signals(reading)
 
     def wake(_number: int, _frame: Any) -> None:
-        session.interrupt()
+        signals.arrived = True
+        if signals.session is not None:
+            signals.session.interrupt()
         os.write(writing, b"\0")
 
     previous = {number: signal.signal(number, wake) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield reading
+        yield signals
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -7,7 +7,10 @@ does, so it cannot outlive the runtime.
 import multiprocessing
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -131,6 +134,18 @@ def _serve(requests: Connection) -> None:
             return
 
 
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """A process started in here never sees SIGINT and SIGTERM, nor does its interpreter while it starts."""
+    mine = {signal.SIGINT, signal.SIGTERM}
+    resource_tracker.ensure_running()  # started on the way otherwise, and it lets both signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, mine)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class Worker:
     """The verification process, seen from the loop: submit, poll ``fileno``, collect."""
 
@@ -138,7 +153,8 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), name="cutgate-verifier", daemon=True)
-        self._process.start()
+        with _signals_wait():
+            self._process.start()
         theirs.close()
 
     @property

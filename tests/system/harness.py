@@ -91,6 +91,10 @@ class Child:
         """Send it a signal."""
         os.kill(self.pid, number)
 
+    def ctrl_c(self) -> None:
+        """What a terminal does: SIGINT to it and everything it has started. Only for a fresh interpreter."""
+        os.killpg(self.pid, signal.SIGINT)
+
     def line(self, pattern: str) -> str:
         """The next line that matches; lines before it are passed over."""
         until_s = time.monotonic() + WAIT_S
@@ -179,7 +183,12 @@ def start(
         assert script is None, "a fresh interpreter runs the program as it is"
         command = [sys.executable, "-m", program, *arguments]
         process = subprocess.Popen(
-            command, stdin=words_read, stdout=output_write, stderr=messages_write, cwd=ROOT
+            command,
+            stdin=words_read,
+            stdout=output_write,
+            stderr=messages_write,
+            cwd=ROOT,
+            start_new_session=True,  # as a terminal would, so that Ctrl-C can be typed to the whole of it
         )
     else:
         process = children.fork(theirs, program, arguments, script)

@@ -18,6 +18,15 @@ def test_an_interrupted_wait_for_a_controller_closes_the_log(rig):
     assert rig.log().report.status is Status.OK
 
 
+def test_ctrl_c_while_the_verifier_is_still_starting_closes_the_log(rig):
+    run = rig.run(fresh=True)
+    rig.until(rig.logs)
+    run.ctrl_c()
+    assert run.exit() == 3
+    assert run.lines == []
+    assert rig.log().report.status is Status.OK
+
+
 @pytest.mark.parametrize(
     ("at", "number"),
     [
@@ -41,7 +50,7 @@ def test_an_interrupted_session_ends_with_the_controller_inhibited(rig, at, numb
 @pytest.mark.parametrize("number", BOTH)
 def test_an_interrupted_cut_is_stopped(rig, number):
     sim, run = rig.cutting(fresh=number == signal.SIGINT)
-    run.signal(number)
+    run.ctrl_c() if number == signal.SIGINT else run.signal(number)
     assert run.exit() == 3
     sim.line("state INHIBITED")
     assert state_of(sim) == "INHIBITED (OPERATOR_QUIT)"

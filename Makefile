@@ -3,10 +3,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test demo lint types imports check lock clean
+.PHONY: test bench demo lint types imports check lock clean
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
+
+bench: $(READY)
+	$(BIN)/python benchmarks/verification.py
 
 demo: $(READY)
 	$(BIN)/cutgate demo

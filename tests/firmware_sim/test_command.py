@@ -1,0 +1,190 @@
+"""The command line of the simulated controller: what it refuses, and with which exit code it ends."""
+
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import can
+import pytest
+
+from config.bus import RuntimeDirectoryError
+from firmware_sim import __main__ as entry
+from firmware_sim import command, memory
+from protocol.frames import IDS, RuntimeHeartbeat
+
+ROBOT = Path("config/presets/example.toml")
+
+
+class Bus:
+    """An empty bus; or one that carries this message."""
+
+    def __init__(self, message=None):
+        self.message = message
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def recv(self, timeout):
+        assert timeout > 0
+        return self.message
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+    """Arguments that pass, on a bus that is free; the controller ends at once."""
+    key = tmp_path / "key"
+    key.write_text(bytes(range(32)).hex())
+    key.chmod(0o600)
+    shutil.copy(ROBOT, tmp_path / "robot.toml")
+    monkeypatch.setattr(command, "LISTEN_S", 0.0)
+    monkeypatch.setattr(command, "open_bus", lambda *_: Bus())
+    monkeypatch.setattr(command.sys, "stdin", None)
+    processes = []
+    monkeypatch.setattr(command.Process, "run", lambda self, wake: processes.append((self, wake)))
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    arguments = [
+        "--robot",
+        str(tmp_path / "robot.toml"),
+        "--key",
+        str(key),
+        "--interface",
+        "x",
+        "--channel",
+        "y",
+    ]
+    yield arguments, processes
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def refused(capsys, arguments, *texts):
+    assert command.main(arguments) == command.EXIT_BAD_INPUT
+    error = capsys.readouterr().err
+    assert error.startswith("cutgate sim: ")
+    assert error.count("\n") == 1
+    assert all(text in error for text in texts), error
+
+
+def test_the_controller_starts_with_what_the_robot_file_says(given, capsys):
+    arguments, processes = given
+    assert command.main([*arguments, "--time-scale", "5", "--fault", "hang@cutting"]) == command.EXIT_OK
+    ((process, wake),) = processes
+    assert process.controller.identity.serial.startswith("SIM-")
+    assert process._options.time_scale == 5.0
+    assert [fault.name for fault in process._options.faults] == ["hang"]
+    out = capsys.readouterr().out
+    assert "state INHIBITED; enabling device released" in out
+    os.kill(os.getpid(), signal.SIGTERM)  # only wakes the loop
+    assert os.read(wake, 10) == b"\0"
+
+
+def test_the_entry_point_names_the_controller(given):
+    arguments, processes = given
+    assert entry.main(["sim", *arguments, "--serial", "A-1"]) == 0
+    assert entry.main([*arguments, "--serial", "A-2"]) == 0
+    assert [process.controller.identity.serial for process, _ in processes] == ["A-1", "A-2"]
+
+
+def test_every_boot_has_a_nonce_of_its_own(given):
+    arguments, processes = given
+    command.main(arguments)
+    command.main(arguments)
+    first, second = (process.controller.identity.boot_nonce for process, _ in processes)
+    assert first != second
+
+
+def test_the_memory_beside_the_key_is_read(given, capsys):
+    arguments, processes = given
+    file = memory.beside(Path(arguments[3]))
+    memory.save(file, frozenset({b"r" * 32}))
+    command.main(arguments)
+    assert processes[0][0].controller.withdrawn == {b"r" * 32}
+    file.write_text("{")
+    refused(capsys, arguments, file.name)
+
+
+@pytest.mark.parametrize(
+    ("more", "texts"),
+    [
+        (["--time-scale", "0"], ["--time-scale is 0.0", "at most 1000"]),
+        (["--time-scale", "nan"], ["--time-scale is nan"]),
+        (["--time-scale", "1e9"], ["at most 1000"]),
+        (["--fault", "explode"], ["--fault: ", "'explode' is not known"]),
+        (["--fault", "hang@moon"], ["--fault: ", "state must be one of"]),
+        (["--robot", "nowhere.toml"], ["nowhere.toml"]),
+        (["--key", "nowhere.key"], ["nowhere.key"]),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(given, capsys, more, texts):
+    refused(capsys, [*given[0], *more], *texts)
+
+
+def test_there_is_no_key_built_in(given, capsys):
+    refused(capsys, given[0][:2], "no key file is given (--key)")
+
+
+def test_an_interface_needs_its_channel(given, capsys):
+    refused(capsys, given[0][:-2], "--interface needs --channel")
+
+
+@pytest.mark.parametrize(("more", "channel"), [([], "there"), (["--channel", "other"], "other")])
+def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, channel):
+    opened = []
+    monkeypatch.setattr(command, "default_interface", lambda: ("cutgate", "there"))
+    monkeypatch.setattr(command, "open_bus", lambda *place: opened.append(place) or Bus())
+    assert command.main([*given[0][:4], *more]) == command.EXIT_OK
+    assert opened == [("cutgate", channel)]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [can.CanInitializationError("no bus"), can.CanOperationError("gone"), RuntimeDirectoryError("mode")],
+)
+def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capsys, monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(command, "open_bus", fail)
+    refused(capsys, given[0], str(error))
+
+
+@pytest.mark.parametrize(
+    ("message", "used"),
+    [
+        (can.Message(arbitration_id=IDS[RuntimeHeartbeat], is_extended_id=False), True),
+        (can.Message(arbitration_id=0x601, is_extended_id=False), True),
+        (can.Message(arbitration_id=0x123, is_extended_id=False), False),
+        (can.Message(arbitration_id=IDS[RuntimeHeartbeat], is_extended_id=True), False),
+        (None, False),
+    ],
+)
+def test_a_bus_that_carries_our_frames_already_is_refused(given, capsys, monkeypatch, message, used):
+    monkeypatch.setattr(command, "LISTEN_S", 0.01)
+    monkeypatch.setattr(command, "open_bus", lambda *_: Bus(message))
+    if used:
+        refused(capsys, given[0], "already carries cutgate frames", f"0x{message.arbitration_id:03X}")
+    else:
+        assert command.main(given[0]) == command.EXIT_OK
+
+
+def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capsys, monkeypatch):
+    def fail(*_):
+        raise ValueError("one\ntwo")
+
+    monkeypatch.setattr(command.Process, "run", fail)
+    assert command.main(given[0]) == command.EXIT_INTERNAL
+    assert capsys.readouterr().err == "cutgate sim: internal error: ValueError: one two\n"
+
+
+def test_the_terminal_is_read_where_there_is_one(given, monkeypatch):
+    arguments, processes = given
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as stdin:
+        monkeypatch.setattr(command.sys, "stdin", stdin)
+        command.main(arguments)
+    os.close(writing)
+    assert processes[0][0]._words.descriptor == reading

@@ -1,0 +1,252 @@
+"""The controller's loop by itself: what it does without a runtime, and how it ends.
+
+Sessions with a runtime: tests/runtime/session.
+"""
+
+import os
+from dataclasses import replace
+
+import can
+import pytest
+
+from config.terminal import WordReader
+from firmware_sim import memory
+from firmware_sim.faults import FaultName, FaultSpec
+from firmware_sim.process import Options, Process, Word
+from firmware_sim.state import BoneMoved, Controller, Holdings, Identity, PathChecked, Session
+from protocol import records
+from protocol.endpoint import Endpoint, RecordReceived
+from protocol.frames import CONTROL_IDS
+from protocol.port import Port
+from protocol.records import Side
+from protocol.states import ControllerState, Refusal, StopCause
+from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL
+
+KEY = bytes(32)
+
+
+class Clock:
+    """Leaps by more than any period whenever it is read, so that no loop waits."""
+
+    def __init__(self):
+        self.now_s = 50.0
+
+    def __call__(self):
+        self.now_s += 0.25
+        return self.now_s
+
+
+class Bus:
+    """Nobody else; ``after`` turns of reading something happens."""
+
+    def __init__(self):
+        self.sent = []
+        self.reads = 0
+        self.after = {}
+        self.broken = False
+        self.descriptor = os.eventfd(0)
+
+    def fileno(self):
+        return self.descriptor
+
+    def recv(self, timeout):
+        self.reads += 1
+        self.after.pop(self.reads, lambda: None)()
+        if self.broken:
+            raise can.CanOperationError("gone")
+
+    def send(self, message, timeout):
+        self.sent.append(message)
+
+
+class Bench:
+    """One controller and the ends of its wires."""
+
+    def __init__(self, directory, *, limits=LIMITS, words=True, **options):
+        self.bus, self.said = Bus(), []
+        self.file = directory / "memory.json"
+        reading, self.typing = os.pipe2(os.O_NONBLOCK)
+        self.wake, self.waking = os.pipe2(os.O_NONBLOCK)
+        self.descriptors = [self.bus.descriptor, reading, self.typing, self.wake, self.waking]
+        endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+        self.process = Process(
+            Controller(
+                Identity("SIM-1", KEY, bytes(16)), Holdings(limits.body(), NOMINAL.body(), TOOL.body())
+            ),
+            Port(self.bus, endpoint),
+            self.file,
+            options=Options(**options),
+            words=WordReader(reading, Word) if words else None,
+            say=self.said.append,
+            clock=Clock(),
+        )
+
+    def end_after(self, reads):
+        self.bus.after[reads] = lambda: os.write(self.waking, b"\0")
+
+
+@pytest.fixture
+def bench(tmp_path):
+    made = []
+
+    def make(**options):
+        made.append(Bench(tmp_path, **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        for descriptor in one.descriptors:
+            os.close(descriptor)
+
+
+def announced(bench):
+    """The announcement that is on the bus, heard whole by a runtime that answers its flow control."""
+    runtime = Endpoint(Side.RUNTIME, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+    items, controller = [], bench.process.port.endpoint
+    for _ in range(10):
+        for message in bench.bus.sent:
+            items += runtime.receive(message.arbitration_id, bytes(message.data), now_s=0.0)
+        bench.bus.sent.clear()
+        for can_id, data in runtime.outgoing():
+            controller.receive(can_id, data, now_s=0.0)
+        bench.process.port.flush()
+    (item,) = [item for item in items if isinstance(item, RecordReceived)]
+    return item.record
+
+
+def test_without_a_session_only_announcements_leave(bench):
+    one = bench()
+    one.process.turn()
+    assert {message.arbitration_id for message in one.bus.sent} == {CONTROL_IDS[1]}
+    announce = announced(one)
+    assert isinstance(announce, records.Announce)
+    assert (announce.serial, announce.state, announce.cause) == (
+        "SIM-1",
+        ControllerState.INHIBITED,
+        StopCause.NONE,
+    )
+    assert announce.firmware_version == "sim-0.1"
+
+
+def test_a_time_scale_is_announced(bench):
+    one = bench(time_scale=20.0)
+    one.process.turn()
+    assert announced(one).firmware_version == "sim-0.1 x20"
+
+
+@pytest.mark.parametrize("words", [True, False])
+def test_the_loop_runs_until_it_is_woken_to_end(bench, words):
+    one = bench(words=words)
+    one.end_after(5)
+    one.process.run(one.wake)
+    assert one.process.controller.cause is StopCause.OPERATOR_QUIT
+    assert one.bus.sent
+
+
+def test_the_loop_hears_the_terminal_and_its_end(bench):
+    one = bench()
+    os.write(one.typing, b"hold\nhop\n")
+
+    def hang_up():
+        one.descriptors.remove(one.typing)
+        os.close(one.typing)
+
+    one.bus.after[3] = hang_up
+    one.end_after(9)
+    one.process.run(one.wake)
+    assert one.process.controller.inputs.device_pressed
+    assert one.said[:2] == [
+        "enabling device pressed",
+        "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit",
+    ]
+    assert one.process._words.descriptor is None
+
+
+def test_the_loop_ends_with_its_bus(bench):
+    one = bench()
+    one.bus.after[4] = lambda: setattr(one.bus, "broken", True)
+    with pytest.raises(can.CanError):
+        one.process.run(one.wake)
+    assert one.process.controller.cause is StopCause.BUS_FAILED
+
+
+def test_words_change_the_wired_inputs(bench):
+    one = bench()
+    for word, pressed, clear in (
+        (Word.HOLD, True, True),
+        (Word.ESTOP, True, False),
+        (Word.RELEASE, False, False),
+        (Word.ESTOP, False, True),
+    ):
+        one.process.act(word)
+        inputs = one.process.controller.inputs
+        assert (inputs.device_pressed, inputs.emergency_stop_clear) == (pressed, clear)
+    assert one.process.controller.cause is StopCause.EMERGENCY_STOP
+
+
+def test_bone_motion_without_a_session_withdraws_nothing_there_is(bench):
+    one = bench()
+    one.process.act(Word.BONE_MOTION)
+    assert one.process.controller.cause is StopCause.BONE_MOVED
+    assert memory.load(one.file) == frozenset()
+
+
+def test_a_changed_limit_is_one_degree_narrower(bench):
+    one = bench()
+    one.process.act(Word.LIMIT)
+    held = records.Limits.parse(one.process.controller.holdings.limits)
+    assert held.q_max_u[0] == LIMITS.q_max_u[0] - records.UNIT
+    assert held.q_max_u[1:] == LIMITS.q_max_u[1:]
+    assert one.process.controller.cause is StopCause.LIMITS_CHANGED
+
+
+def test_a_withdrawn_registration_is_in_the_memory_before_anything_else_happens(bench):
+    one = bench()
+    one.process.controller = _with_registration(one.process.controller)
+    one.process._feed(BoneMoved())
+    assert memory.load(one.file) == {b"r" * 32}
+
+
+def _with_registration(controller):
+    return replace(controller, last_registration=b"r" * 32)
+
+
+def test_a_stored_path_without_a_start_pose_stops_the_arm(bench):
+    """A path out of reach never gets here, for it is checked; if it did, nothing moves."""
+    one = bench()
+    far = records.Path.quantised(
+        [(5000.0, 0.0, 100.0), (5001.0, 0.0, 100.0)],
+        [(0.6, 0.0, 0.8)] * 2,
+        feed_mm_s=10.0,
+        tool_length_mm=160.0,
+        elbow="right",
+    )
+    one.process.controller = _opened(one.process.controller)
+    one.process._feed(PathChecked(far.body(), Refusal.ACCEPTED, 0, (0,) * 5))
+    assert any("cannot stand at the first pose" in line for line in one.said)
+    assert one.process.controller.state is ControllerState.FAULT
+    assert one.process.controller.cause is StopCause.LIMIT_EXCEEDED
+
+
+def _opened(controller):
+    session = Session(1, bytes(32), bytes(32), 120.0, 2.0, 0.5, 0.2, 0.02, 0.1)
+    return replace(controller, state=ControllerState.OPEN, session=session)
+
+
+def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
+    one = bench(faults=(FaultSpec(FaultName.FLIP_PATH_BIT, ControllerState.INHIBITED),))
+    one.process.turn()
+    assert one.said == ["fault injected: flip-path-bit"]
+    assert one.process.controller.holdings.path is None
+
+
+def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
+    monkeypatch.setattr("firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.use_session(1)
+    one.process._block(records.split(PATH.body())[0])
+    assert one.process._wait_ms() == 0.0
+    for _ in range(len(PATH) + 1):
+        one.process._continue_check()
+    assert one.process.controller.state is ControllerState.LOADED

@@ -1,0 +1,266 @@
+"""One side of the conversation: what an endpoint hands on, drops, and takes for a reason to stop."""
+
+from dataclasses import replace
+
+import pytest
+
+from protocol import records
+from protocol.endpoint import NO_SESSION, Endpoint, RecordReceived
+from protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, encode_frame
+from protocol.link import Accepted, Discarded, Violation
+from protocol.records import Channel, Side
+from protocol.states import ControllerState, Purpose, RuntimeCode, StopCause
+
+TAG = 0x12345678
+NOW = 100.0
+BEAT = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
+PERMIT_NONCE = records.Nonce(purpose=Purpose.PERMIT, nonce=bytes(16), epoch=0)
+ANNOUNCE = records.Announce(
+    protocol_version=records.PROTOCOL_VERSION,
+    firmware_version="test",
+    serial="SIM-1",
+    boot_nonce=bytes(16),
+    state=ControllerState.INHIBITED,
+    cause=StopCause.NONE,
+)
+
+
+def endpoint(side, tag=TAG):
+    made = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
+    if tag:
+        made.use_session(tag)
+        made.link.open(tag, NOW)
+    return made
+
+
+@pytest.fixture
+def runtime():
+    return endpoint(Side.RUNTIME)
+
+
+@pytest.fixture
+def controller():
+    return endpoint(Side.CONTROLLER)
+
+
+def carry(one, other, now_s=NOW, change=lambda _can_id, data: data):
+    """Frames to and fro until neither has any left; what both received."""
+    items, rounds = {one: [], other: []}, 0
+    while rounds < 100:
+        moved = False
+        for sender, receiver in ((one, other), (other, one)):
+            for can_id, data in sender.outgoing():
+                moved = True
+                passing = change(can_id, data)
+                if passing is not None:
+                    items[receiver] += receiver.receive(can_id, passing, now_s=now_s)
+        if not moved:
+            return items[one], items[other]
+        rounds += 1
+    raise AssertionError("they never end")
+
+
+def send_raw(transfer_id, payload, receiver):
+    """An ISO-TP single frame with this payload."""
+    data = bytes([len(payload)]) + payload
+    return receiver.receive(transfer_id, data.ljust(8, b"\xcc"), now_s=NOW)
+
+
+# ---------------------------------------------------------------- records
+
+
+def test_a_record_arrives_as_it_was_sent(runtime, controller):
+    sequence, payload = runtime.send_record(records.NonceRequest(purpose=Purpose.START), NOW)
+    _, (item,) = carry(runtime, controller)
+    assert item == RecordReceived(
+        records.NonceRequest(purpose=Purpose.START),
+        Channel.CONTROL,
+        TAG,
+        sequence,
+        len(payload),
+        records.digest(payload),
+    )
+
+
+@pytest.mark.parametrize("repeated", [1, 2])
+def test_a_record_heard_again_is_discarded(runtime, controller, repeated):
+    for _ in range(2):
+        controller.send_record(PERMIT_NONCE, NOW)
+    carry(controller, runtime)
+    controller._sent[Channel.CONTROL] = repeated - 1
+    controller.send_record(PERMIT_NONCE, NOW)
+    _, items = carry(controller, runtime)
+    assert items == [Discarded(f"record {repeated} after 2")]
+
+
+def test_sequences_of_the_two_channels_are_apart(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    controller.send_record(records.BlockStored(index=0), NOW)
+    _, items = carry(controller, runtime)
+    assert [(item.channel, item.sequence) for item in items] == [(Channel.CONTROL, 1), (Channel.BULK, 1)]
+
+
+def test_a_record_of_another_session_is_discarded(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW, session=TAG + 1)
+    _, items = carry(controller, runtime)
+    assert items == [Discarded(f"record of session {TAG + 1:08x}")]
+
+
+def test_an_announcement_is_heard_inside_and_outside_a_session(runtime):
+    controller = endpoint(Side.CONTROLLER, tag=NO_SESSION)
+    for _ in range(2):  # its sequence does not count
+        controller.send_record(ANNOUNCE, NOW)
+        _, (item,) = carry(controller, runtime)
+        assert (item.record, item.session) == (ANNOUNCE, NO_SESSION)
+        controller.use_session(NO_SESSION)
+
+
+def test_a_record_that_is_none_stops_a_session_and_is_dropped_outside(runtime):
+    (found,) = send_raw(CONTROL_IDS[1], b"\xff\0\0", runtime)
+    assert found.cause is StopCause.PROTOCOL_VIOLATION
+    assert found.detail.startswith("control channel: ")
+    runtime.end_session()
+    (found,) = send_raw(CONTROL_IDS[1], b"\xff\0\0", runtime)
+    assert isinstance(found, Discarded)
+
+
+@pytest.mark.parametrize("which", range(5))
+def test_one_flipped_bit_in_any_frame_never_makes_a_record(which):
+    """The record is refused, or the transfer fails or stands still."""
+    sender, receiver, count = endpoint(Side.CONTROLLER), endpoint(Side.RUNTIME), 0
+
+    def change(can_id, data):
+        nonlocal count
+        count += can_id == CONTROL_IDS[1]
+        hit = can_id == CONTROL_IDS[1] and count == which + 1
+        return data[:3] + bytes([data[3] ^ 4]) + data[4:] if hit else data
+
+    sender.send_record(PERMIT_NONCE, NOW)
+    _, items = carry(sender, receiver, change=change)
+    assert count == 5
+    assert not any(isinstance(item, RecordReceived) for item in items)
+
+
+@pytest.mark.parametrize("tag", [TAG, NO_SESSION])
+def test_a_lost_frame_is_a_failed_transfer_inside_a_session_only(tag):
+    """Outside one nobody waits for an announcement: the next one follows."""
+    sender, receiver, count = endpoint(Side.CONTROLLER, tag), endpoint(Side.RUNTIME, tag), 0
+
+    def change(can_id, data):
+        nonlocal count
+        count += can_id == CONTROL_IDS[1]
+        return None if can_id == CONTROL_IDS[1] and count == 3 else data
+
+    sender.send_record(PERMIT_NONCE if tag else ANNOUNCE, NOW)
+    _, items = carry(sender, receiver, change=change)
+    causes = [item.cause for item in items if isinstance(item, Violation)]
+    assert causes == ([StopCause.TRANSFER_FAILED] if tag else [])
+
+
+def test_a_record_on_its_way_is_seen(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    assert not runtime.receiving
+    for can_id, data in controller.outgoing():
+        runtime.receive(can_id, data, now_s=NOW)
+    assert runtime.receiving
+    carry(controller, runtime)
+    assert not runtime.receiving
+
+
+# ---------------------------------------------------------------- time
+
+
+@pytest.mark.parametrize("tag", [TAG, NO_SESSION])
+def test_a_transfer_that_stands_still_fails_inside_a_session_only(tag):
+    made = endpoint(Side.CONTROLLER, tag)
+    made.send_record(PERMIT_NONCE if tag else ANNOUNCE, NOW)
+    made.outgoing()
+    assert not [found for found in made.expire(NOW) if found.cause is StopCause.TRANSFER_FAILED]
+    late = [found for found in made.expire(NOW + 1.1) if found.cause is StopCause.TRANSFER_FAILED]
+    assert len(late) == (1 if tag else 0)
+    assert all("control channel" in found.detail for found in late)
+
+
+def test_silence_is_a_lost_peer(runtime):
+    assert runtime.expire(NOW + 0.1) == []
+    (lost,) = runtime.expire(NOW + 0.1001)
+    assert lost == Violation(StopCause.HEARTBEAT_LOST, "no fresh heartbeat within 100 ms")
+    runtime.end_session()
+    assert runtime.expire(NOW + 9.0) == []
+
+
+def test_timing_that_was_agreed_replaces_the_link(controller):
+    controller.use_timing(heartbeat_s=0.05, timeout_s=0.5)
+    assert not controller.link.is_open
+    assert (controller.link.heartbeat_s, controller.link.timeout_s) == (0.05, 0.5)
+
+
+# ---------------------------------------------------------------- frames
+
+
+def test_single_frames_leave_before_transfers(runtime):
+    runtime.send_record(records.Collect(), NOW)
+    runtime.send_frame(BEAT, NOW)
+    assert [can_id for can_id, _ in runtime.outgoing()] == [IDS[RuntimeHeartbeat], CONTROL_IDS[0]]
+    assert runtime.outgoing() == []
+
+
+def test_a_heartbeat_is_accepted_and_others_are_not_ours(runtime, controller):
+    runtime.send_frame(BEAT, NOW)
+    _, (item,) = carry(runtime, controller)
+    assert isinstance(item, Accepted)
+    assert item.frame.code is RuntimeCode.INHIBIT
+    assert controller.receive(0x123, bytes(8), now_s=NOW) == []
+
+
+def test_flags_of_a_frame_are_looked_at(controller):
+    can_id, data = encode_frame(BEAT, 0, TAG)
+    (found,) = controller.receive(can_id, data, is_error=True, now_s=NOW)
+    assert isinstance(found, Discarded)
+    assert controller.receive(can_id, data, is_extended=True, now_s=NOW) == []
+    for flag in ("is_remote", "is_fd"):
+        (found,) = controller.receive(can_id, data, now_s=NOW, **{flag: True})
+        assert found == Discarded(f"{can_id:#05x} corrupted")
+
+
+def test_a_frame_on_ones_own_identifier_is_a_second_node(runtime):
+    (found,) = runtime.receive(IDS[RuntimeHeartbeat], bytes(8), now_s=NOW)
+    assert found.cause is StopCause.SECOND_NODE
+
+
+def test_the_end_of_a_session_voids_everything(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    frames = controller.outgoing()
+    for can_id, data in frames:
+        runtime.receive(can_id, data, now_s=NOW)
+    runtime.send_record(records.Collect(), NOW)
+    runtime.send_record(records.Collect(), NOW)
+    runtime.end_session()
+    assert (runtime.session, runtime.link.is_open, runtime.outgoing()) == (NO_SESSION, False, [])
+    runtime.use_session(TAG)
+    assert runtime.send_record(records.Collect(), NOW)[0] == 1
+
+
+def test_an_aborted_transfer_does_not_go_on(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    for can_id, data in controller.outgoing():
+        runtime.receive(can_id, data, now_s=NOW)
+    flow_control = runtime.outgoing()
+    controller.abort()
+    for can_id, data in flow_control:
+        assert controller.receive(can_id, data, now_s=NOW) == []
+    assert controller.outgoing() == []
+
+
+def test_a_controllers_heartbeat_carries_what_it_was_given(runtime, controller):
+    beat = ControllerHeartbeat(
+        state=ControllerState.OPEN,
+        epoch=3,
+        cause=StopCause.NONE,
+        device_pressed=True,
+        emergency_stop_ok=True,
+        cutting_mode=False,
+    )
+    controller.send_frame(beat, NOW)
+    _, (item,) = carry(controller, runtime)
+    assert item.frame == replace(beat, echo=item.frame.echo)

@@ -1,0 +1,91 @@
+"""From files to a job: digests of the bytes that were read, the branch, the deadlines."""
+
+import hashlib
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from config.load import InputError, load_site
+from config.records import calibration_record, limits_record, tool_record
+from protocol import records
+from protocol.path import BLOCK_BYTES
+from runtime.session.job import VERIFIER, configuration_digest, make_job, read_files, utc_now
+from tests.runtime.session.pair import NOW, job_of
+
+
+@pytest.fixture
+def files(tmp_path_factory):
+    return job_of(tmp_path_factory)[0]
+
+
+def site(tmp_path, text):
+    file = tmp_path / "site.toml"
+    file.write_text('schema = "cutgate.site/1"\n' + text)
+    return load_site(file)
+
+
+def test_a_job_names_what_was_read(files):
+    job, robot = make_job(files, now=NOW), files.robot.value
+    assert job.limits == limits_record(robot).body()
+    assert job.calibration == calibration_record(robot).body()
+    assert job.tool == tool_record(robot).body()
+    assert job.registration == hashlib.sha256(files.prepared.registration.data).digest()
+    assert job.path_digest == hashlib.sha256(job.path).digest()
+    assert (job.verifier, job.serial, job.registration_max_age_s) == (VERIFIER, None, None)
+    assert len(VERIFIER) <= 16
+    assert job.blocks == -(-len(job.path) // BLOCK_BYTES) == len(records.split(job.path))
+
+
+def test_the_age_of_a_registration_counts_from_its_creation(files):
+    created = files.prepared.registration.value.created
+    assert make_job(files, now=created + timedelta(seconds=90)).registration_age_s == 90.0
+
+
+def test_without_a_registration_there_is_no_age(files):
+    bare = replace(files, prepared=replace(files.prepared, registration=None))
+    assert make_job(bare, now=NOW).registration_age_s == 0.0
+
+
+def test_the_configuration_is_both_files(files, tmp_path):
+    one, other = site(tmp_path, ""), site(tmp_path, "[timing]\ntimeout_ms = 120\n")
+    digests = {configuration_digest(replace(files, site=which)) for which in (None, one, other)}
+    assert len(digests) == 3
+
+
+def test_the_sites_settings_become_deadlines(files, tmp_path):
+    chosen = site(
+        tmp_path,
+        "[timing]\nheartbeat_ms = 30\ntimeout_ms = 150\nreply_timeout_ms = 700\nstop_confirm_ms = 400\n"
+        '[log]\ncommit_deadline_ms = 600\n[controller]\nserial = "A-1"\n',
+    )
+    job = make_job(replace(files, site=chosen), now=NOW)
+    timing = job.timing
+    assert (timing.heartbeat_ms, timing.timeout_ms) == (30, 150)
+    assert (timing.reply_timeout_s, timing.stop_confirm_s, timing.commit_deadline_s) == (0.7, 0.4, 0.6)
+    assert job.serial == "A-1"
+    assert files.settings.controller.serial is None
+
+
+def test_a_path_without_a_feasible_branch_keeps_the_turns_it_has(tmp_path_factory):
+    files, job = job_of(tmp_path_factory, 2000.0)
+    assert job.branch == records.Branch("right", 0, 0)
+    assert job.path == files.prepared.path.body()
+
+
+def test_a_file_that_is_not_there_is_refused(files, tmp_path):
+    with pytest.raises(InputError):
+        read_files(tmp_path / "none.csv", files.robot.path, files.prepared.registration.path, None, None)
+
+
+def test_a_sites_file_is_read_with_the_others(files, tmp_path):
+    chosen = site(tmp_path, "").path
+    read = read_files(
+        files.prepared.plan.path, files.robot.path, files.prepared.registration.path, chosen, 25.0
+    )
+    assert read.site is not None
+    assert read.prepared.path.feed_mm_s == 25.0
+
+
+def test_the_time_of_day_is_aware():
+    assert abs(utc_now() - datetime.now(UTC)) < timedelta(minutes=1)

@@ -1,0 +1,137 @@
+"""What becomes of a step in the log, and that no text can break it."""
+
+import sys
+
+import pytest
+
+from protocol import records
+from protocol.port import Passed
+from protocol.states import FaultCode, Refusal, StopCause, StopCode
+from runtime.audit.inspect import read_log
+from runtime.interlock.state import (
+    Dropped,
+    Failed,
+    FaultReceived,
+    Phase,
+    Refused,
+    ReplyReceived,
+    Said,
+    SendBlock,
+    SendStop,
+    Tick,
+    Word,
+)
+from runtime.session.journal import Journal, plain
+from tests.runtime.interlock.builders import READY, in_phase
+
+BAD = "caf\udce9 \ud800"
+SHOWN = "caf\\udce9 \\ud800"
+
+
+@pytest.fixture
+def log(pair):
+    """A log without a session: the journal alone writes to it."""
+    return pair.begin()
+
+
+def written(pair, topic):
+    pair.log.close(final_state="x", clean=True)
+    (path,) = (pair.directory / "logs").glob("*.mcap")
+    found = read_log(path.read_bytes())
+    assert found.report.status.name == "OK"
+    return found.of(topic)
+
+
+@pytest.mark.parametrize("text", ["", "plain", "Ünïcode ✓", "\0\n\x7f"])
+def test_text_that_can_be_stored_stays_as_it_is(text):
+    assert plain(text) == text
+
+
+def test_text_that_cannot_be_stored_is_spelled_out():
+    assert plain(BAD) == SHOWN
+    plain(BAD).encode()
+
+
+def test_arguments_that_are_no_text_are_recorded_all_the_same(log, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["cutgate", "run", BAD])
+    log.journal.processes(7)
+    processes = written(log, "/audit/process")
+    assert processes[-2]["argv"] == ["cutgate", "run", SHOWN]
+    assert (processes[-1]["role"], processes[-1]["pid"]) == ("verifier", 7)
+
+
+def test_reasons_that_are_no_text_are_recorded_all_the_same(log):
+    journal, state = log.journal, READY
+    stopped = in_phase(Phase.STOPPING, reason=BAD, cause=StopCause.INTERNAL_ERROR)
+    journal.step(state, Failed(StopCause.INTERNAL_ERROR, BAD), stopped, (), 1.0)
+    journal.step(state, Said(Word.START), state, (Refused(Word.START, BAD),), 1.0)
+    journal.step(state, Said(Word.STOP), state, (Dropped(BAD),), 1.0)
+    decisions = written(log, "/audit/decision")
+    assert [decision["reason"] for decision in decisions] == [SHOWN, SHOWN, f"dropped {SHOWN}"]
+
+
+def test_a_channel_that_is_no_text_can_name_the_raw_frames(log):
+    journal = Journal(log.log, "vc\udcffan")
+    journal.frame(Passed("received", 0x123, bytes(8), False, False, False, False))
+    assert written(log, "/can/frame")[-1]["id"] == 0x123
+
+
+def test_frames_of_transfers_are_raw_only(log):
+    for can_id in (0x600, 0x641, 0x080):
+        log.journal.frame(Passed("sent", can_id, bytes(8), False, False, False, False))
+    log.journal.frame(Passed("received", 0x18FF0001, b"", True, True, False, False))
+    frames = written(log, "/can/frame")
+    assert [frame["id"] for frame in frames] == [0x080, 0x18FF0001]
+    assert (frames[1]["is_extended"], frames[1]["is_rtr"], frames[1]["dlc"]) == (True, True, 0)
+    (candump,) = (log.directory / "logs").glob("*.candump.log")
+    assert candump.read_text().splitlines()[-1].endswith("vcan0 18FF0001#R")
+
+
+def test_an_uneventful_step_is_not_recorded(log):
+    log.journal.step(READY, Tick(), READY, (), 1.0)
+    assert written(log, "/audit/decision") == []
+
+
+@pytest.mark.parametrize(
+    ("event", "effects", "expected"),
+    [
+        (
+            ReplyReceived(records.Permit.TYPE, Refusal.ACCEPTED, StopCause.NONE),
+            (),
+            "reply ACCEPTED to permit",
+        ),
+        (ReplyReceived(records.Open.TYPE, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to 0x2"),
+        (FaultReceived(FaultCode.LATCHED, StopCause.SECOND_NODE), (), "FaultReceived"),
+        (Failed(StopCause.BUS_FAILED, "no"), (), "failed BUS_FAILED"),
+    ],
+)
+def test_an_event_has_a_name_that_says_what_it_was(log, event, effects, expected):
+    log.journal.step(READY, event, READY, effects, 1.0)
+    assert written(log, "/audit/decision")[0]["event"] == expected
+
+
+def test_effects_have_names_that_say_what_they_do(log):
+    effects = (SendStop(StopCode.END, StopCause.SESSION_ENDED), SendBlock(3), Dropped("x"))
+    log.journal.step(READY, Tick(), READY, effects, 1.0)
+    assert written(log, "/audit/decision")[0]["effects"] == [
+        "send END SESSION_ENDED",
+        "send path block 3",
+        "Dropped",
+    ]
+
+
+def test_replies_to_signed_records_are_facts_of_their_own(log):
+    for refusal in (Refusal.ACCEPTED, Refusal.NONCE_EXPIRED):
+        log.journal.step(READY, ReplyReceived(records.Start.TYPE, refusal, StopCause.NONE), READY, (), 1.0)
+    assert [(r["kind"], r["stage"], r["reply"]) for r in written(log, "/audit/permit")] == [
+        ("start", "acknowledged", "ACCEPTED"),
+        ("start", "refused", "NONCE_EXPIRED"),
+    ]
+
+
+def test_a_log_that_is_closed_names_its_end(log):
+    state = in_phase(Phase.STOPPED, reason=BAD)
+    paths = log.journal.close(state, "admissible", clean=True)
+    assert paths.closed
+    (closed,) = read_log(paths.log.read_bytes()).of("/audit/close")
+    assert (closed["final_state"], closed["verdict"], closed["outcome"]) == ("stopped", "admissible", SHOWN)

@@ -1,0 +1,120 @@
+"""The verification process: one answer to each request, and no way to outlive or to hold up the runtime."""
+
+import select
+from dataclasses import replace
+
+import pytest
+
+from protocol import records
+from runtime.session import worker as workers
+from runtime.session.worker import NOWHERE, Answer, Broken, Request, Worker, prove
+from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, job_of
+
+PATIENCE_S = 60.0
+
+
+def request(tmp_path_factory, bone_x_mm=ADMISSIBLE_MM, number=5):
+    files, job = job_of(tmp_path_factory, bone_x_mm)
+    return Request(
+        number, job.path, job.limits, job.calibration, job.tool, job.registration, files.robot.value
+    )
+
+
+def test_an_admissible_path_is_proved_for_exactly_what_was_asked(tmp_path_factory):
+    asked = request(tmp_path_factory)
+    answer = prove(asked)
+    verdict = answer.verdict
+    assert (verdict.request, verdict.admissible) == (5, True)
+    assert (verdict.path, verdict.limits, verdict.calibration, verdict.tool) == tuple(
+        records.digest(data) for data in (asked.path, asked.limits, asked.calibration, asked.tool)
+    )
+    assert verdict.start_joints_u != NOWHERE
+    assert answer.guidance is None
+    assert answer.document["verdict"] == "admissible"
+
+
+def test_an_inadmissible_path_comes_with_guidance_and_no_start(tmp_path_factory):
+    answer = prove(request(tmp_path_factory, INADMISSIBLE_MM))
+    assert not answer.verdict.admissible
+    assert answer.verdict.start_joints_u == NOWHERE
+    assert answer.guidance is not None
+    assert answer.document["guidance"]["verified"] is True
+
+
+def answer_of(worker):
+    ready, _, _ = select.select([worker.fileno()], [], [], PATIENCE_S)
+    assert ready, "no answer"
+    return worker.poll()
+
+
+def test_a_worker_answers_says_what_broke_and_ends_with_its_pipe(tmp_path_factory):
+    asked = request(tmp_path_factory)
+    worker = Worker()
+    assert worker.pid > 0
+    assert worker.poll() is None
+    worker.submit(asked)
+    worker.submit(replace(asked, number=6, path=b"no path"))
+    first, second = answer_of(worker), answer_of(worker)
+    assert isinstance(first, Answer)
+    assert first.verdict == prove(asked).verdict
+    assert (second.number, second.reason[:12]) == (6, "RecordError:")
+    worker.close()
+    assert worker._process.exitcode == 0
+
+
+def test_a_worker_that_died_is_reported_and_can_still_be_asked(tmp_path_factory):
+    worker = Worker()
+    worker._process.kill()
+    worker._process.join(PATIENCE_S)
+    found = answer_of(worker)
+    assert isinstance(found, Broken)
+    assert "the verification process ended with code -9" in found.reason
+    worker.submit(request(tmp_path_factory))
+    assert isinstance(worker.poll(), Broken)
+    worker.close()
+
+
+def test_a_worker_that_does_not_end_is_killed(monkeypatch):
+    monkeypatch.setattr(workers, "JOIN_S", 0.05)
+    worker = Worker()  # still importing when its pipe ends
+    worker.close()
+    worker._process.join(PATIENCE_S)
+    assert not worker._process.is_alive()
+
+
+class Pipe:
+    """The worker's end of the pipe."""
+
+    def __init__(self, *requests, deaf=False):
+        self.requests, self.answers, self.deaf = list(requests), [], deaf
+
+    def recv(self):
+        if not self.requests:
+            raise EOFError
+        return self.requests.pop(0)
+
+    def send(self, answer):
+        if self.deaf:
+            raise BrokenPipeError
+        self.answers.append(answer)
+
+
+@pytest.fixture
+def _signals_stay(monkeypatch):
+    monkeypatch.setattr(workers.signal, "signal", lambda *_: None)
+
+
+@pytest.mark.usefixtures("_signals_stay")
+def test_the_workers_process_answers_until_the_pipe_ends(tmp_path_factory):
+    asked = request(tmp_path_factory)
+    pipe = Pipe(asked, replace(asked, number=9, path=b""))
+    workers._serve(pipe)
+    assert pipe.answers[0].verdict.request == 5
+    assert pipe.answers[1].number == 9
+
+
+@pytest.mark.usefixtures("_signals_stay")
+def test_the_workers_process_ends_when_nobody_listens(tmp_path_factory):
+    pipe = Pipe(request(tmp_path_factory), request(tmp_path_factory), deaf=True)
+    workers._serve(pipe)
+    assert len(pipe.requests) == 1

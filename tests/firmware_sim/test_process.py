@@ -3,6 +3,7 @@
 Sessions with a runtime: tests/runtime/session.
 """
 
+import math
 import os
 from dataclasses import replace
 
@@ -20,7 +21,7 @@ from protocol.frames import CONTROL_IDS
 from protocol.port import Port
 from protocol.records import Side
 from protocol.states import ControllerState, Refusal, StopCause
-from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL
+from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, pocket
 
 KEY = bytes(32)
 
@@ -238,6 +239,31 @@ def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
     one.process.turn()
     assert one.said == ["fault injected: flip-path-bit"]
     assert one.process.controller.holdings.path is None
+
+
+def test_a_path_of_many_blocks_is_checked_once_it_is_whole(bench):
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.use_session(1)
+    *blocks, last = records.split(pocket(poses=500, length_mm=1200.0).body())
+    assert blocks
+    for block in blocks:
+        one.process._block(block)
+        assert one.process._check is None
+    one.process._block(last)
+    assert one.process._check is not None
+
+
+def test_a_record_of_no_session_is_ignored(bench):
+    one = bench()
+    one.process._record(RecordReceived(records.Collect(), records.Channel.CONTROL, 7, 1, 20, bytes(32)))
+    assert one.process.port.endpoint.outgoing() == []
+
+
+def test_without_a_path_nothing_is_measured(bench):
+    one = bench()
+    one.process._measure()
+    assert one.process.controller.start_offset_mm == math.inf
 
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):

@@ -85,7 +85,9 @@ def test_a_full_disk_stops_the_cut(pair):
     pair.power_up(time_scale=0.05)
     pair.to(Phase.CUTTING)
     pair.disk.trouble = full
-    assert pair.end() is Phase.STOPPED
+    assert (
+        pair.end(limit_s=1.1) is Phase.STOPPED
+    )  # with the next chunk, not only after the checkpoint's deadline
     assert pair.state.cause is StopCause.AUDIT_FAILED
     assert (pair.controller.state, pair.controller.cause) == (
         ControllerState.FAULT,

@@ -10,6 +10,7 @@ from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from runtime.audit.inspect import Status, read_log
 from runtime.audit.replay import Outcome
 from runtime.interlock.state import Phase
+from runtime.session.loop import EVENTS
 from tests.runtime.session.pair import TURN_S
 from tests.runtime.session.wire import RUNTIME
 
@@ -42,9 +43,11 @@ def test_a_session_cuts_every_segment_and_leaves_a_log_that_replays(pair):
     ]
 
 
-def test_every_enabling_record_is_durable_before_it_is_on_the_bus(pair):
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
+def test_every_enabling_record_is_durable_before_it_is_on_the_bus(pair, delay_s):
+    pair.begin().disk.delay_s = delay_s
     pair.end()
-    pair.close()
+    pair.run(1.0).close()
     (permit,), (start,) = first_frames(pair, records.Permit), first_frames(pair, records.Start)
     assert "permit" in authorised(pair, permit.durable)
     assert "start" in authorised(pair, start.durable)
@@ -109,6 +112,11 @@ def test_a_word_of_stop_ends_every_phase_without_motion(pair, phase):
     pair.run(0.2)
     assert pair.controller.state is ControllerState.INHIBITED
     assert not pair.controller.cutting_mode
+
+
+def test_every_record_of_the_controller_means_something_to_the_table():
+    sent = {kind for kind in records.RECORDS.values() if kind.SENDER is records.Side.CONTROLLER}
+    assert set(EVENTS) == sent - {records.Announce}
 
 
 def test_the_progress_is_shown_and_never_beyond_the_path(pair):

@@ -266,16 +266,13 @@ class Session:
                 self._feed(Failed(item.cause, item.detail))
             case RecordReceived():
                 self._journal.record_received(item)
-                event = self._event_of(item.record)
-                if event is not None:
-                    self._feed(event)
+                self._feed(self._event_of(item.record))
 
-    def _event_of(self, record: records.Record) -> Event | None:
+    def _event_of(self, record: records.Record) -> Event:
         """What a controller's record means to the table."""
         if isinstance(record, records.Announce):
             return Announced(record, self._random(16))
-        make = EVENTS.get(type(record))
-        return make(record) if make else None
+        return EVENTS[type(record)](record)
 
     def _measure(self) -> None:
         """A new sample of measured joints against the first pose: tip distance and largest joint angle."""

@@ -19,7 +19,14 @@ from config.terminal import WordReader
 from protocol import permit as permits
 from protocol import records
 from protocol.endpoint import RecordReceived
-from protocol.frames import ControllerFault, ControllerHeartbeat, Progress, RuntimeHeartbeat, RuntimeStop
+from protocol.frames import (
+    ControllerFault,
+    ControllerHeartbeat,
+    Joint4,
+    Progress,
+    RuntimeHeartbeat,
+    RuntimeStop,
+)
 from protocol.link import Accepted, Violation
 from protocol.port import Port
 from protocol.states import RuntimeCode, StopCause, StopCode
@@ -257,6 +264,7 @@ class Session:
         match item:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
                 self._feed(HeartbeatReceived(_view_of(beat), fresh))
+            case Accepted(frame=Joint4()):
                 self._measure()
             case Accepted(frame=ControllerFault() as fault):
                 self._feed(FaultReceived(fault.code, fault.cause))
@@ -275,7 +283,7 @@ class Session:
         return EVENTS[type(record)](record)
 
     def _measure(self) -> None:
-        """A new sample of measured joints against the first pose: tip distance and largest joint angle."""
+        """A sample whose last part has just come, against the first pose: tip distance and largest joint angle."""
         sample = self._port.endpoint.link.sample
         if sample is None or self._start is None or sample.received_s == self._sample_s:
             return

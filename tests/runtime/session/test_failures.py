@@ -1,5 +1,8 @@
 """A bus that fails and a program that fails: the gate closes, the log is closed, and nobody believes it was clean."""
 
+import os
+import signal
+
 import can
 import pytest
 
@@ -9,6 +12,7 @@ from protocol.states import ControllerState, FaultCode, StopCause
 from runtime.audit.inspect import Status, read_log
 from runtime.cli import INTERNAL, execute
 from runtime.interlock.state import Phase, Send
+from runtime.session.journal import Journal
 from runtime.session.loop import Session
 from tests.runtime.session.pair import KEY, Prover
 from tests.runtime.session.test_session import first_frames
@@ -132,7 +136,9 @@ def test_an_error_on_a_bus_that_has_failed_as_well_is_still_the_error(cutting, m
     assert inhibited(cutting)
 
 
-def test_the_command_exits_70_and_closes_the_log_as_not_clean(pair, monkeypatch, tmp_path, capsys):
+@pytest.fixture
+def command(pair, monkeypatch, tmp_path):
+    """``cutgate run`` on a bus in memory; its exit code and its log."""
     directory = pair.files.prepared.plan.path.parent
     key = tmp_path / "key"
     key.write_text(KEY.hex())
@@ -142,22 +148,49 @@ def test_the_command_exits_70_and_closes_the_log_as_not_clean(pair, monkeypatch,
     monkeypatch.setattr("runtime.commands.run.Worker", Prover)
     monkeypatch.setattr("runtime.commands.run.sys.stdin", None)
     monkeypatch.setattr("runtime.commands.run.sys.argv", ["cutgate", "run", "pl\udcffan"])
-    monkeypatch.setattr(Session, "_turn", lambda *_: 1 / 0)
     monkeypatch.setattr(node, "shutdown", lambda: None)
-    code = execute(
-        [
-            *("run", str(directory / "plan.csv"), "--robot", str(directory / "robot.toml")),
-            *("--registration", str(directory / "registration.json")),
-            *("--key", str(key), "--log-dir", str(tmp_path / "command")),
-        ]
-    )
+
+    def run():
+        code = execute(
+            [
+                *("run", str(directory / "plan.csv"), "--robot", str(directory / "robot.toml")),
+                *("--registration", str(directory / "registration.json")),
+                *("--key", str(key), "--log-dir", str(tmp_path / "command")),
+            ]
+        )
+        (path,) = (tmp_path / "command").glob("*.mcap")
+        return code, read_log(path.read_bytes())
+
+    return run
+
+
+def test_the_command_exits_70_and_closes_the_log_as_not_clean(command, monkeypatch, capsys):
+    monkeypatch.setattr(Session, "_turn", lambda *_: 1 / 0)
+    code, log = command()
     assert code == INTERNAL
     assert "internal error: ZeroDivisionError" in capsys.readouterr().err
-    (path,) = (tmp_path / "command").glob("*.mcap")
-    log = read_log(path.read_bytes())
     assert log.report.status is Status.OK
     assert log.of("/audit/close")[0]["clean"] is False
     assert log.of("/audit/process")[0]["argv"] == ["cutgate", "run", "pl\\udcffan"]
+
+
+def test_a_second_interrupt_while_the_log_is_closed_leaves_it_whole(command, monkeypatch):
+    begin, close = Session.begin, Journal.close
+
+    def begin_and_quit(session, wake):
+        begin(session, wake)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def close_under_a_signal(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return close(*arguments, **options)
+
+    monkeypatch.setattr(Session, "begin", begin_and_quit)
+    monkeypatch.setattr(Journal, "close", close_under_a_signal)
+    code, log = command()
+    assert code == 3
+    assert log.report.status is Status.OK
+    assert log.of("/audit/close")[0]["clean"] is True
 
 
 # ---------------------------------------------------------------- the controller's own errors

@@ -17,6 +17,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from firmware_sim import command
 from firmware_sim.__main__ import main as controller_side
 from protocol.port import Port
 from runtime import cli
@@ -28,8 +29,11 @@ from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
 from runtime.session import worker
 
 SECOND_BLOCK = "second block"
+MOVING = "moving"
 HALF_THE_CUT = "half the cut"
 SIDE_FILE_BYTES = 8
+LISTEN_S = 0.05
+"""A rig's bus is known to be free: the forked controller listens less long before it speaks."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Script:
     """How this runtime differs from an ordinary one.
 
     Attributes:
-        at: a phase, SECOND_BLOCK or HALF_THE_CUT; there the process sends itself ``number``.
+        at: a phase, SECOND_BLOCK, MOVING or HALF_THE_CUT; there the process sends itself ``number``.
         sent: not on reaching it, but once the frames of that turn have left.
         number: the signal.
         synced: file that holds the log's size as of its last successful sync.
@@ -72,6 +76,7 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
         worker_by_fork()
         bend(script or Script())
         sys.exit(cli.execute(arguments))
+    command.LISTEN_S = LISTEN_S  # type: ignore[misc]
     sys.exit(controller_side(arguments))
 
 
@@ -109,6 +114,8 @@ def bend(script: Script) -> None:
 
         def progress(self, segment: int, segments: int) -> None:
             super().progress(segment, segments)
+            if segment > 1:
+                trap.reached(MOVING)
             if 2 * segment >= segments:
                 trap.reached(HALF_THE_CUT)
 

@@ -17,7 +17,7 @@ from protocol.frames import (
 from protocol.states import RuntimeCode, StopCause
 from runtime.interlock.state import Phase
 from tests.system.children import Script
-from tests.system.harness import FAST, TIMEOUT_S, begins, decoded, is_kind, session_tag, state_of
+from tests.system.harness import FAST, POSES, TIMEOUT_S, begins, decoded, is_kind, session_tag, state_of
 
 MARGIN_S = 0.45
 STALE = 26
@@ -70,6 +70,7 @@ def test_a_permit_overtaken_by_a_stop_enables_nothing(rig):
     """The runtime sleeps with its PERMIT begun; anything on the stop identifier comes in between."""
     run, sim = rig.run(script=Script(at=Phase.PERMITTING, sent=True, number=signal.SIGSTOP)), rig.sim()
     rig.bus.frame(lambda m: begins(m, records.Permit))
+    rig.until(lambda: run.stopped)
     inject(rig, IDS[RuntimeStop], bytes(8))
     sim.line("state INHIBITED")
     run.signal(signal.SIGCONT)
@@ -84,7 +85,7 @@ def test_a_second_runtime_notices_the_first_and_leaves_it_alone(rig):
     assert second.exit() == 3
     assert "own identifier" in second.told
     assert run.exit() == 0
-    assert "449 segments executed" in sim.line("state DONE")
+    assert f"{POSES - 1} segments executed" in sim.line("state DONE")
 
 
 @pytest.mark.parametrize("identifier", [IDS[RuntimeHeartbeat], IDS[ControllerHeartbeat]])
@@ -97,7 +98,7 @@ def test_a_node_that_speaks_for_one_side_latches_the_controller(rig, identifier)
 
 def test_a_second_controller_refuses_the_bus(rig):
     rig.sim()
-    second = rig.sim(ready=False)
+    second = rig.sim(ready=False, fresh=True)
     assert second.exit() == 2
     assert "the bus already carries cutgate frames" in second.told
 

@@ -26,7 +26,7 @@ from runtime.interlock.state import Phase
 from tests.system.children import HALF_THE_CUT, SECOND_BLOCK, Script, synced_bytes
 from tests.system.harness import FAST, ROBOT, SAFE, Rig
 
-AT_ONCE = 4
+AT_ONCE = 3
 """Sessions at the same time: they mostly wait."""
 SYNC_S = 0.02
 """A slow disk: a permit that did not wait for it would be 20 ms early."""

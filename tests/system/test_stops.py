@@ -5,8 +5,9 @@ import signal
 import pytest
 
 from protocol.frames import ControllerFault, ControllerHeartbeat, Joint4, Joints01, Joints23, RuntimeHeartbeat
-from protocol.states import ControllerState, StopCause
+from protocol.states import StopCause
 from runtime.audit.inspect import Status
+from tests.system.children import MOVING, Script
 from tests.system.harness import TIMEOUT_S, is_kind, state_of
 
 MARGIN_S = 0.45
@@ -76,10 +77,11 @@ def test_a_killed_runtime_stops_the_cut_within_the_time_out(rig):
 
 
 def test_a_wedged_loop_stops_the_cut_within_the_time_out_and_says_so_when_it_comes_back(rig):
-    sim, run = rig.cutting()
-    run.signal(signal.SIGSTOP)
+    """It stands still between two turns; inside one, the fault frame of the controller may be read first."""
+    sim, run = rig.cutting(script=Script(at=MOVING, sent=True, number=signal.SIGSTOP))
     sim.line("HEARTBEAT_LOST")
     assert lost(rig) <= TIMEOUT_S + MARGIN_S
+    rig.at_rest(sim)  # an announcement later the loop has stood still for longer than the time-out
     mark = len(rig.bus.frames)
     run.signal(signal.SIGCONT)
     run.line("STOP sent: the loop stood still")
@@ -87,11 +89,7 @@ def test_a_wedged_loop_stops_the_cut_within_the_time_out_and_says_so_when_it_com
     assert rig.log().of("/audit/decision")[-1]["first_out"] == "LOOP_STALLED"
     assert rig.log().report.status is Status.OK
     assert rig.at_rest(sim) == "INHIBITED (HEARTBEAT_LOST)"
-    states = {frame.state for _, frame in rig.bus.all(ControllerHeartbeat)[-1:]}
-    assert states <= {ControllerState.INHIBITED, ControllerState.CUTTING}
-    assert not any(
-        is_kind(m, ControllerHeartbeat) for m in rig.bus.frames[mark:]
-    )  # it stays without a session
+    assert not any(is_kind(m, ControllerHeartbeat) for m in rig.bus.frames[mark:])  # no session any more
 
 
 def test_a_wedged_controller_is_noticed_and_stops_by_itself_when_it_comes_back(rig):

@@ -423,7 +423,9 @@ class Rig:
         until_s = time.monotonic() + WAIT_S
         while not condition():
             if time.monotonic() > until_s:
-                raise HungError("what was waited for did not come")
+                for child in self.children:
+                    child.listen()
+                raise HungError("\n".join(f"{child.name} said\n{child.told}" for child in self.children))
             select.select([], [], [], 0.01)
 
     # ------------------------------------------------------------ what is left behind

@@ -311,6 +311,7 @@ def _summary(
         verdict = (run["verdict"] or {}).get("verdict", "no verdict")
         style = GOOD if verdict == "admissible" else BAD
         console.print(Text.assemble(f"{name}: ", (verdict.upper(), style), f", session {run['outcome']}"))
+        console.print(_move(run["verdict"]), end="")
     console.print()
     print_comparison(console, [run["verdict"] for run in runs if run["verdict"]], ("first", "second"))
     for review, name in zip(reviews, ("first", "second"), strict=True):
@@ -325,6 +326,16 @@ def _summary(
     console.print(f"Plant time ran {TIME_SCALE} times faster than the clock; the logs say so.")
     console.print(f"Everything is in {folder}; {elapsed_s:.1f} s in all.", soft_wrap=True)
     console.print(f"Next: cutgate audit show {reviews[-1]['log']}", soft_wrap=True)
+
+
+def _move(verdict: dict[str, Any] | None) -> str:
+    """Where the guidance says the bone should go, as a line; empty where there is none."""
+    guidance = verdict and verdict["guidance"]
+    if not guidance or guidance["translation_mm"] is None:
+        return ""
+    x, y, z = guidance["translation_mm"]
+    word = "verified" if guidance["verified"] else "NOT verified"
+    return f"  smallest move of the bone: x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm ({word})\n"
 
 
 def register(app: typer.Typer) -> None:

@@ -138,14 +138,13 @@ def _runs(decisions: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], int
 
 def _why(decision: Mapping[str, Any]) -> str:
     """First-out, reason, and each permissive that does not hold with its value, bound and remedy."""
-    parts = [_text(decision, "reason")]
-    first_out = _text(decision, "first_out")
-    if first_out:
-        parts.insert(0, f"first-out {first_out}")
-    parts += [
+    reason, first_out = _text(decision, "reason"), _text(decision, "first_out")
+    missing = [
         f"{_text(entry, 'name')}: {_shown(entry)} (required: {_text(entry, 'bound')})"
         for entry in failing(decision)
     ]
+    said_already = any(reason in line for line in missing)
+    parts = [f"first-out {first_out}" if first_out else "", "" if said_already else reason, *missing]
     return "\n".join(filter(None, parts))
 
 

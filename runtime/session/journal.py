@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, Literal
 
 from protocol import records
@@ -14,6 +15,7 @@ from runtime.audit.log import AuditLog, Paths
 from runtime.interlock.permissives import COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
 from runtime.interlock.state import (
     Announced,
+    BlockStored,
     Commit,
     ControllerView,
     Dropped,
@@ -21,17 +23,23 @@ from runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    HeartbeatLost,
     HeartbeatReceived,
     Interlock,
+    LogChanged,
+    NonceReceived,
     ParameterReceived,
+    PathStored,
     Phase,
     PoseMeasured,
+    RecordDurable,
     Refused,
     ReplyReceived,
     Said,
     Send,
     SendBlock,
     SendStop,
+    SessionOpened,
     Tick,
     VerdictReady,
     Withheld,
@@ -70,6 +78,28 @@ BY_TYPE = {kind.TYPE: name for kind, name in SIGNED.items()}
 def plain(text: str) -> str:
     """Text that every file can hold: names of files and messages of errors may carry bytes that are no UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+NAMES: dict[type, Callable[[Any], str]] = {
+    Announced: lambda _: "controller announced",
+    SessionOpened: lambda _: "session opened",
+    ParameterReceived: lambda e: f"{type(e.record).__name__.lower()} received",
+    BlockStored: lambda _: "path block stored",
+    PathStored: lambda _: "path stored",
+    VerdictReady: lambda e: "verdict admissible" if e.verdict.admissible else "verdict inadmissible",
+    NonceReceived: lambda e: f"nonce for {KINDS[e.purpose]}",
+    ReplyReceived: lambda e: f"reply {e.refusal.name} to {BY_TYPE.get(e.request_type, hex(e.request_type))}",
+    HeartbeatReceived: lambda _: "heartbeat",
+    HeartbeatLost: lambda _: "heartbeat lost",
+    FaultReceived: lambda _: "controller's fault",
+    PoseMeasured: lambda _: "joints measured",
+    RecordDurable: lambda _: "record durable",
+    LogChanged: lambda _: "log's health",
+    Failed: lambda e: f"failed {e.cause.name}",
+    Said: lambda e: f"said {e.word}",
+    Tick: lambda _: "time passed",
+}
+"""What each event is called in the log."""
 
 
 class Journal:
@@ -114,7 +144,7 @@ class Journal:
             audit.Decision(
                 sequence=self._sequence,
                 session=after.session.digest.hex() if after.session else None,
-                event=_name(event),
+                event=NAMES[type(event)](event),
                 from_state=before.phase,
                 to_state=after.phase,
                 disposition=_disposition(event, effects),
@@ -312,19 +342,6 @@ def _disposition(event: Event, effects: tuple[Effect, ...]) -> audit.Disposition
     if isinstance(event, ReplyReceived) and event.refusal is Refusal.ACCEPTED:
         return "acknowledged"
     return "decided"
-
-
-def _name(event: Event) -> str:
-    match event:
-        case Said(word=word):
-            return f"said {word}"
-        case ReplyReceived():
-            return f"reply {event.refusal.name} to {BY_TYPE.get(event.request_type, hex(event.request_type))}"
-        case Failed():
-            return f"failed {event.cause.name}"
-        case VerdictReady():
-            return "verdict admissible" if event.verdict.admissible else "verdict inadmissible"
-    return type(event).__name__
 
 
 def _effect_name(effect: Effect) -> str:

@@ -1,6 +1,7 @@
 """What becomes of a step in the log, and that no text can break it."""
 
 import sys
+from typing import get_args
 
 import pytest
 
@@ -10,6 +11,7 @@ from protocol.states import FaultCode, Refusal, StopCause, StopCode
 from runtime.audit.inspect import read_log
 from runtime.interlock.state import (
     Dropped,
+    Event,
     Failed,
     FaultReceived,
     Phase,
@@ -21,7 +23,8 @@ from runtime.interlock.state import (
     Tick,
     Word,
 )
-from runtime.session.journal import Journal, plain
+from runtime.interlock.table import EVERYWHERE
+from runtime.session.journal import NAMES, Journal, plain
 from tests.runtime.interlock.builders import READY, in_phase
 
 BAD = "caf\udce9 \ud800"
@@ -101,13 +104,17 @@ def test_an_uneventful_step_is_not_recorded(log):
             "reply ACCEPTED to permit",
         ),
         (ReplyReceived(records.Open.TYPE, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to 0x2"),
-        (FaultReceived(FaultCode.LATCHED, StopCause.SECOND_NODE), (), "FaultReceived"),
+        (FaultReceived(FaultCode.LATCHED, StopCause.SECOND_NODE), (), "controller's fault"),
         (Failed(StopCause.BUS_FAILED, "no"), (), "failed BUS_FAILED"),
     ],
 )
 def test_an_event_has_a_name_that_says_what_it_was(log, event, effects, expected):
     log.journal.step(READY, event, READY, effects, 1.0)
     assert written(log, "/audit/decision")[0]["event"] == expected
+
+
+def test_every_event_of_the_table_has_a_name():
+    assert set(NAMES) == set(get_args(Event)) == set(EVERYWHERE)
 
 
 def test_effects_have_names_that_say_what_they_do(log):

@@ -136,7 +136,8 @@ def print_outcome(state: Interlock, paths: Paths) -> None:
     console.print()
     console.print(Text.assemble((word, style), f": {state.reason}" if state.reason else ""), soft_wrap=True)
     if state.controller is not None:
-        console.print(f"controller: {_controller(state.controller.state, state.controller.cause)}")
+        seen = _controller(state.controller.state, state.controller.cause)
+        console.print(f"controller: last seen {seen}, before the session ended")
     console.print(f"audit log:  {paths.log}" + ("" if paths.closed else f"  NOT CLOSED: {paths.reason}"))
     console.print(f"raw frames: {paths.candump}")
 

@@ -214,6 +214,7 @@ class Process:
         if self._check is not None:
             return 0.0
         due = self._next_heartbeat_s if self._link_open else self._next_announce_s
+        due = min(due, self.port.endpoint.link.expires_s)
         return max(0.0, (due - self._clock()) * 1000.0)
 
     @property

@@ -4,6 +4,7 @@ Pure: the caller brings each frame and the time. What is accepted has passed ide
 session tag), counter and content; what is not says why, and whether motion must stop for it.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -308,7 +309,16 @@ class Link:
 
     def expire(self, now_s: float) -> StopCause | None:
         """HEARTBEAT_LOST once an open link has had no refresh for longer than the time-out."""
-        if self._opened_s is None:
-            return None
-        since_s = self._opened_s if self._refreshed_s is None else self._refreshed_s
-        return None if 0.0 <= now_s - since_s <= self.timeout_s else StopCause.HEARTBEAT_LOST
+        since_s = self._since_s
+        lost = since_s is not None and not 0.0 <= now_s - since_s <= self.timeout_s
+        return StopCause.HEARTBEAT_LOST if lost else None
+
+    @property
+    def expires_s(self) -> float:
+        """When to look at the clock at the latest: the peer's time-out. Infinite while the link is closed."""
+        return math.inf if self._since_s is None else self._since_s + self.timeout_s
+
+    @property
+    def _since_s(self) -> float | None:
+        """Since when the time-out runs; None while the link is closed."""
+        return self._opened_s if self._refreshed_s is None else self._refreshed_s

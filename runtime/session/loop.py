@@ -192,7 +192,7 @@ class Session:
         self._reserve()
 
     def _wait(self, wake: int) -> set[int]:
-        due_s = self._next_heartbeat_s - self._clock()
+        due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
         ready = {descriptor for descriptor, _ in self._poller.poll(max(0.0, due_s * 1000.0))}
         if wake in ready:
             os.read(wake, 4096)

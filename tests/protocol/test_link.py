@@ -352,6 +352,17 @@ def test_answered_heartbeats_keep_the_link_fresh():
         assert one.expire(now_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
 
 
+def test_the_time_out_says_when_it_comes():
+    """So that a loop can wake at it, instead of a heartbeat's period later."""
+    runtime, controller = pair()
+    assert controller.expires_s == TIMEOUT_S
+    now_s = exchange(runtime, controller, 3)
+    for one in (runtime, controller):
+        assert one.expires_s == pytest.approx(now_s + TIMEOUT_S)
+        one.close()
+        assert one.expires_s == math.inf
+
+
 def test_clock_that_runs_backward_or_is_nan_is_stale():
     runtime, controller = pair()
     now_s = exchange(runtime, controller, 3)

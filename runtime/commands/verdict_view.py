@@ -94,18 +94,20 @@ def _plain_table(*columns: str, numbers: tuple[str, ...]) -> Table:
 
 
 def speed_table(verdict: Verdict) -> Table:
-    """Each joint's largest speed at the planned feed."""
-    table = _plain_table("joint", "speed", "peak", "limit", "", PLACE[0], numbers=("peak", "limit", PLACE[0]))
-    for line in verdict.speed:
+    """Each joint's largest speed and, where limited, acceleration at the planned feed."""
+    numbers = ("peak", "limit", PLACE[0])
+    table = _plain_table("joint", "", "at the feed", "peak", "limit", "", PLACE[0], numbers=numbers)
+    for line in (*verdict.speed, *verdict.acceleration):
         state = (
-            "ok" if line.ok else "undefined on this path" if line.peak is None else "too fast: lower the feed"
+            "ok" if line.ok else "undefined on this path" if line.peak is None else "too high: lower the feed"
         )
         table.add_row(
             f"q{line.joint}",
+            line.quantity,
             Text(state, style=GOOD if line.ok else BAD),
             _value(line.peak),
             f"{line.limit:.3f}",
-            JOINT_UNIT[line.joint],
+            JOINT_UNIT[line.joint] + ("2" if line.quantity == "acceleration" else ""),
             _value(line.segment, digits=0),
         )
     return table

@@ -120,8 +120,8 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
             break
         spent += len(parts)
         floor = np.maximum(best.value - aim.gap, np.minimum(aim.target, best.value))
-        bounds, means, cut = lower_bounds(geometry, segments, scope, parts, floor)
-        best.offer(SPEED, means, parts.segment, (parts.s0 + parts.s1) / 2)
+        bounds, rates, cut = lower_bounds(geometry, segments, scope, parts, floor)
+        best.offer(SPEED, rates, parts.segment, (parts.s0 + parts.s1) / 2)
         open_rows = _open(geometry, scope, parts, bounds, (best.value, aim))
         if spent > allowed:
             open_rows[:] = False

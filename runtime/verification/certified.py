@@ -7,7 +7,8 @@ Rules, in order; every admitting comparison asks "inside?", so NaN denies:
 3. No boundary's proven bound is below its deadband. As the signed distances are enclosed along the
    whole path, a path that starts inside and keeps them cannot leave, nor change its branch.
 4. Shoulder and roll, followed continuously, stay within their limits for one choice of whole turns.
-5. The joint speeds at the planned feed stay within their limits.
+5. The joint speeds at the planned feed stay within their limits, and so do the accelerations inside the
+   segments where limits are given.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from runtime.verification.chain import Chain, build
 from runtime.verification.closed_form import Extremes, extremes
 from runtime.verification.defects import defects
 from runtime.verification.enclosures import (
+    ACCELERATION,
     COLUMNS,
     HALF_TURN,
     LEFT,
@@ -40,7 +42,16 @@ from runtime.verification.enclosures import (
 from runtime.verification.geometry import VERTICAL, Geometry, Segments, canonical
 from runtime.verification.problem import Problem
 from runtime.verification.reasons import sentences
-from runtime.verification.verdict import BOUNDARIES, Boundary, Branch, Evaluations, SpeedLine, Unit, Verdict
+from runtime.verification.verdict import (
+    BOUNDARIES,
+    Boundary,
+    Branch,
+    Evaluations,
+    Quantity,
+    SpeedLine,
+    Unit,
+    Verdict,
+)
 from runtime.workspace.planar import SIDES
 
 Floats = NDArray[np.float64]
@@ -57,10 +68,10 @@ FINE_MM = 5e-4
 
 FINE_RAD = math.radians(5e-4)
 
-GAP_SPEED = 0.005
-"""The same for joint speeds, as a part of their limits."""
+GAP_RATE = 0.005
+"""The same for joint speeds and accelerations, as a part of their limits."""
 
-FINE_SPEED = 5e-4
+FINE_RATE = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +102,12 @@ def refused(problem: Problem, wrong: tuple[str, ...], method: Literal["certified
     )
     arm = problem.deadband.arm_mm + problem.calibration.residual_mm + problem.deadband.path_tolerance_mm
     nothing = {name: boundary(name, None, arm, wrist, ()) for name in BOUNDARIES}
-    speed = tuple(SpeedLine(j, float(limit), None, None, ok=False) for j, limit in enumerate(problem.speed))
+    unknown = {
+        quantity: tuple(
+            SpeedLine(j, float(limit), None, None, False, quantity) for j, limit in enumerate(limits)
+        )
+        for quantity, _, limits in rates(problem)
+    }
     return Verdict(
         method=method,
         admissible=False,
@@ -103,9 +119,18 @@ def refused(problem: Problem, wrong: tuple[str, ...], method: Literal["certified
         branch=None,
         evaluations=Evaluations(0, 0, 0),
         boundaries=nothing,
-        speed=speed,
+        speed=unknown["speed"],
+        acceleration=unknown.get("acceleration", ()),
         reasons=wrong,
     )
+
+
+def rates(problem: Problem) -> list[tuple[Quantity, int, Floats]]:
+    """What is limited at the planned feed: quantity, first column of its joints, limits (5,)."""
+    out: list[tuple[Quantity, int, Floats]] = [("speed", SPEED, problem.speed)]
+    if problem.acceleration is not None:
+        out.append(("acceleration", ACCELERATION, problem.acceleration))
+    return out
 
 
 def boundary(
@@ -167,9 +192,9 @@ class _Verification:
         if shoulder is not None and roll is not None:
             branch = Branch(self.problem.arm.elbow, shoulder.turns, roll.turns)
         boundaries = self._boundaries(values)
-        speed = self._speed(first)
+        lines = self._rates(first)
         other = self._other_reasons(branch)
-        ok = not other and all(not b.violated for b in boundaries.values()) and all(line.ok for line in speed)
+        ok = not other and all(not b.violated for b in boundaries.values()) and all(line.ok for line in lines)
         return Verdict(
             method="certified",
             admissible=ok and branch is not None,
@@ -181,8 +206,9 @@ class _Verification:
             branch=branch,
             evaluations=Evaluations(self.evaluations[0], self.evaluations[1], self.budget),
             boundaries=boundaries,
-            speed=speed,
-            reasons=(*other, *sentences(boundaries, speed, self.problem.arm.elbow)),
+            speed=lines[:5],
+            acceleration=lines[5:],
+            reasons=(*other, *sentences(boundaries, lines, self.problem.arm.elbow)),
         )
 
     # -- surveys ------------------------------------------------------------------------------
@@ -192,8 +218,9 @@ class _Verification:
         full = self.geometry.workspace.full_turn
         wanted[[LEFT, RIGHT]] = not full
         wanted[[Q0_MIN, Q0_MAX]] = full
+        wanted[ACCELERATION:] = self.problem.acceleration is not None
         if self.held is not None:
-            wanted[[ROLL_MIN, ROLL_MAX, SPEED + 3]] = False
+            wanted[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = False
         return wanted
 
     def _survey(
@@ -201,10 +228,11 @@ class _Verification:
     ) -> Survey:
         gap, fine = np.full(COLUMNS, GAP_MM), np.full(COLUMNS, FINE_MM)
         gap[ROLL_MIN:SPEED], fine[ROLL_MIN:SPEED] = GAP_RAD, FINE_RAD
-        gap[SPEED:], fine[SPEED:] = GAP_SPEED * self.problem.speed, FINE_SPEED * self.problem.speed
         target = np.full(COLUMNS, -np.inf)
         target[:ROLL_MIN] = self.geometry.arm_mm
-        target[SPEED:] = -self.problem.speed
+        for _, first, limits in rates(self.problem):
+            joints = slice(first, first + 5)
+            gap[joints], fine[joints], target[joints] = GAP_RATE * limits, FINE_RATE * limits, -limits
         if roll_target is not None:
             target[[ROLL_MIN, ROLL_MAX]] = roll_target
         scope = Scope(
@@ -362,18 +390,22 @@ class _Verification:
             out[name] = boundary(name, value, self.geometry.arm_mm, self.geometry.wrist_rad, self.tip_at)
         return out
 
-    def _speed(self, first: Survey) -> tuple[SpeedLine, ...]:
-        lines = []
-        for joint in range(5):
-            limit, column = float(self.problem.speed[joint]), SPEED + joint
-            if joint == 3 and self.held is not None:
-                lines.append(SpeedLine(joint, limit, 0.0, 0, ok=True))
-                continue
-            peak = max(-float(first.certified[column]), 0.0)
-            known = math.isfinite(peak) and math.isfinite(float(first.attained[column]))
-            place = int(first.segment[column]) if known else None
-            lines.append(SpeedLine(joint, limit, peak if known else None, place, ok=known and peak <= limit))
-        return tuple(lines)
+    def _rates(self, first: Survey) -> tuple[SpeedLine, ...]:
+        return tuple(
+            self._rate(first, quantity, joint, column + joint, float(limits[joint]))
+            for quantity, column, limits in rates(self.problem)
+            for joint in range(5)
+        )
+
+    def _rate(self, first: Survey, quantity: Quantity, joint: int, column: int, limit: float) -> SpeedLine:
+        if joint == 3 and self.held is not None:
+            return SpeedLine(joint, limit, 0.0, 0, ok=True, quantity=quantity)
+        peak = max(-float(first.certified[column]), 0.0)
+        known = math.isfinite(peak) and math.isfinite(float(first.attained[column]))
+        place = int(first.segment[column]) if known else None
+        return SpeedLine(
+            joint, limit, peak if known else None, place, ok=known and peak <= limit, quantity=quantity
+        )
 
     def _other_reasons(self, branch: Branch | None) -> tuple[str, ...]:
         out = []

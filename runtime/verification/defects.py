@@ -24,6 +24,8 @@ def defects(problem: Problem) -> tuple[str, ...]:
         "joint offsets": (problem.calibration.joint_offset, (5,)),
         "slide tilt": (problem.calibration.slide_tilt, (2,)),
     }
+    if problem.acceleration is not None:
+        arrays["acceleration limits"] = (problem.acceleration, (5,))
     found = [
         f"{name} have shape {array.shape}, not {shape}"
         for name, (array, shape) in arrays.items()
@@ -52,6 +54,8 @@ def _bad_numbers(problem: Problem) -> list[str]:
         "wrist deadband": deadband.wrist_rad,
         "smallest speed limit": float(problem.speed.min()),
     }
+    if problem.acceleration is not None:
+        positive["smallest acceleration limit"] = float(problem.acceleration.min())
     not_negative = {
         "tool_length_mm": problem.tool_length_mm,
         "residual_mm": calibration.residual_mm,

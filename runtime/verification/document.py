@@ -59,7 +59,8 @@ def verdict_document(
             "worst_case": int(verdict.evaluations.worst_case),
         },
         "boundaries": {name: _boundary(boundary) for name, boundary in verdict.boundaries.items()},
-        "speed": [_speed(line) for line in verdict.speed],
+        "speed": _speed(verdict),
+        "acceleration": [_rate(line) for line in verdict.acceleration],
         "guidance": guidance and _guidance(guidance),
         "digests": {
             "path": digests.path.hex(),
@@ -93,8 +94,14 @@ def _boundary(boundary: Boundary) -> dict[str, Any]:
     }
 
 
-def _speed(line: SpeedLine) -> dict[str, Any]:
-    """One joint's largest speed."""
+def _speed(verdict: Verdict) -> list[dict[str, Any]]:
+    """Each joint's largest speed. A joint that accelerates too much is not ok either: the lines decide together."""
+    hasty = {line.joint for line in verdict.acceleration if not line.ok}
+    return [{**_rate(line), "ok": bool(line.ok and line.joint not in hasty)} for line in verdict.speed]
+
+
+def _rate(line: SpeedLine) -> dict[str, Any]:
+    """One joint's largest speed or acceleration."""
     return {
         "joint": int(line.joint),
         "limit": _number(line.limit),

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import elbow_sine
-from runtime.verification.chain import Intervals, distance_from_column, sagitta
+from runtime.verification.acceleration import bounded_accelerations
+from runtime.verification.chain import Intervals
 from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
-from runtime.verification.points import Points, roll_widening
+from runtime.verification.motion import Angles, Motion, angles_of, motion_of
+from runtime.verification.points import Points
 from runtime.workspace.distance import signed_sides
 from runtime.workspace.planar import segment_to_arc
 
@@ -25,8 +26,10 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 INNER, OUTER, LEFT, RIGHT, ROLL_MIN, ROLL_MAX, Q0_MIN, Q0_MAX, SPEED = range(9)
-COLUMNS = SPEED + 5
-"""Four arcs (mm), least roll, minus largest roll, the same for q0 (rad), minus the five joint speeds."""
+ACCELERATION = SPEED + 5
+COLUMNS = ACCELERATION + 5
+"""Four arcs (mm), least roll, minus largest roll, the same for q0 (rad), minus the five joint speeds and the five
+joint accelerations."""
 
 HALF_TURN = math.pi + 1e-9
 """The contract counts a lifted shoulder limit up to half a turn away; the rest is for rounding."""
@@ -55,8 +58,8 @@ class Scope:
         """Columns that have no meaning on this path, shape (COLUMNS,)."""
         out = np.zeros(COLUMNS, dtype=np.bool_)
         out[:ROLL_MIN] = not self.reachable
-        out[[Q0_MIN, Q0_MAX, SPEED, SPEED + 1]] = not self.wound
-        out[[ROLL_MIN, ROLL_MAX, SPEED + 3]] = not self.roll_defined
+        out[[Q0_MIN, Q0_MAX, SPEED, SPEED + 1, ACCELERATION, ACCELERATION + 1]] = not self.wound
+        out[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = not self.roll_defined
         return out
 
 
@@ -97,62 +100,39 @@ def lower_bounds(
         floor: a bound at or above this needs no closer look, shape (COLUMNS,).
 
     Returns:
-        Lower bounds (m, COLUMNS); attained joint speeds, negative, (m, 5), each the mean over the
-        interval and hence attained within; where to cut each interval best, (m,).
+        Lower bounds (m, COLUMNS); attained joint speeds and accelerations, negative, (m, 10): the speeds are the
+        means over the interval and hence attained within, the accelerations are those of its middle, infinite
+        where the bound sufficed; where to cut each interval best, (m,).
     """
-    motion = _motion(geometry, segments, parts)
+    motion = motion_of(geometry, segments, parts)
     bounds = np.full((len(parts), COLUMNS), np.inf)
     cut = np.full(len(parts), 0.5)
     if scope.wanted[:ROLL_MIN].any():
         bounds[:, :ROLL_MIN], cut = _arc_bounds(geometry, scope, parts, motion, floor)
-    means = np.full((len(parts), 5), np.inf)
+    rates = np.full((len(parts), COLUMNS - SPEED), np.inf)
     if scope.wanted[ROLL_MIN:].any() or scope.shoulder_shift is not None:
-        angles = _angles(geometry, segments, parts, motion)
+        angles = angles_of(geometry, segments, parts, motion)
         if scope.shoulder_shift is not None:
             bounds[:, LEFT:ROLL_MIN] = _lifted_bounds(
                 geometry, scope.shoulder_shift, parts, (motion, angles), bounds[:, LEFT:ROLL_MIN]
             )
         _bound_angles(parts, angles, bounds)
-        means = _bound_speeds(geometry, parts, motion, angles, bounds)
+        rates[:, :5] = _bound_speeds(geometry, parts, motion, angles, bounds)
+        if scope.wanted[ACCELERATION:].any():
+            bounds[:, ACCELERATION:], rates[:, 5:] = bounded_accelerations(
+                geometry, segments, parts, (motion, angles), floor[ACCELERATION:]
+            )
     undefined = scope.undefined
-    bounds[:, undefined], means[:, undefined[SPEED:]] = -np.inf, np.inf
+    bounds[:, undefined], rates[:, undefined[SPEED:]] = -np.inf, np.inf
     bounds[np.isnan(bounds)] = -np.inf
     bounds[:, ~scope.wanted] = np.inf
-    means[:, ~scope.wanted[SPEED:]] = np.inf
-    means[np.isnan(means)] = np.inf
-    return np.maximum(bounds, np.where(scope.wanted, parts.bound, np.inf)), means, cut
-
-
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """Chord and curvature of the wrist centre over each interval, in units of the interval."""
-
-    phi: Floats  # turn of the axis
-    chord: Floats  # length of the chord
-    sag: Floats  # distance from the chord at most, padded
-    bend: Floats  # bound on |c''|
-    length: Floats  # bound on |c'|: its mean is the chord, it leaves the mean by at most |c''| / 2
-    seconds: Floats
-
-
-def _motion(geometry: Geometry, segments: Segments, parts: Intervals) -> _Motion:
-    width = parts.s1 - parts.s0
-    phi = segments.theta[parts.segment] * width
-    step = parts.b.centre - parts.a.centre
-    chord = np.sqrt(np.einsum("ij,ij->i", step, step))
-    sag = sagitta(geometry, phi)
-    return _Motion(
-        phi=phi,
-        chord=chord,
-        sag=sag + geometry.pad_mm,
-        bend=8.0 * sag,
-        length=chord + 4.0 * sag,
-        seconds=segments.seconds[parts.segment] * width,
-    )
+    rates[:, ~scope.wanted[SPEED:]] = np.inf
+    rates[np.isnan(rates)] = np.inf
+    return np.maximum(bounds, np.where(scope.wanted, parts.bound, np.inf)), rates, cut
 
 
 def _arc_bounds(
-    geometry: Geometry, scope: Scope, parts: Intervals, motion: _Motion, floor: Floats
+    geometry: Geometry, scope: Scope, parts: Intervals, motion: Motion, floor: Floats
 ) -> tuple[Floats, Floats]:
     """Distances to the four arcs: by Lipschitz first, the closed form of the chord where that is too weak."""
     mean = (parts.a.distances + parts.b.distances) / 2
@@ -187,66 +167,7 @@ def _outside(near: Floats, far: Floats) -> Floats:
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class _Angles:
-    """Bounds on the joint angles' motion over each interval; infinite where the elbow may be straight."""
-
-    shoulder: Floats  # on |q0'|
-    heading: Floats  # on |psi'|
-    shoulder2: Floats  # on |q0''|
-    heading2: Floats  # on |psi''|
-    azimuth2: Floats  # on |azimuth''|
-    pitch2: Floats  # on |q4''|
-    widening: Floats
-    pad: Floats  # rounding of q0, q1 and the heading
-    azimuth_pad: Floats  # rounding of the azimuth
-
-
-def _angles(geometry: Geometry, segments: Segments, parts: Intervals, motion: _Motion) -> _Angles:
-    """Derive from dw = a0 e'(q0) q0' + a1 e'(psi) psi', projected on e(q0) and on e(psi).
-
-    |psi'| <= |w'| / (a1 sin q1), |q0'| <= |w'| / (a0 sin q1); once more differentiated,
-    a1 sin(q1) |psi''| <= |w''| + a0 q0'^2 + a1 psi'^2 and a0 sin(q1) |q0''| <= the same.
-    Azimuth: az' = phi n_z / sin^2 q4, |az''| <= 2 phi^2 n_z / sin^3 q4, and
-    |q4''| = |sin q4 cos q4| az'^2 <= phi^2 n_z^2 / sin^3 q4, with n the great circle's normal.
-    """
-    space = geometry.workspace
-    nearest = np.maximum(distance_from_column(parts.a.centre, parts.b.centre) - motion.sag, 0.0)
-    farthest = np.maximum(_norm(parts.a.centre), _norm(parts.b.centre)) + motion.sag
-    bend = np.minimum(elbow_sine(nearest, space.a0, space.a1), elbow_sine(farthest, space.a0, space.a1))
-    bend = np.where(bend > 0.0, bend, 0.0)  # NaN, out of reach, as well
-    normal_lo, normal_hi = segments.normal_lo[parts.segment], segments.normal_hi[parts.segment]
-    middle = (parts.a.pitch + parts.b.pitch) / 2
-    low, high = middle - motion.phi / 2, middle + motion.phi / 2
-    sine = np.where((low > 0.0) & (high < math.pi), np.minimum(np.sin(low), np.sin(high)), 0.0)
-    sine = np.maximum(sine, normal_lo)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        turn = motion.length / bend
-        pull = motion.bend + turn * turn * (1.0 / space.a0 + 1.0 / space.a1)
-        square = motion.phi * motion.phi
-        # A wrist centre off by pad_mm turns both links by this; a straight elbow leaves no bound.
-        pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.bearing))
-        pad += geometry.pad_mm / (min(space.a0, space.a1) * bend)
-        azimuth_pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.azimuth) + 1.0 / sine)
-        return _Angles(
-            shoulder=turn / space.a0,
-            heading=turn / space.a1,
-            shoulder2=pull / (space.a0 * bend),
-            heading2=pull / (space.a1 * bend),
-            azimuth2=2.0 * square * normal_hi / sine**3,
-            pitch2=square * normal_hi * normal_hi / sine**3,
-            widening=roll_widening(geometry, bend, sine),
-            pad=pad,
-            azimuth_pad=azimuth_pad,
-        )
-
-
-def _norm(points: Floats) -> Floats:
-    out: Floats = np.hypot(points[:, 0], points[:, 1])
-    return out
-
-
-def _bound_angles(parts: Intervals, angles: _Angles, bounds: Floats) -> None:
+def _bound_angles(parts: Intervals, angles: Angles, bounds: Floats) -> None:
     """Roll and q0: the better of the chord of the angle and of its steepness about the middle.
 
     The azimuth is monotone along a great circle, so its ends are its range.
@@ -263,7 +184,7 @@ def _bound_angles(parts: Intervals, angles: _Angles, bounds: Floats) -> None:
         bounds[:, Q0_MIN], bounds[:, Q0_MAX] = low, -high
 
 
-def _shoulder_range(parts: Intervals, angles: _Angles) -> tuple[Floats, Floats]:
+def _shoulder_range(parts: Intervals, angles: Angles) -> tuple[Floats, Floats]:
     qa, qb = parts.a.shoulder, parts.b.shoulder
     middle, sway, bow = (qa + qb) / 2, angles.shoulder / 2, angles.shoulder2 / 8
     low = np.fmax(np.minimum(qa, qb) - bow, middle - sway) - angles.pad
@@ -272,7 +193,7 @@ def _shoulder_range(parts: Intervals, angles: _Angles) -> tuple[Floats, Floats]:
 
 
 def _lifted_bounds(
-    geometry: Geometry, shift: float, parts: Intervals, known: tuple[_Motion, _Angles], near: Floats
+    geometry: Geometry, shift: float, parts: Intervals, known: tuple[Motion, Angles], near: Floats
 ) -> Floats:
     """Left and right of a shoulder with a full turn or more: they count by the lifted q0."""
     motion, angles = known
@@ -289,7 +210,7 @@ def _lifted_bounds(
 
 
 def _bound_speeds(
-    geometry: Geometry, parts: Intervals, motion: _Motion, angles: _Angles, bounds: Floats
+    geometry: Geometry, parts: Intervals, motion: Motion, angles: Angles, bounds: Floats
 ) -> Floats:
     """Joint speeds: |q'| leaves its mean over the interval by at most half of |q''|.
 

@@ -66,6 +66,7 @@ class Problem:
         arm: nominal links and elbow.
         lower, upper: limits of the reported joints, shape (5,).
         speed: joint speed limits, rad/s and mm/s, shape (5,).
+        acceleration: joint acceleration limits, rad/s2 and mm/s2, shape (5,), or None where none are given.
         calibration: corrections and residuals.
         deadband: margins to keep.
         hold_roll: roll held by a path of constant exactly vertical axis, or None.
@@ -84,3 +85,4 @@ class Problem:
     calibration: Calibration = field(default_factory=Calibration)
     hold_roll: float | None = None
     branch: tuple[int, int] | None = None
+    acceleration: Floats | None = None

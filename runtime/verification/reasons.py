@@ -27,7 +27,7 @@ _SPEED_UNIT = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
 
 
 def sentences(boundaries: Mapping[str, Boundary], speed: Sequence[SpeedLine], elbow: str) -> tuple[str, ...]:
-    """One sentence for each violated boundary and each joint that is too fast."""
+    """One sentence for each violated boundary and each joint that is too fast or accelerates too much."""
     broken = [_boundary(b, elbow) for b in boundaries.values() if b.violated]
     return (*broken, *(_speed(line) for line in speed if not line.ok))
 
@@ -51,9 +51,9 @@ def _boundary(b: Boundary, elbow: str) -> str:
 
 
 def _speed(line: SpeedLine) -> str:
-    unit = _SPEED_UNIT[line.joint]
+    unit = _SPEED_UNIT[line.joint] + ("2" if line.quantity == "acceleration" else "")
     if line.peak is None:
-        return f"joint {line.joint}: speed not bounded on this path, limit {line.limit:.6g} {unit}; cure the boundaries first"
+        return f"joint {line.joint}: {line.quantity} not bounded on this path, limit {line.limit:.6g} {unit}; cure the boundaries first"
     return (
         f"joint {line.joint}: needs up to {line.peak:.6g} {unit} in segment {line.segment}, "
         f"limit {line.limit:.6g} {unit}; reduce the feed or move the bone away from the singular position"

@@ -50,6 +50,7 @@ def problem_from_records(
         lower=bounds.q_min,
         upper=bounds.q_max,
         speed=bounds.speed,
+        acceleration=bounds.acceleration,
         calibration=Calibration(
             upper_link_error_mm=found.upper_link_error_mm,
             forearm_link_error_mm=found.forearm_link_error_mm,

@@ -128,6 +128,7 @@ def verify(problem: Problem) -> Verdict:
         evaluations=Evaluations(arm.evaluations, wrist.evaluations, arm.worst_case),
         boundaries=boundaries,
         speed=(),
+        acceleration=(),
         reasons=(
             *_stops(arm, wrist, geometry, started=started),
             *sentences(boundaries, (), problem.arm.elbow),

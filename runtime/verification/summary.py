@@ -22,9 +22,15 @@ def summary(verdict: Verdict) -> str:
         if b.violated
     ]
     parts += [f"q{line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None]
+    parts += [
+        f"q{line.joint} accelerates too much"
+        for line in verdict.acceleration
+        if not line.ok and line.peak is not None
+    ]
     undefined = [name for name, b in verdict.boundaries.items() if b.certified is None]
-    unbounded = [f"q{line.joint}" for line in verdict.speed if not line.ok and line.peak is None]
-    undefined += [f"speed of {', '.join(unbounded)}"] if unbounded else []
+    for lines in (verdict.speed, verdict.acceleration):
+        unbounded = [f"q{line.joint}" for line in lines if not line.ok and line.peak is None]
+        undefined += [f"{lines[0].quantity} of {', '.join(unbounded)}"] if unbounded else []
     parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
     return "; ".join(parts) if parts else "see the reasons below"
 

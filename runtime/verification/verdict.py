@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Unit = Literal["mm", "deg"]
+Quantity = Literal["speed", "acceleration"]
 
 ARM_BOUNDARIES = ("inner", "outer", "left", "right", "top", "bottom")
 """Distances of the wrist centre, mm."""
@@ -63,18 +64,25 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True)
 class SpeedLine:
-    """Largest joint speed at the planned feed, rad/s or mm/s; ``peak`` None if unbounded."""
+    """Largest joint speed or acceleration at the planned feed; ``peak`` None if unbounded.
+
+    Speeds in rad/s or mm/s; accelerations, inside the segments, in rad/s2 or mm/s2.
+    """
 
     joint: int
     limit: float
     peak: float | None
     segment: int | None
     ok: bool
+    quantity: Quantity = "speed"
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The whole answer; ``reasons`` says in sentences what keeps the path from being admitted."""
+    """The whole answer; ``reasons`` says in sentences what keeps the path from being admitted.
+
+    ``acceleration`` is empty where no limits are given.
+    """
 
     method: Literal["certified", "stocco"]
     admissible: bool
@@ -88,3 +96,4 @@ class Verdict:
     boundaries: dict[str, Boundary]
     speed: tuple[SpeedLine, ...]
     reasons: tuple[str, ...]
+    acceleration: tuple[SpeedLine, ...] = ()

@@ -99,6 +99,7 @@ class VerdictDocument(Part):
     evaluations: EvaluationsPart
     boundaries: dict[Name, BoundaryPart]
     speed: list[SpeedPart]
+    acceleration: list[SpeedPart]  # beside the contract's keys; empty where no limits are given
     guidance: GuidancePart | None
     digests: DigestsPart
     elapsed_ms: Annotated[Real, Field(ge=0)]

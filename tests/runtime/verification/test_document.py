@@ -82,6 +82,18 @@ def test_every_value_stands_where_the_contract_says():
     }
 
 
+def test_a_joint_that_accelerates_too_much_is_not_ok_in_its_speed_line():
+    """The contract's verdict follows from the boundaries and the speed lines alone."""
+    speed = (SpeedLine(0, 1.0, 0.25, 4, ok=True), SpeedLine(1, 1.0, 0.25, 4, ok=True))
+    hasty = (
+        SpeedLine(0, 5.0, 6.0, 2, ok=False, quantity="acceleration"),
+        SpeedLine(1, 5.0, 4.0, 2, ok=True, quantity="acceleration"),
+    )
+    found = document(replace(VERDICT, speed=speed, acceleration=hasty))
+    assert [line["ok"] for line in found["speed"]] == [False, True]
+    assert found["acceleration"][0] == {"joint": 0, "limit": 5.0, "peak": 6.0, "segment": 2, "ok": False}
+
+
 def test_undefined_values_are_null():
     found = document(replace(VERDICT, branch=None), guidance=None)
     assert found["boundaries"]["roll_min"]["certified"] is None

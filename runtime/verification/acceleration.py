@@ -1,0 +1,165 @@
+"""Joint accelerations at the planned feed, inside the segments.
+
+From w = a0 e(q0) + a1 e(psi) with psi = q0 + q1, differentiated twice and projected on e(psi) and e(q0),
+
+    a0 sin(q1) q0''  =  e(psi).R      a1 sin(q1) psi'' = -e(q0).R      R = w'' + a0 e(q0) q0'^2 + a1 e(psi) psi'^2
+
+and likewise without the squares for the speeds. At a pose of the path the joint velocities may jump: there the
+controller slows down or rounds the corner within the path tolerance, and no bound is stated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.verification.chain import Intervals
+from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
+from runtime.verification.motion import Angles, Motion
+from runtime.verification.points import Points, at
+
+Floats = NDArray[np.float64]
+
+
+def joint_accelerations(geometry: Geometry, segments: Segments, segment: Ints, s: Floats) -> Floats:
+    """Exact q'' at fractions of segments, rad and mm per squared unit of the segment's parameter.
+
+    Args:
+        geometry: canonical arm.
+        segments: the path.
+        segment: numbers of the segments, shape (m,).
+        s: fractions, shape (m,).
+
+    Returns:
+        Shape (m, 5); NaN or infinite where the joints are singular.
+    """
+    place = at(geometry, segments, segment, s)
+    theta = segments.theta[segment]
+    height = np.cos(place.pitch)
+    axis = np.column_stack((place.axis_xy, height))
+    turning = _turning(segments, segment, s)
+    velocity = segments.tip[segment + 1] - segments.tip[segment] + geometry.tool_mm * turning
+    pull = -geometry.tool_mm * (theta * theta)[:, None] * axis
+    out = np.empty((len(segment), 5))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shoulder, heading = _arm(geometry, place, _slid(geometry, velocity), _slid(geometry, pull))
+        azimuth, out[:, 4] = _wrist(place, axis, turning, theta)
+    out[:, 0], out[:, 1], out[:, 2] = shoulder, heading - shoulder, pull[:, 2]
+    out[:, 3] = azimuth - heading
+    return out
+
+
+def _turning(segments: Segments, segment: Ints, s: Floats) -> Floats:
+    """Derivative of the great circle from u to v: theta / sin(theta) (cos(s theta) v - cos((1 - s) theta) u)."""
+    u, v, theta = segments.axis[segment], segments.axis[segment + 1], segments.theta[segment]
+    scale = theta / np.where(theta > 0.0, np.sin(theta), 1.0)
+    out: Floats = (scale * np.cos(s * theta))[:, None] * v - (scale * np.cos((1.0 - s) * theta))[:, None] * u
+    return out
+
+
+def _slid(geometry: Geometry, vectors: Floats) -> Floats:
+    """The planar part in slide coordinates, shape (m, 3) -> (m, 2)."""
+    out: Floats = vectors[:, :2] - vectors[:, 2:] * geometry.tilt
+    return out
+
+
+def _arm(geometry: Geometry, place: Points, velocity: Floats, pull: Floats) -> tuple[Floats, Floats]:
+    """Second derivatives of q0 and of the heading."""
+    a0, a1 = geometry.workspace.a0, geometry.workspace.a1
+    q0, psi, sine = place.shoulder, place.heading, np.sin(place.elbow)
+    upper, fore = (np.column_stack((np.cos(angle), np.sin(angle))) for angle in (q0, psi))
+    shoulder = _dot(fore, velocity) / (a0 * sine)
+    heading = -_dot(upper, velocity) / (a1 * sine)
+    whole = pull + (a0 * shoulder**2)[:, None] * upper + (a1 * heading**2)[:, None] * fore
+    return _dot(fore, whole) / (a0 * sine), -_dot(upper, whole) / (a1 * sine)
+
+
+def _wrist(place: Points, axis: Floats, turning: Floats, theta: Floats) -> tuple[Floats, Floats]:
+    """Second derivatives of the azimuth and of the pitch along the great circle.
+
+    az' = N / sin^2 q4 with N = u_x u_y' - u_y u_x' constant, q4' = -u_z' / sin q4, u_z'' = -theta^2 u_z.
+    """
+    sine = np.sin(place.pitch)
+    moment = axis[:, 0] * turning[:, 1] - axis[:, 1] * turning[:, 0]
+    azimuth = 2.0 * moment * axis[:, 2] * turning[:, 2] / sine**4
+    swing = -turning[:, 2] / sine
+    pitch = axis[:, 2] * (theta * theta - swing * swing) / sine
+    still = theta == 0.0
+    return np.where(still, 0.0, azimuth), np.where(still, 0.0, pitch)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    out: Floats = np.einsum("ij,ij->i", a, b)
+    return out
+
+
+def bounded_accelerations(
+    geometry: Geometry,
+    segments: Segments,
+    parts: Intervals,
+    known: tuple[Motion, Angles],
+    floor: Floats,
+) -> tuple[Floats, Floats]:
+    """Bound |q''| over intervals: by its terms, and where that is too weak by its middle and |q'''|.
+
+    Args:
+        geometry: canonical arm.
+        segments: the path.
+        parts: m intervals.
+        known: how wrist centre and joint angles move over them.
+        floor: minus the acceleration that needs no closer look, shape (5,).
+
+    Returns:
+        Minus the bounds, and minus the accelerations attained in the middle (infinite where not looked at),
+        rad/s2 and mm/s2, both shape (m, 5).
+    """
+    motion, angles = known
+    second, third, pad = _derivatives(geometry, motion, angles)
+    resting = (motion.length == 0.0) & (motion.phi == 0.0)
+    square = np.where(motion.seconds > 0.0, motion.seconds, np.nan) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bound = -(second + pad) / square[:, None]
+        attained = np.full_like(bound, np.inf)
+        weak = np.flatnonzero(~(bound >= floor).all(axis=1) & ~resting)
+        if len(weak):
+            width = (parts.s1 - parts.s0)[weak]
+            middle = joint_accelerations(
+                geometry, segments, parts.segment[weak], (parts.s0[weak] + parts.s1[weak]) / 2
+            )
+            size = np.abs(middle) * (width * width)[:, None]
+            attained[weak] = -size / square[weak, None]
+            bound[weak] = np.fmax(bound[weak], -(size + third[weak] / 2 + pad[weak]) / square[weak, None])
+    bound[resting], attained[resting] = 0.0, 0.0
+    return bound, attained
+
+
+def _derivatives(geometry: Geometry, motion: Motion, angles: Angles) -> tuple[Floats, Floats, Floats]:
+    """Bounds on |q''|, on |q'''| and on the rounding of a computed q'', per unit of the interval, each (m, 5).
+
+    Once more differentiated, a1 sin(q1) |psi'''| <= |w'''| + 3 a0 |q0' q0''| + 3 a1 |psi' psi''| + a0 |q0'|^3 +
+    a1 |psi'|^3, and a0 sin(q1) |q0'''| likewise. With S = sin q4 and az' = phi n / S^2 along the great circle,
+    |az'''| <= 12 phi^3 n / S^4 and |q4'''| <= 5 phi^3 n^2 / S^4, where n <= 1.
+    """
+    a0, a1 = geometry.workspace.a0, geometry.workspace.a1
+    phi, first, turn = motion.phi, angles.shoulder, angles.heading
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        whole = motion.bend * phi + 3.0 * (a0 * first * angles.shoulder2 + a1 * turn * angles.heading2)
+        whole = (whole + a0 * first**3 + a1 * turn**3) / angles.elbow_sine
+        bent = _moving(angles.shoulder2 + angles.heading2, motion.length)
+        # An axis that rests has no derivatives, even where it stands vertical.
+        swung = _moving((phi / angles.pitch_sine) ** 2 * (8.0 + 1.0 / angles.pitch_sine**2), phi)
+        azimuth2, pitch2 = _moving(angles.azimuth2, phi), _moving(angles.pitch2, phi)
+        azimuth3 = _moving(12.0 * phi**3 / angles.pitch_sine**4, phi)
+        pitch3 = _moving(5.0 * phi**3 / angles.pitch_sine**4, phi)
+        rounded = ROUNDINGS * EPSILON * bent * (8.0 + 1.0 / angles.elbow_sine**2)
+    tool = geometry.tool_mm * phi**2
+    swinging = ROUNDINGS * EPSILON * swung
+    second = (angles.shoulder2, bent, tool, azimuth2 + angles.heading2, pitch2)
+    third = (whole / a0, whole / a0 + whole / a1, tool * phi, azimuth3 + whole / a1, pitch3)
+    pad = (rounded, rounded, ROUNDINGS * EPSILON * tool, rounded + swinging, swinging)
+    return np.column_stack(second), np.column_stack(third), np.column_stack(pad)
+
+
+def _moving(value: Floats, size: Floats) -> Floats:
+    """The value where something moves, else nothing."""
+    return np.where(size == 0.0, 0.0, value)

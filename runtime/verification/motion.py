@@ -1,0 +1,113 @@
+"""How far and how fast wrist centre and joint angles move over each interval of the path, at most.
+
+All derivatives are taken in units of the interval: its parameter runs from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.kinematics.arm import elbow_sine
+from runtime.verification.chain import Intervals, distance_from_column, sagitta
+from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from runtime.verification.points import roll_widening
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Chord and curvature of the wrist centre over each interval, in units of the interval."""
+
+    phi: Floats  # turn of the axis
+    chord: Floats  # length of the chord
+    sag: Floats  # distance from the chord at most, padded
+    bend: Floats  # bound on |c''|
+    length: Floats  # bound on |c'|: its mean is the chord, it leaves the mean by at most |c''| / 2
+    seconds: Floats
+
+
+def motion_of(geometry: Geometry, segments: Segments, parts: Intervals) -> Motion:
+    """Motion of the wrist centre over m intervals."""
+    width = parts.s1 - parts.s0
+    phi = segments.theta[parts.segment] * width
+    step = parts.b.centre - parts.a.centre
+    chord = np.sqrt(np.einsum("ij,ij->i", step, step))
+    sag = sagitta(geometry, phi)
+    return Motion(
+        phi=phi,
+        chord=chord,
+        sag=sag + geometry.pad_mm,
+        bend=8.0 * sag,
+        length=chord + 4.0 * sag,
+        seconds=segments.seconds[parts.segment] * width,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Angles:
+    """Bounds on the joint angles' motion over each interval; infinite where the elbow may be straight."""
+
+    shoulder: Floats  # on |q0'|
+    heading: Floats  # on |psi'|
+    shoulder2: Floats  # on |q0''|
+    heading2: Floats  # on |psi''|
+    azimuth2: Floats  # on |azimuth''|
+    pitch2: Floats  # on |q4''|
+    widening: Floats
+    pad: Floats  # rounding of q0, q1 and the heading
+    azimuth_pad: Floats  # rounding of the azimuth
+    elbow_sine: Floats  # least sin q1
+    pitch_sine: Floats  # least sin q4
+
+
+def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: Motion) -> Angles:
+    """Motion of the joint angles over m intervals.
+
+    Derived from dw = a0 e'(q0) q0' + a1 e'(psi) psi', projected on e(q0) and on e(psi).
+
+    |psi'| <= |w'| / (a1 sin q1), |q0'| <= |w'| / (a0 sin q1); once more differentiated,
+    a1 sin(q1) |psi''| <= |w''| + a0 q0'^2 + a1 psi'^2 and a0 sin(q1) |q0''| <= the same.
+    Azimuth: az' = phi n_z / sin^2 q4, |az''| <= 2 phi^2 n_z / sin^3 q4, and
+    |q4''| = |sin q4 cos q4| az'^2 <= phi^2 n_z^2 / sin^3 q4, with n the great circle's normal.
+    """
+    space = geometry.workspace
+    nearest = np.maximum(distance_from_column(parts.a.centre, parts.b.centre) - motion.sag, 0.0)
+    farthest = np.maximum(_norm(parts.a.centre), _norm(parts.b.centre)) + motion.sag
+    bend = np.minimum(elbow_sine(nearest, space.a0, space.a1), elbow_sine(farthest, space.a0, space.a1))
+    bend = np.where(bend > 0.0, bend, 0.0)  # NaN, out of reach, as well
+    normal_lo, normal_hi = segments.normal_lo[parts.segment], segments.normal_hi[parts.segment]
+    middle = (parts.a.pitch + parts.b.pitch) / 2
+    low, high = middle - motion.phi / 2, middle + motion.phi / 2
+    sine = np.where((low > 0.0) & (high < math.pi), np.minimum(np.sin(low), np.sin(high)), 0.0)
+    sine = np.maximum(sine, normal_lo)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = motion.length / bend
+        pull = motion.bend + turn * turn * (1.0 / space.a0 + 1.0 / space.a1)
+        square = motion.phi * motion.phi
+        # A wrist centre off by pad_mm turns both links by this; a straight elbow leaves no bound.
+        pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.bearing))
+        pad += geometry.pad_mm / (min(space.a0, space.a1) * bend)
+        azimuth_pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.azimuth) + 1.0 / sine)
+        return Angles(
+            shoulder=turn / space.a0,
+            heading=turn / space.a1,
+            shoulder2=pull / (space.a0 * bend),
+            heading2=pull / (space.a1 * bend),
+            azimuth2=2.0 * square * normal_hi / sine**3,
+            pitch2=square * normal_hi * normal_hi / sine**3,
+            widening=roll_widening(geometry, bend, sine),
+            pad=pad,
+            azimuth_pad=azimuth_pad,
+            elbow_sine=bend,
+            pitch_sine=sine,
+        )
+
+
+def _norm(points: Floats) -> Floats:
+    out: Floats = np.hypot(points[:, 0], points[:, 1])
+    return out

@@ -60,6 +60,8 @@ class Survey:
         fraction: place in that segment.
         evaluations: intervals bounded.
         budget: at most as many could have been.
+        cut_segment: where segments were cut into the intervals that prove the bounds, in order: segment ...
+        cut_fraction: ... and place in it, shape (k,) each.
     """
 
     attained: Floats
@@ -68,6 +70,8 @@ class Survey:
     fraction: Floats
     evaluations: int
     budget: int
+    cut_segment: Ints
+    cut_fraction: Floats
 
 
 def budget(segments: int) -> int:
@@ -95,6 +99,26 @@ class _Best:
                 self.fraction[first + i] = fraction[row]
 
 
+class _Cuts:
+    """Where the intervals that need no closer look begin, but for those that begin with their segment."""
+
+    def __init__(self) -> None:
+        self.segment: list[Ints] = [np.zeros(0, dtype=np.int64)]
+        self.fraction: list[Floats] = [np.zeros(0)]
+
+    def add(self, parts: Intervals, closed: Bools) -> None:
+        """Take the beginnings of closed intervals."""
+        rows = np.flatnonzero(closed & (parts.s0 > 0.0))
+        self.segment.append(parts.segment[rows])
+        self.fraction.append(parts.s0[rows])
+
+    def sorted(self) -> tuple[Ints, Floats]:
+        """All of them in the order of the path."""
+        segment, fraction = np.concatenate(self.segment), np.concatenate(self.fraction)
+        order = np.lexsort((fraction, segment))
+        return segment[order], fraction[order]
+
+
 def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, aim: Aim) -> Survey:
     """Enclose the minimum of every wanted column over the whole path."""
     best = _Best()
@@ -105,6 +129,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
         place = np.where(last, chain.s1[at], chain.s0[at])
         best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
     certified = np.full(COLUMNS, np.inf)
+    cuts = _Cuts()
     allowed, spent = budget(len(segments)), 0
     stack: list[Intervals] = []
     roots = iter(range(0, len(chain), BLOCK))
@@ -113,6 +138,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
             parts = _pop(stack)
             if spent > allowed:  # undecided: what the parents proved must do
                 certified = np.minimum(certified, parts.bound.min(axis=0))
+                cuts.add(parts, np.ones(len(parts), dtype=np.bool_))
                 continue
         elif (start := next(roots, None)) is not None:
             parts = chain.intervals(start, min(start + BLOCK, len(chain)), COLUMNS)
@@ -128,6 +154,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
         closed = bounds[~open_rows]
         if len(closed):
             certified = np.minimum(certified, closed.min(axis=0))
+            cuts.add(parts, ~open_rows)
         rows = np.flatnonzero(open_rows)
         if len(rows):
             children = halve(geometry, segments, parts.take(rows), bounds[rows], cut[rows])
@@ -137,7 +164,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
             stack.append(children)
     bound = np.minimum(certified, best.value)
     most = allowed + len(chain) + 4 * BLOCK
-    return Survey(best.value, bound, best.segment, best.fraction, spent, most)
+    return Survey(best.value, bound, best.segment, best.fraction, spent, most, *cuts.sorted())
 
 
 def _pop(stack: list[Intervals]) -> Intervals:

@@ -24,7 +24,7 @@ from runtime.kinematics.arm import turns
 from runtime.verification.bisection import Aim, Survey, survey
 from runtime.verification.branch import Candidate, candidates, choose
 from runtime.verification.chain import Chain, build
-from runtime.verification.closed_form import Extremes, extremes
+from runtime.verification.closed_form import Extreme, Extremes, extremes
 from runtime.verification.defects import defects
 from runtime.verification.enclosures import (
     ACCELERATION,
@@ -39,7 +39,7 @@ from runtime.verification.enclosures import (
     SPEED,
     Scope,
 )
-from runtime.verification.geometry import VERTICAL, Geometry, Segments, canonical
+from runtime.verification.geometry import MIRRORED, VERTICAL, Geometry, Segments, canonical
 from runtime.verification.problem import Problem
 from runtime.verification.reasons import sentences
 from runtime.verification.verdict import (
@@ -159,6 +159,45 @@ def boundary(
     )
 
 
+def held_roll(problem: Problem, limits: Extremes) -> float | None:
+    """The roll at which a tool that stays exactly vertical is held, where the robot declares one."""
+    upright = limits.most_pitch.value < VERTICAL or limits.least_pitch.value > math.pi - VERTICAL
+    return problem.hold_roll if upright else None
+
+
+def azimuth_defined(limits: Extremes) -> bool:
+    """Whether the axis is nowhere vertical, so that its azimuth is defined."""
+    return limits.least_pitch.value > VERTICAL and limits.most_pitch.value < math.pi - VERTICAL
+
+
+def slide_and_pitch(geometry: Geometry, limits: Extremes, held: float | None) -> dict[str, Enclosed]:
+    """Distances of slide and pitch to their limits, in closed form, rad and mm.
+
+    Args:
+        geometry: canonical arm.
+        limits: extremes of height and pitch over the path.
+        held: roll of a tool held vertical; the singularity and a lower pitch limit of zero then do not count.
+    """
+    lowest, highest, least, most = limits.lowest, limits.highest, limits.least_pitch, limits.most_pitch
+    singular = least if least.value <= math.pi - most.value else most
+
+    def value(attained: float, pad: float, place: Extreme) -> Enclosed:
+        return Enclosed(float(attained), float(attained - pad), place.segment, place.fraction)
+
+    values = {
+        "top": value(geometry.upper[2] - highest.value, limits.pad_mm, highest),
+        "bottom": value(lowest.value - geometry.lower[2], limits.pad_mm, lowest),
+        "pitch_min": value(least.value - geometry.lower[4], limits.pad_rad, least),
+        "pitch_max": value(geometry.upper[4] - most.value, limits.pad_rad, most),
+        "wrist_singularity": value(min(least.value, math.pi - most.value), limits.pad_rad, singular),
+    }
+    if held is not None:
+        del values["wrist_singularity"]
+        if geometry.lower[4] <= 0.0:
+            del values["pitch_min"]
+    return values
+
+
 class _Verification:
     """One run; its methods are the steps of `verdict`, in order."""
 
@@ -172,10 +211,8 @@ class _Verification:
         self.limits = limits
         self.evaluations = [0, 0]
         self.budget = 0
-        least, most = limits.least_pitch.value, limits.most_pitch.value
-        upright = most < VERTICAL or least > math.pi - VERTICAL
-        self.held = problem.hold_roll if upright else None
-        self.roll_defined = chain.wound and least > VERTICAL and most < math.pi - VERTICAL
+        self.held = held_roll(problem, limits)
+        self.roll_defined = chain.wound and azimuth_defined(limits)
         self.tip_at = np.concatenate(
             ([0.0], np.cumsum(np.linalg.norm(np.diff(segments.tip, axis=0), axis=1)))
         )
@@ -183,7 +220,7 @@ class _Verification:
     def verdict(self) -> Verdict:
         """Enclose everything, choose the branch, and say what the path lacks."""
         first = self._survey(self._first_columns())
-        values = self._slide_and_pitch()
+        values = slide_and_pitch(self.geometry, self.limits, self.held)
         for column, name in enumerate(SIDES):
             values[name] = _value(first, column)
         shoulder = self._shoulder(first, values)
@@ -247,31 +284,6 @@ class _Verification:
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
         self.budget += done.budget
         return done
-
-    def _slide_and_pitch(self) -> dict[str, Enclosed]:
-        x, g = self.limits, self.geometry
-
-        def value(attained: float, pad: float, place: tuple[int, float]) -> Enclosed:
-            return Enclosed(attained, attained - pad, *place)
-
-        low, high = (x.lowest.segment, x.lowest.fraction), (x.highest.segment, x.highest.fraction)
-        flat = (x.least_pitch.segment, x.least_pitch.fraction)
-        steep = (x.most_pitch.segment, x.most_pitch.fraction)
-        least, most = x.least_pitch.value, x.most_pitch.value
-        values = {
-            "top": value(g.upper[2] - x.highest.value, x.pad_mm, high),
-            "bottom": value(x.lowest.value - g.lower[2], x.pad_mm, low),
-            "pitch_min": value(least - g.lower[4], x.pad_rad, flat),
-            "pitch_max": value(g.upper[4] - most, x.pad_rad, steep),
-            "wrist_singularity": value(
-                min(least, math.pi - most), x.pad_rad, flat if least <= math.pi - most else steep
-            ),
-        }
-        if self.held is not None:
-            del values["wrist_singularity"]
-            if g.lower[4] <= 0.0:
-                del values["pitch_min"]
-        return {name: _plain(v) for name, v in values.items()}
 
     # -- branches -----------------------------------------------------------------------------
 
@@ -375,7 +387,6 @@ class _Verification:
 
     def _boundaries(self, values: dict[str, Enclosed]) -> dict[str, Boundary]:
         """Back to the arm as it was given: a mirrored arm's sides and roll ends change places."""
-        mirrored = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
         out: dict[str, Boundary] = {}
         left_out = set()
         if self.held is not None:
@@ -383,7 +394,7 @@ class _Verification:
         if self.geometry.workspace.full_turn and self.chain.wound:
             left_out |= {"left", "right"} - set(values)
         for name in BOUNDARIES:
-            source = mirrored.get(name, name) if self.geometry.side < 0 else name
+            source = MIRRORED.get(name, name) if self.geometry.side < 0 else name
             if source in left_out:
                 continue
             value = values.get(source)
@@ -436,10 +447,6 @@ def _value(done: Survey, column: int, offset: float = 0.0) -> Enclosed:
         int(done.segment[column]),
         float(done.fraction[column]),
     )
-
-
-def _plain(value: Enclosed) -> Enclosed:
-    return Enclosed(float(value.attained), float(value.certified), value.segment, value.fraction)
 
 
 def wrist_length(segments: Segments, tool_mm: float) -> float:

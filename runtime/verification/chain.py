@@ -137,33 +137,87 @@ def build(geometry: Geometry, segments: Segments) -> Chain:
     The bearing's sweep over an interval is the angle between its ends if the hull of its curve leaves
     the column out; intervals of which that is not known are split until it is.
     """
+    chain = _whole(geometry, segments)
+    while True:
+        sag = sagitta(geometry, segments.theta[chain.segment] * (chain.s1 - chain.s0))
+        size = _lengths(chain.points.centre) + sag
+        splittable = (chain.s1 - chain.s0 > SMALLEST_SPLIT) & (size > geometry.pad_mm)
+        split = np.flatnonzero(_unclear(geometry, segments, chain) & splittable)
+        if len(split) == 0:
+            return _lifted(geometry, segments, chain)
+        chain = _split(geometry, segments, chain, split, (chain.s0[split] + chain.s1[split]) / 2)
+
+
+def cut(geometry: Geometry, segments: Segments, segment: Ints, fraction: Floats) -> Chain:
+    """The chain whose segments are cut at given places and nowhere else.
+
+    Args:
+        geometry: canonical arm.
+        segments: the path.
+        segment: segment of each cut, ascending, shape (k,).
+        fraction: its fraction, in 0..1, ascending within a segment, shape (k,).
+
+    Raises:
+        ValueError: the cuts are out of order or out of the path.
+    """
+    places = segment + fraction
+    inside = (fraction > 0.0) & (fraction < 1.0) & (segment >= 0) & (segment < len(segments))
+    ascending = (np.diff(segment) > 0) | ((np.diff(segment) == 0) & (np.diff(fraction) > 0.0))
+    if not (np.isfinite(places).all() and inside.all() and ascending.all()):
+        raise ValueError(f"{len(segment)} cuts must lie inside the {len(segments)} segments, in order")
+    chain = _whole(geometry, segments)
+    new = at(geometry, segments, segment, fraction)
+    points = _insert(chain.points, segment + 1, new)
+    starts, ends = np.insert(chain.s0, segment + 1, fraction), np.insert(chain.s1, segment, fraction)
+    pieces = Chain(np.insert(chain.segment, segment, segment), starts, ends, points, wound=False)
+    return _lifted(geometry, segments, pieces)
+
+
+def _whole(geometry: Geometry, segments: Segments) -> Chain:
+    """Every segment one interval; nothing lifted yet."""
     n = len(segments)
     points = join([at_poses(geometry, segments, slice(i, i + BLOCK)) for i in range(0, n + 1, BLOCK)])
-    segment: Ints = np.arange(n, dtype=np.int64)
-    s0, s1 = np.zeros(n), np.ones(n)
-    while True:
-        gap = distance_from_column(points.centre[:-1], points.centre[1:])
-        sag = sagitta(geometry, segments.theta[segment] * (s1 - s0))
-        unclear = ~(gap > sag + geometry.pad_mm)
-        step = points.centre[1:] - points.centre[:-1]
-        size = np.sqrt(np.einsum("ij,ij->i", step, step)) + sag
-        split = np.flatnonzero(unclear & (s1 - s0 > SMALLEST_SPLIT) & (size > geometry.pad_mm))
-        if len(split) == 0:
-            break
-        middle = (s0[split] + s1[split]) / 2
-        new = at(geometry, segments, segment[split], middle)
-        points = Points(
-            *(
-                np.insert(getattr(points, f.name), split + 1, getattr(new, f.name), axis=0)
-                for f in fields(Points)
-            )
-        )
-        segment = np.insert(segment, split, segment[split])
-        s1, s0 = np.insert(s1, split, middle), np.insert(s0, split + 1, middle)
-    wound = not bool(unclear.any())
+    return Chain(np.arange(n, dtype=np.int64), np.zeros(n), np.ones(n), points, wound=False)
+
+
+def _split(geometry: Geometry, segments: Segments, chain: Chain, rows: Ints, middle: Floats) -> Chain:
+    """Cut intervals in two, each at a fraction of its segment."""
+    new = at(geometry, segments, chain.segment[rows], middle)
+    return Chain(
+        np.insert(chain.segment, rows, chain.segment[rows]),
+        np.insert(chain.s0, rows + 1, middle),
+        np.insert(chain.s1, rows, middle),
+        _insert(chain.points, rows + 1, new),
+        wound=False,
+    )
+
+
+def _insert(points: Points, where: Ints, new: Points) -> Points:
+    return Points(
+        *(np.insert(getattr(points, f.name), where, getattr(new, f.name), axis=0) for f in fields(Points))
+    )
+
+
+def _unclear(geometry: Geometry, segments: Segments, chain: Chain) -> NDArray[np.bool_]:
+    """Intervals that may pass the column on either side."""
+    gap = distance_from_column(chain.points.centre[:-1], chain.points.centre[1:])
+    sag = sagitta(geometry, segments.theta[chain.segment] * (chain.s1 - chain.s0))
+    return ~(gap > sag + geometry.pad_mm)
+
+
+def _lengths(centre: Floats) -> Floats:
+    step = centre[1:] - centre[:-1]
+    out: Floats = np.sqrt(np.einsum("ij,ij->i", step, step))
+    return out
+
+
+def _lifted(geometry: Geometry, segments: Segments, chain: Chain) -> Chain:
+    """Follow bearing and azimuth continuously from interval to interval."""
+    points = chain.points
     bearing = _lift(points.bearing, sweep(points.centre[:-1], points.centre[1:]))
     azimuth = _lift(points.azimuth, sweep(points.axis_xy[:-1], points.axis_xy[1:]))
-    return Chain(segment, s0, s1, replace(points, bearing=bearing, azimuth=azimuth), wound)
+    wound = not bool(_unclear(geometry, segments, chain).any())
+    return replace(chain, points=replace(points, bearing=bearing, azimuth=azimuth), wound=wound)
 
 
 def _lift(raw: Floats, steps: Floats) -> Floats:

@@ -90,4 +90,12 @@ def _bad_axes(problem: Problem) -> list[str]:
                 f"segment {int(turn.argmax())} turns the tool axis by {math.degrees(turn.max()):.3f} deg, "
                 "at most 179 deg have a defined great circle: add a pose between"
             )
+        # Segment time is max(|dp|, l theta) / feed; a turn in no time has no speed that could be bounded.
+        resting = (problem.tips_mm[1:] == problem.tips_mm[:-1]).all(axis=1) & (problem.tool_length_mm == 0.0)
+        timeless = np.flatnonzero(resting & (turn > 0.0))
+        if timeless.size:
+            found.append(
+                f"segment {int(timeless[0])} turns the tool axis by {math.degrees(turn[timeless[0]]):.3f} deg in no "
+                "time: its tip rests and the tool is 0 mm long; move the tip there, or give the tool its length"
+            )
     return found

@@ -1,0 +1,302 @@
+"""A proof as data: it is checked without a search, holds at every sampled pose, and cannot deceive."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from runtime.verification import bisection, certificate, certified
+from runtime.verification.certificate import Certificate, CertificateError, certify, recheck
+from runtime.verification.problem import Deadband
+from tests.oracle.dense import Dense
+from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
+
+SEEDS = range(12)
+
+
+@cache
+def proven(seed):
+    """Random admissible problems with their proofs: both elbows, narrow and wide sweeps, shoulders of over a turn."""
+    rng = np.random.default_rng([20260401, seed])
+    found = []
+    while len(found) < 6:
+        case = random_problem(
+            rng,
+            segments=int(rng.integers(1, 12)),
+            wide=rng.random() < 0.3,
+            spinning=rng.random() < 0.3,
+        )
+        if rng.random() < 0.5:
+            case = replace(case, acceleration=np.full(5, 1e5))
+        verdict = certified.verify(case)
+        if verdict.admissible:
+            found.append((case, verdict, certify(case, verdict)))
+    return found
+
+
+def grazing():
+    """A chord that passes the inner circle so closely, and a slide so near, that intervals have to be cut."""
+    tips, axes = wrist_path([[-400, 140.2, 100], [400, 140.2, 100]], axis([1.0, 1.4], [0.2, 0.9]))
+    return problem(
+        tips,
+        axes,
+        lower=np.array([-WIDE, 0.0, 50.0, -WIDE, 0.0]),
+        upper=np.array([WIDE, 162 * DEG, 450.0, WIDE, 110 * DEG]),
+        speed=np.full(5, 300.0),
+    )
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_admissible_verdict_has_a_proof_that_holds_after_a_round_trip_through_bytes(seed):
+    for case, verdict, proof in proven(seed):
+        again = Certificate.parse(proof.body())
+        assert again.body() == proof.body()
+        assert recheck(case, again) == ()
+        turns = (verdict.branch.q0_turns, verdict.branch.roll_turns)
+        assert recheck(replace(case, branch=turns), again) == ()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_stated_holds_at_every_sampled_pose(seed):
+    for case, verdict, proof in proven(seed):
+        dense = Dense(case, 80)
+        assert dense.inside.all()
+        sampled = {**dense.margins, **dense.roll(verdict.branch.roll_turns)}
+        if case.upper[0] - case.lower[0] >= 2 * math.pi:
+            sampled |= dense.lifted_sides(verdict.branch.q0_turns)
+        for name, bound in proof.bounds.items():
+            if name in sampled:
+                shown = bound if verdict.boundaries[name].unit == "mm" else math.degrees(bound)
+                assert shown <= np.nanmin(sampled[name]) + 2e-5, name
+                assert shown >= verdict.boundaries[name].deadband - 1e-9, name
+
+
+def test_no_search_and_one_look_at_each_interval(monkeypatch):
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    looked = []
+    bounds = certificate.lower_bounds
+    monkeypatch.setattr(certificate, "survey", None)
+    monkeypatch.setattr(bisection, "survey", None)
+    monkeypatch.setattr(
+        certificate, "lower_bounds", lambda *given: (looked.append(len(given[3])), bounds(*given))[1]
+    )
+    assert recheck(case, proof) == ()
+    assert sum(looked) == len(case.tips_mm) - 1 + len(proof.cut_segment)
+
+
+def test_the_size_of_the_blocks_changes_nothing(monkeypatch):
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    monkeypatch.setattr(certificate, "BLOCK", 2)
+    assert recheck(case, proof) == ()
+    assert certify(case, certified.verify(case)).body() == proof.body()
+    bold = {**proof.bounds, "inner": proof.bounds["inner"] + 0.01}
+    assert recheck(case, replace(proof, bounds=bold))
+
+
+def test_a_shoulder_that_winds_beyond_its_limit_is_no_proof():
+    angles = np.linspace(0, 4 * math.pi, 60)
+    tips, axes = wrist_path(
+        np.column_stack((500 * np.cos(angles), 500 * np.sin(angles), np.full(60, 100.0))), axis(1.0, angles)
+    )
+    wide = problem(
+        tips,
+        axes,
+        lower=np.array([-2.0, 0.0, 50.0, -WIDE, 0.0]),
+        upper=np.array([14.0, 162 * DEG, 450.0, WIDE, 110 * DEG]),
+        speed=np.full(5, 300.0),
+    )
+    proof = certify(wide, certified.verify(wide))
+    assert recheck(wide, proof) == ()
+    short = replace(wide, upper=np.array([9.0, *wide.upper[1:]]))
+    assert any(reason.startswith("left: ") for reason in recheck(short, proof))
+    calm = {name: 5.0 if name in {"left", "right"} else bound for name, bound in proof.bounds.items()}
+    assert any(reason.startswith("left: ") for reason in recheck(short, replace(proof, bounds=calm)))
+
+
+def test_cuts_that_were_needed_cannot_be_left_out():
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    assert len(proof.cut_segment) > 2
+    none = replace(proof, cut_segment=proof.cut_segment[:0], cut_fraction=proof.cut_fraction[:0])
+    assert any("is proven" in reason or "leave open" in reason for reason in recheck(case, none))
+
+
+def test_cuts_at_other_places_may_prove_the_same():
+    """The bounds hold on any intervals, so a finer proof than the one found is a proof as well."""
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    places = np.linspace(0, 1, 4001)[1:-1]
+    fine = replace(
+        proof,
+        bounds=dict(proof.bounds),
+        cut_segment=np.zeros(len(places), dtype=np.int64),
+        cut_fraction=places,
+    )
+    fine.bounds["inner"] = 5.0  # where it suffices, an interval is bounded by its length alone
+    assert recheck(case, fine) == ()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_proof_serves_a_path_that_is_inadmissible(seed):
+    """Tighten one limit or deadband beyond the clearance: the proof fails, also with its statements adapted."""
+    rng = np.random.default_rng([20260402, seed])
+    for case, verdict, proof in proven(seed):
+        changed = []
+        room = min(b.clearance for b in verdict.boundaries.values() if b.unit == "mm")
+        changed.append(replace(case, deadband=replace(case.deadband, arm_mm=room + 1e-6)))
+        for line in verdict.speed:
+            if line.peak > 0.1 * line.limit:  # its bracket is 0.005 of the limit
+                slow = np.array(case.speed)
+                slow[line.joint] = line.peak * 0.9
+                changed.append(replace(case, speed=slow))
+        for end in ("lower", "upper"):
+            limits = np.array(getattr(case, end))
+            reached = verdict.boundaries["pitch_min" if end == "lower" else "pitch_max"].clearance * DEG
+            limits[4] += (reached if end == "lower" else -reached) * 1.01
+            changed.append(replace(case, **{end: limits}))
+        for other in changed:
+            assert not certified.verify(other).admissible
+            assert recheck(other, proof)
+            bold = {name: value + rng.uniform(0, 1e3) for name, value in proof.bounds.items()}
+            assert recheck(other, replace(proof, bounds=bold))
+
+
+def test_another_turn_is_another_proof():
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    assert recheck(replace(case, branch=(1, 0)), proof) == (
+        "the certificate is for the turns (0, 0), the path for (1, 0)",
+    )
+    narrow = replace(case, lower=np.array([-1.0, *case.lower[1:]]), upper=np.array([7.0, *case.upper[1:]]))
+    reasons = recheck(narrow, replace(proof, q0_turns=3))
+    assert "the shoulder does not start within its limits in turn 3" in reasons
+    ordinary = problem(*wrist_path([[600, 0, 100], [610, 50, 100]], axis(1.0, 0.3)))
+    found = certify(ordinary, certified.verify(ordinary))
+    assert recheck(ordinary, replace(found, q0_turns=1)) == (
+        "the shoulder does not start within its limits in turn 1",
+    )
+    turned = recheck(
+        replace(case, upper=np.array([*case.upper[:3], 7.0, case.upper[4]])), replace(proof, roll_turns=9)
+    )
+    assert any(reason.startswith("roll_max") for reason in turned)
+
+
+def test_a_start_outside_is_no_proof():
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    far = replace(case, tips_mm=case.tips_mm + np.array([2000.0, 0.0, 0.0]))
+    reasons = recheck(far, proof)
+    assert "the path starts outside the planar workspace" in reasons
+    assert any("shoulder" in reason for reason in reasons)
+
+
+def test_a_path_across_the_column_is_no_proof():
+    tips, axes = wrist_path([[-400, 0.0, 100], [400, 0.0, 100]], axis(1.0, 0.2))
+    case = replace(grazing(), tips_mm=tips, axes=axes)
+    proof = certify(grazing(), certified.verify(grazing()))
+    assert any("leave open on which side of the column" in reason for reason in recheck(case, proof))
+
+
+def test_a_held_roll_is_proved_in_its_turn():
+    tips, axes = wrist_path([[500, 0, 100], [600, 200, 100]], axis(0.0, 0.0))
+    case = problem(tips, axes, hold_roll=0.5)
+    proof = certify(case, certified.verify(case))
+    assert recheck(case, proof) == ()
+    assert "wrist_singularity" not in proof.bounds
+    assert "the roll is not held in turn 1" in recheck(case, replace(proof, roll_turns=1))
+    outside = replace(case, upper=np.array([*case.upper[:3], 0.4, case.upper[4]]))
+    assert any(reason.startswith("roll_max") for reason in recheck(outside, proof))
+    leaning = replace(case, axes=axis(1e-6, 0.0)[None].repeat(2, axis=0))
+    assert any("wrist_singularity" in reason for reason in recheck(leaning, proof))
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
+def test_the_names_are_those_of_the_arm_as_given(elbow):
+    seen = set()
+    for seed in SEEDS:
+        for case, verdict, proof in proven(seed):
+            if case.arm.elbow != elbow:
+                continue
+            for name, boundary in verdict.boundaries.items():
+                scale = 1.0 if boundary.unit == "mm" else math.pi / 180
+                if name in proof.bounds:
+                    assert proof.bounds[name] <= boundary.clearance * scale + 1e-9, name
+                    seen.add(name)
+    assert {"left", "right", "roll_min", "roll_max"} <= seen
+
+
+def test_each_statement_is_needed_and_each_must_be_proven():
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    for name in proof.bounds:
+        less = {n: v for n, v in proof.bounds.items() if n != name}
+        assert any(
+            r.startswith(f"{name}: the certificate states nothing")
+            for r in recheck(case, replace(proof, bounds=less))
+        )
+        for value in (proof.bounds[name] + 1.0, -1e9, math.nan):
+            more = {**proof.bounds, name: value}
+            assert any(r.startswith(f"{name}: ") for r in recheck(case, replace(proof, bounds=more))), name
+    extra = {**proof.bounds, "acceleration 0": -1.0}
+    assert recheck(case, replace(proof, bounds=extra)) == (
+        "acceleration 0: stated, but does not apply to this path",
+    )
+
+
+@pytest.mark.parametrize(
+    ("segment", "fraction"),
+    [([0], [0.0]), ([0], [1.0]), ([0], [-0.5]), ([1], [0.5]), ([-1], [0.5]), ([0, 0], [0.5, 0.5]),
+     ([0, 0], [0.6, 0.5]), ([0], [math.nan]), ([0], [math.inf])],
+)  # fmt: skip
+def test_cuts_that_are_no_cuts_of_this_path_are_refused(segment, fraction):
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    broken = replace(proof, cut_segment=np.array(segment), cut_fraction=np.array(fraction))
+    assert any("cuts must lie inside the 1 segments" in reason for reason in recheck(case, broken))
+
+
+def test_another_number_of_poses_and_unusable_numbers_are_refused():
+    case = grazing()
+    proof = certify(case, certified.verify(case))
+    assert recheck(case, replace(proof, poses=3)) == ("the certificate is for 3 poses, the path has 2",)
+    assert (
+        recheck(replace(case, feed_mm_s=math.nan), proof)
+        == certified.verify(replace(case, feed_mm_s=math.nan)).reasons
+    )
+
+
+def test_an_inadmissible_verdict_has_no_proof():
+    case = replace(grazing(), deadband=Deadband(50.0, 2 * DEG))
+    assert certify(case, certified.verify(case)) is None
+
+
+def test_bytes_that_are_no_certificate_are_refused():
+    case = grazing()
+    body = certify(case, certified.verify(case)).body()
+    nan = bytearray(body)
+    nan[32:40] = np.float64(np.nan).tobytes()
+    mask = bytearray(body)
+    mask[31] = 0xFF
+    for bad in (b"", body[:10], b"x" + body[1:], body[:-1], body + b"\0", bytes(nan), bytes(mask)):
+        with pytest.raises(CertificateError):
+            Certificate.parse(bad)
+    for size in range(len(body)):
+        with pytest.raises(CertificateError):
+            Certificate.parse(body[:size])
+
+
+def test_most_segments_need_no_cut():
+    """2000 poses along a gentle path: the proof is the header alone, a tenth of a byte a pose."""
+    s = np.linspace(0, 1, 2000)
+    tips, axes = wrist_path(
+        np.column_stack((600 + 60 * np.cos(40 * s), 60 * np.sin(40 * s), 250 - 100 * s)),
+        axis(0.8 + 0.1 * np.sin(40 * s), 0.3 * np.cos(40 * s)),
+    )
+    case = problem(tips, axes, acceleration=np.full(5, 1e3))
+    proof = certify(case, certified.verify(case))
+    assert recheck(case, proof) == ()
+    assert len(proof.body()) == 32 + 8 * len(proof.bounds) <= 200

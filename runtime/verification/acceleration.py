@@ -154,7 +154,7 @@ def _derivatives(geometry: Geometry, motion: Motion, angles: Angles) -> tuple[Fl
         rounded = ROUNDINGS * EPSILON * bent * (8.0 + 1.0 / angles.elbow_sine**2)
     tool = geometry.tool_mm * phi**2
     swinging = ROUNDINGS * EPSILON * swung
-    second = (angles.shoulder2, bent, tool, azimuth2 + angles.heading2, pitch2)
+    second = (angles.shoulder2, angles.elbow2, tool, azimuth2 + angles.heading2, pitch2)
     third = (whole / a0, whole / a0 + whole / a1, tool * phi, azimuth3 + whole / a1, pitch3)
     pad = (rounded, rounded, ROUNDINGS * EPSILON * tool, rounded + swinging, swinging)
     return np.column_stack(second), np.column_stack(third), np.column_stack(pad)

@@ -39,14 +39,21 @@ class Aim:
     """How far to refine each column; arrays of shape (COLUMNS,).
 
     Attributes:
-        gap: bounds this close below the least attained value are close enough.
+        gap: bounds this close below the least attained value are close enough ...
+        share: ... and so are those within this part of it.
         target: the value to keep; while a bound is below and the attained value above it, go on ...
         fine: ... until they are this close: undecided.
     """
 
     gap: Floats
+    share: Floats
     target: Floats
     fine: Floats
+
+    def enough(self, best: Floats) -> Floats:
+        """What a bound must reach where only closeness to the least attained value counts, shape (COLUMNS,)."""
+        size = np.abs(np.where(np.isfinite(best), best, 0.0))
+        return best - np.maximum(self.gap, self.share * size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +152,7 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
         else:
             break
         spent += len(parts)
-        floor = np.maximum(best.value - aim.gap, np.minimum(aim.target, best.value))
+        floor = np.maximum(aim.enough(best.value), np.minimum(aim.target, best.value))
         bounds, rates, cut = lower_bounds(geometry, segments, scope, parts, floor)
         best.offer(SPEED, rates, parts.segment, (parts.s0 + parts.s1) / 2)
         open_rows = _open(geometry, scope, parts, bounds, (best.value, aim))
@@ -188,7 +195,7 @@ def _open(
     """Which intervals must be split: the bound is too far below, or a deadband is not yet decided."""
     best, aim = known
     straddles = (bounds < aim.target) & (best >= aim.target) & (bounds < best - aim.fine)
-    wanting = ((bounds < best - aim.gap) | straddles) & ~scope.undefined
+    wanting = ((bounds < aim.enough(best)) | straddles) & ~scope.undefined
     if (best[:ROLL_MIN] < 0.0).any():  # outside the reach no bracket is asked for
         within = bounds[:, :ROLL_MIN].min(axis=1, keepdims=True) >= 0.0
         wanting[:, :ROLL_MIN] &= within

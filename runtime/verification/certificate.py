@@ -208,7 +208,7 @@ class _Proof:
             roll_defined=chain.wound and azimuth_defined(limits),
             shoulder_shift=self.q0.shift if self.full else None,
         )
-        self.aim = Aim(np.full(COLUMNS, NO_GAP), self.target, self._fine())
+        self.aim = Aim(np.full(COLUMNS, NO_GAP), np.zeros(COLUMNS), self.target, self._fine())
 
     def _target(self) -> Floats:
         """What each column must keep; infinite where it is not asked for."""

@@ -68,8 +68,8 @@ FINE_MM = 5e-4
 
 FINE_RAD = math.radians(5e-4)
 
-GAP_RATE = 0.005
-"""The same for joint speeds and accelerations, as a part of their limits."""
+GAP_RATE = 0.01
+"""The same for joint speeds and accelerations, as a part of the larger of peak and limit."""
 
 FINE_RATE = 5e-4
 
@@ -265,11 +265,12 @@ class _Verification:
     ) -> Survey:
         gap, fine = np.full(COLUMNS, GAP_MM), np.full(COLUMNS, FINE_MM)
         gap[ROLL_MIN:SPEED], fine[ROLL_MIN:SPEED] = GAP_RAD, FINE_RAD
-        target = np.full(COLUMNS, -np.inf)
+        target, share = np.full(COLUMNS, -np.inf), np.zeros(COLUMNS)
         target[:ROLL_MIN] = self.geometry.arm_mm
         for _, first, limits in rates(self.problem):
             joints = slice(first, first + 5)
             gap[joints], fine[joints], target[joints] = GAP_RATE * limits, FINE_RATE * limits, -limits
+            share[joints] = GAP_RATE
         if roll_target is not None:
             target[[ROLL_MIN, ROLL_MAX]] = roll_target
         scope = Scope(
@@ -279,7 +280,7 @@ class _Verification:
             roll_defined=self.roll_defined,
             shoulder_shift=shift,
         )
-        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, target, fine))
+        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, share, target, fine))
         self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
         self.budget += done.budget
@@ -298,6 +299,8 @@ class _Verification:
                 return None
             found = candidates(self.geometry, 0, start, (start, start), asked)[0]
             return found if found.fits else None
+        if not (values["inner"].attained >= 0.0 and values["outer"].attained >= 0.0):
+            return None  # out of the annulus there is no shoulder to follow
         reach = (float(first.attained[Q0_MIN]), -float(first.attained[Q0_MAX]))
         others = self._worst_ratio(values, leave_out=("left", "right"))
         best: tuple[float, Candidate, dict[str, Enclosed]] | None = None

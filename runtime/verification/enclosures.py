@@ -221,7 +221,7 @@ def _bound_speeds(
     tool = geometry.tool_mm
     lines = (
         (b.shoulder - a.shoulder, angles.shoulder2, angles.shoulder, angles.pad),
-        (b.elbow - a.elbow, angles.shoulder2 + angles.heading2, angles.shoulder + angles.heading, angles.pad),
+        (b.elbow - a.elbow, angles.elbow2, angles.elbow, angles.pad),
         (b.height - a.height, tool * motion.phi**2, roll1, geometry.pad_mm),
         (b.roll - a.roll, roll2, roll1, angles.pad + angles.azimuth_pad),
         (b.pitch - a.pitch, angles.pitch2, motion.phi, ROUNDINGS * EPSILON * 8.0),

@@ -56,6 +56,8 @@ class Angles:
     heading: Floats  # on |psi'|
     shoulder2: Floats  # on |q0''|
     heading2: Floats  # on |psi''|
+    elbow: Floats  # on |q1'|
+    elbow2: Floats  # on |q1''|
     azimuth2: Floats  # on |azimuth''|
     pitch2: Floats  # on |q4''|
     widening: Floats
@@ -72,6 +74,8 @@ def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: 
 
     |psi'| <= |w'| / (a1 sin q1), |q0'| <= |w'| / (a0 sin q1); once more differentiated,
     a1 sin(q1) |psi''| <= |w''| + a0 q0'^2 + a1 psi'^2 and a0 sin(q1) |q0''| <= the same.
+    The elbow alone follows r^2 = a0^2 + a1^2 + 2 a0 a1 cos q1 as well: a0 a1 sin(q1) |q1'| <= r |w'| and
+    a0 a1 sin(q1) |q1''| <= |w'|^2 + r |w''| + a0 a1 q1'^2.
     Azimuth: az' = phi n_z / sin^2 q4, |az''| <= 2 phi^2 n_z / sin^3 q4, and
     |q4''| = |sin q4 cos q4| az'^2 <= phi^2 n_z^2 / sin^3 q4, with n the great circle's normal.
     """
@@ -89,6 +93,10 @@ def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: 
         turn = motion.length / bend
         pull = motion.bend + turn * turn * (1.0 / space.a0 + 1.0 / space.a1)
         square = motion.phi * motion.phi
+        links = space.a0 * space.a1
+        elbow = np.fmin(turn / space.a0 + turn / space.a1, farthest * turn / links)
+        stretch = motion.length**2 + farthest * motion.bend + links * elbow * elbow
+        elbow2 = np.fmin(pull / (space.a0 * bend) + pull / (space.a1 * bend), stretch / (links * bend))
         # A wrist centre off by pad_mm turns both links by this; a straight elbow leaves no bound.
         pad = ROUNDINGS * EPSILON * (8.0 + np.abs(parts.a.bearing))
         pad += geometry.pad_mm / (min(space.a0, space.a1) * bend)
@@ -98,6 +106,8 @@ def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: 
             heading=turn / space.a1,
             shoulder2=pull / (space.a0 * bend),
             heading2=pull / (space.a1 * bend),
+            elbow=elbow,
+            elbow2=elbow2,
             azimuth2=2.0 * square * normal_hi / sine**3,
             pitch2=square * normal_hi * normal_hi / sine**3,
             widening=roll_widening(geometry, bend, sine),

@@ -230,7 +230,7 @@ class _Verification:
             branch = Branch(self.problem.arm.elbow, shoulder.turns, roll.turns)
         boundaries = self._boundaries(values)
         lines = self._rates(first)
-        other = self._other_reasons(branch)
+        other = self._other_reasons(values, branch)
         ok = not other and all(not b.violated for b in boundaries.values()) and all(line.ok for line in lines)
         return Verdict(
             method="certified",
@@ -421,14 +421,17 @@ class _Verification:
             joint, limit, peak if known else None, place, ok=known and peak <= limit, quantity=quantity
         )
 
-    def _other_reasons(self, branch: Branch | None) -> tuple[str, ...]:
+    def _other_reasons(self, values: dict[str, Enclosed], branch: Branch | None) -> tuple[str, ...]:
         out = []
         if not bool(self.chain.points.inside[0]):
             out.append(
                 "the path starts outside the planar workspace: no joint position within the limits "
                 "reaches the first wrist centre; move the bone toward the workspace"
             )
-        if branch is None:
+        bounding = SIDES[:LEFT] if self.geometry.workspace.full_turn else SIDES
+        if branch is None and min(values[name].attained for name in bounding) < 0.0:
+            out.append("no joint branch holds the whole path: it leaves the reach")
+        elif branch is None:
             asked = self.problem.branch
             turn = (
                 "no choice of whole turns keeps"

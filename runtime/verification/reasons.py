@@ -28,11 +28,12 @@ _SPEED_UNIT = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
 
 def sentences(boundaries: Mapping[str, Boundary], speed: Sequence[SpeedLine], elbow: str) -> tuple[str, ...]:
     """One sentence for each violated boundary and each joint that is too fast or accelerates too much."""
-    broken = [_boundary(b, elbow) for b in boundaries.values() if b.violated]
+    left = [name for name, b in boundaries.items() if b.clearance is not None and b.clearance < 0.0]
+    broken = [_boundary(b, elbow, left) for b in boundaries.values() if b.violated]
     return (*broken, *(_speed(line) for line in speed if not line.ok))
 
 
-def _boundary(b: Boundary, elbow: str) -> str:
+def _boundary(b: Boundary, elbow: str, left: Sequence[str]) -> str:
     remedy = _REMEDY.get(b.name) or _SIDES[b.name, elbow]
     if b.clearance is None or b.certified is None:
         return (
@@ -40,6 +41,11 @@ def _boundary(b: Boundary, elbow: str) -> str:
             f"needs {b.deadband:.6g} {b.unit}; cure the other boundaries first, then {remedy}"
         )
     place = f"at {b.tip_length_mm:.3f} mm of the tip path (segment {b.segment}, fraction {b.fraction:.6f})"
+    if b.clearance >= b.deadband and left:
+        return (
+            f"{b.name}: not enclosed where the path leaves the reach, proven {b.certified:.6f} {b.unit}, "
+            f"needs {b.deadband:.6g} {b.unit}; cure {', '.join(left)} first"
+        )
     if b.clearance >= b.deadband:
         return (
             f"{b.name}: undecided, the clearance lies between {b.certified:.6f} and {b.clearance:.6f} {b.unit} "

@@ -1,0 +1,41 @@
+"""What people are told: what is not kept, where, by how much, and what to do first."""
+
+import numpy as np
+
+from runtime.verification import certified
+from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
+
+
+def crossing(span_deg):
+    """A level tool straight across the column, out of the reach near it."""
+    tips, axes = wrist_path([[-600, -300, 0], [600, -300, 0]], axis(90 * DEG, 0.0))
+    return problem(
+        tips,
+        axes,
+        lower=np.array([-span_deg * DEG, 10 * DEG, -300.0, -700.0, 0.0]),
+        upper=np.array([span_deg * DEG, 100 * DEG, 300.0, 700.0, 3.0]),
+        speed=np.full(5, 1e6),
+    )
+
+
+def test_out_of_the_reach_the_boundary_left_first_is_named_first_and_no_other_is_called_undecided():
+    for span_deg in (170, 400):
+        verdict = certified.verify(crossing(span_deg))
+        assert verdict.branch is None
+        assert "no joint branch holds the whole path: it leaves the reach" in verdict.reasons
+        inner = next(reason for reason in verdict.reasons if reason.startswith("inner: "))
+        assert "inner: clearance -" in inner
+        assert "needs 5 mm" in inner
+        assert "move the bone away from the column" in inner
+        outer = next(reason for reason in verdict.reasons if reason.startswith("outer: "))
+        assert "not enclosed where the path leaves the reach" in outer
+        assert "inner" in outer.split("cure")[1]
+        assert not any("undecided" in reason for reason in verdict.reasons)
+
+
+def test_a_speed_names_joint_peak_segment_and_limit():
+    tips, axes = wrist_path([[600, 0, 100], [600, 50, 100]], axis(1.0, 0.3))
+    slow = problem(tips, axes, speed=np.array([1e-3, 1.0, 200.0, 2.0, 2.0]))
+    (reason,) = certified.verify(slow).reasons
+    assert reason.startswith("joint 0: needs up to 0.0")
+    assert "rad/s in segment 0, limit 0.001 rad/s; reduce the feed" in reason

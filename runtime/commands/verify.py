@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from config.load import load_robot
+from config.load import InputError, load_robot
 from config.model import Robot
 from config.records import calibration_record, limits_record, tool_record
 from protocol.records import digest
@@ -18,6 +18,7 @@ from runtime.commands.verdict_view import print_verdict
 from runtime.plan.load import load_plan, load_registration
 from runtime.plan.prepare import Prepared, prepare, with_branch
 from runtime.verification import certified, stocco
+from runtime.verification.certificate import certify
 from runtime.verification.document import Digests, document_text, verdict_document
 from runtime.verification.guidance import Guidance, guide
 from runtime.verification.problem import Problem
@@ -25,6 +26,18 @@ from runtime.verification.recorded import problem_from_records
 from runtime.verification.verdict import Verdict
 
 ADMISSIBLE, INADMISSIBLE = 0, 1
+
+PathArgument = Annotated[
+    Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv: x,y,z,i,j,k).")
+]
+RobotOption = Annotated[Path, typer.Option(help="The robot's description, robot.toml.")]
+RegistrationOption = Annotated[Path | None, typer.Option(help="Where the bone stands; identity if left out.")]
+ToolOption = Annotated[
+    float | None, typer.Option(min=0.0, max=2000.0, help="Replaces the robot's tool length.")
+]
+FeedOption = Annotated[
+    float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
+]
 
 
 class Method(StrEnum):
@@ -57,8 +70,7 @@ def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -
         method: which verifier decides.
     """
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    tool = tool_record(robot, prepared.path.tool_length_mm).body()
-    problem = problem_from_records(prepared.path.body(), limits, calibration, tool, robot, any_branch=True)
+    problem = off_line_problem(prepared, robot)
     decide = certified.verify if method is Method.certified else stocco.verify
     with working(f"verifying {len(prepared.path)} poses"):
         began = time.perf_counter()
@@ -71,6 +83,46 @@ def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -
     return Checked(verdict, guidance, digests, len(path), elapsed_ms)
 
 
+def read(
+    path: Path, robot: Path, registration: Path | None, tool_length_mm: float | None, feed_mm_s: float | None
+) -> tuple[Robot, Prepared]:
+    """Reads the files and prepares the path that the controller would be given.
+
+    Raises:
+        InputError: a file that cannot be used.
+    """
+    with working(f"reading {path}"):
+        arm = load_robot(robot).value
+        plan = load_plan(path)
+        placed = load_registration(registration) if registration else None
+        prepared = prepare(
+            plan, placed, arm, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
+        )
+    return arm, prepared
+
+
+def off_line_problem(prepared: Prepared, robot: Robot) -> Problem:
+    """The problem with the approved limits and calibration, any joint branch."""
+    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
+    tool = tool_record(robot, prepared.path.tool_length_mm).body()
+    return problem_from_records(prepared.path.body(), limits, calibration, tool, robot, any_branch=True)
+
+
+def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
+    """Writes the certificate of an admissible verdict; says so where there is none."""
+    proof = certify(problem, verdict)
+    if proof is None:
+        typer.echo(f"{file}: not written, only an admissible verdict has a proof", err=True)
+        return
+    try:
+        file.write_bytes(proof.body())
+    except OSError as error:
+        raise InputError(
+            file, "", None, f"cannot be written: {error.strerror}", "name another file"
+        ) from None
+    typer.echo(f"{file}: proof of {len(proof.body())} bytes, check it with `cutgate recheck`", err=True)
+
+
 def _guidance(problem: Problem, verdict: Verdict, prepared: Prepared) -> Guidance | None:
     """How to move the bone, where the path is not admitted."""
     if verdict.admissible:
@@ -80,19 +132,14 @@ def _guidance(problem: Problem, verdict: Verdict, prepared: Prepared) -> Guidanc
 
 
 def verify(
-    path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv: x,y,z,i,j,k).")
-    ],
+    path: PathArgument,
     *,
-    robot: Annotated[Path, typer.Option(help="The robot's description, robot.toml.")],
-    registration: Annotated[
-        Path | None, typer.Option(help="Where the bone stands; identity if left out.")
-    ] = None,
-    tool_length_mm: Annotated[
-        float | None, typer.Option(min=0.0, max=2000.0, help="Replaces the robot's tool length.")
-    ] = None,
-    feed_mm_s: Annotated[
-        float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
+    robot: RobotOption,
+    registration: RegistrationOption = None,
+    tool_length_mm: ToolOption = None,
+    feed_mm_s: FeedOption = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
     method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
@@ -101,14 +148,12 @@ def verify(
 
     Exit code: 0 admissible, 1 inadmissible, 2 refused input.
     """
-    with working(f"reading {path}"):
-        arm = load_robot(robot)
-        plan = load_plan(path)
-        placed = load_registration(registration) if registration else None
-        prepared = prepare(
-            plan, placed, arm.value, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
+    if certificate is not None and method is not Method.certified:
+        raise typer.BadParameter(
+            "the published march proves nothing between its steps; use --method certified"
         )
-    checked = check(prepared, arm.value, method)
+    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
+    checked = check(prepared, arm, method)
     if json:
         document = verdict_document(
             checked.verdict,
@@ -120,6 +165,8 @@ def verify(
         typer.echo(document_text(document))
     else:
         print_verdict(output(), checked.verdict, checked.guidance, checked.digests, _facts(prepared, checked))
+    if certificate is not None:
+        _write_proof(certificate, off_line_problem(prepared, arm), checked.verdict)
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 

@@ -174,11 +174,24 @@ def _compared(proof: _Proof, proven: dict[str, float], stated: dict[str, float])
     for name, bound in proven.items():
         claim, needed = stated.get(name), proof.needed(name)
         if claim is None:
-            out.append(f"{name}: the certificate states nothing, {needed:.9g} is needed")
+            out.append(f"{name}: the certificate states nothing, {_shown(name, needed)} is needed")
         elif not (bound >= claim >= needed):
-            out.append(f"{name}: {claim:.9g} is stated, {bound:.9g} is proven, {needed:.9g} is needed")
+            least, need = _shown(name, bound), _shown(name, needed)
+            out.append(f"{name}: {_shown(name, claim)} is stated, {least} is proven, {need} is needed")
     out += [f"{name}: stated, but does not apply to this path" for name in stated if name not in proven]
     return tuple(out)
+
+
+def _shown(name: str, value: float) -> str:
+    """A bound for people: mm or deg as in a verdict, rates as positive numbers."""
+    if not math.isfinite(value):
+        return "nothing"
+    if name in ARM_BOUNDARIES:
+        return f"{value:.6f} mm"
+    if name in BOUNDARIES:
+        return f"{math.degrees(value):.6f} deg"
+    unit = ("mm" if name.endswith("2") else "rad") + ("/s" if name.startswith("speed") else "/s2")
+    return f"at most {-value:.6g} {unit}"
 
 
 def _stated(proven: float, needed: float) -> float:

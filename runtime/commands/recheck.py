@@ -1,0 +1,61 @@
+"""``cutgate recheck``: check a proof that ``verify --certificate`` wrote, without searching."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from config.load import InputError, read_bytes
+from runtime.commands.screen import output, working
+from runtime.commands.verify import (
+    FeedOption,
+    PathArgument,
+    RegistrationOption,
+    RobotOption,
+    ToolOption,
+    off_line_problem,
+    read,
+)
+from runtime.verification import certificate as proofs
+
+HOLDS, FAILS = 0, 1
+
+
+def recheck(
+    certificate: Annotated[
+        Path, typer.Argument(metavar="CERTIFICATE", help="Written by `verify --certificate`.")
+    ],
+    path: PathArgument,
+    *,
+    robot: RobotOption,
+    registration: RegistrationOption = None,
+    tool_length_mm: ToolOption = None,
+    feed_mm_s: FeedOption = None,
+) -> None:
+    """Check the proof that a whole cut path is admissible, interval by interval, without a search.
+
+    Exit code: 0 the proof holds, 1 it does not prove this path admissible, 2 refused input.
+    """
+    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
+    try:
+        proof = proofs.Certificate.parse(read_bytes(certificate))
+    except proofs.CertificateError as error:
+        remedy = "write it anew with `cutgate verify --certificate`"
+        raise InputError(certificate, "", None, str(error), remedy) from None
+    with working(f"checking {certificate}"):
+        reasons = proofs.recheck(off_line_problem(prepared, arm), proof)
+    pieces = len(prepared.path) - 1 + len(proof.cut_segment)
+    console = output()
+    if reasons:
+        console.print(f"NOT PROVEN: {certificate} does not prove that {path} is admissible")
+        for reason in reasons:
+            console.print(f"  - {reason}")
+    else:
+        console.print(f"PROVEN: {path} is admissible, each of {pieces} intervals keeps every deadband")
+    console.print(f"path SHA-256 {prepared.path.digest.hex()}")
+    raise typer.Exit(FAILS if reasons else HOLDS)
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("recheck")(recheck)

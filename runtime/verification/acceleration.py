@@ -13,16 +13,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.kinematics.arm import elbow_angle, shoulder_offset
+from runtime.kinematics.pose import slerp
 from runtime.verification.chain import Intervals
 from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
 from runtime.verification.motion import Angles, Motion
-from runtime.verification.points import Points, at
 
 Floats = NDArray[np.float64]
 
 
 def joint_accelerations(geometry: Geometry, segments: Segments, segment: Ints, s: Floats) -> Floats:
-    """Exact q'' at fractions of segments, rad and mm per squared unit of the segment's parameter.
+    """Exact q'' at fractions of segments, at the planned feed, rad/s2 and mm/s2.
 
     Args:
         geometry: canonical arm.
@@ -31,21 +32,23 @@ def joint_accelerations(geometry: Geometry, segments: Segments, segment: Ints, s
         s: fractions, shape (m,).
 
     Returns:
-        Shape (m, 5); NaN or infinite where the joints are singular.
+        Shape (m, 5); NaN or infinite where the joints are singular, 0 in a segment that takes no time.
     """
-    place = at(geometry, segments, segment, s)
     theta = segments.theta[segment]
-    height = np.cos(place.pitch)
-    axis = np.column_stack((place.axis_xy, height))
+    axis = slerp(segments.axis[segment], segments.axis[segment + 1], theta, s)
     turning = _turning(segments, segment, s)
-    velocity = segments.tip[segment + 1] - segments.tip[segment] + geometry.tool_mm * turning
+    step = segments.tip[segment + 1] - segments.tip[segment]
+    wrist = segments.tip[segment] + s[:, None] * step + geometry.tool_mm * axis
     pull = -geometry.tool_mm * (theta * theta)[:, None] * axis
+    centre, velocity, bend = (_slid(geometry, v) for v in (wrist, step + geometry.tool_mm * turning, pull))
     out = np.empty((len(segment), 5))
     with np.errstate(divide="ignore", invalid="ignore"):
-        shoulder, heading = _arm(geometry, place, _slid(geometry, velocity), _slid(geometry, pull))
-        azimuth, out[:, 4] = _wrist(place, axis, turning, theta)
-    out[:, 0], out[:, 1], out[:, 2] = shoulder, heading - shoulder, pull[:, 2]
-    out[:, 3] = azimuth - heading
+        shoulder, heading = _arm(geometry, centre, velocity, bend)
+        azimuth, out[:, 4] = _wrist(axis, turning, theta)
+        out[:, 0], out[:, 1], out[:, 2] = shoulder, heading - shoulder, pull[:, 2]
+        out[:, 3] = azimuth - heading
+        out /= (segments.seconds[segment] ** 2)[:, None]
+    out[segments.seconds[segment] == 0.0] = 0.0
     return out
 
 
@@ -63,10 +66,12 @@ def _slid(geometry: Geometry, vectors: Floats) -> Floats:
     return out
 
 
-def _arm(geometry: Geometry, place: Points, velocity: Floats, pull: Floats) -> tuple[Floats, Floats]:
+def _arm(geometry: Geometry, centre: Floats, velocity: Floats, pull: Floats) -> tuple[Floats, Floats]:
     """Second derivatives of q0 and of the heading."""
     a0, a1 = geometry.workspace.a0, geometry.workspace.a1
-    q0, psi, sine = place.shoulder, place.heading, np.sin(place.elbow)
+    elbow = elbow_angle(np.hypot(centre[:, 0], centre[:, 1]), a0, a1)
+    q0 = np.arctan2(centre[:, 1], centre[:, 0]) - shoulder_offset(elbow, a0, a1)
+    psi, sine = q0 + elbow, np.sin(elbow)
     upper, fore = (np.column_stack((np.cos(angle), np.sin(angle))) for angle in (q0, psi))
     shoulder = _dot(fore, velocity) / (a0 * sine)
     heading = -_dot(upper, velocity) / (a1 * sine)
@@ -74,12 +79,12 @@ def _arm(geometry: Geometry, place: Points, velocity: Floats, pull: Floats) -> t
     return _dot(fore, whole) / (a0 * sine), -_dot(upper, whole) / (a1 * sine)
 
 
-def _wrist(place: Points, axis: Floats, turning: Floats, theta: Floats) -> tuple[Floats, Floats]:
+def _wrist(axis: Floats, turning: Floats, theta: Floats) -> tuple[Floats, Floats]:
     """Second derivatives of the azimuth and of the pitch along the great circle.
 
     az' = N / sin^2 q4 with N = u_x u_y' - u_y u_x' constant, q4' = -u_z' / sin q4, u_z'' = -theta^2 u_z.
     """
-    sine = np.sin(place.pitch)
+    sine = np.hypot(axis[:, 0], axis[:, 1])
     moment = axis[:, 0] * turning[:, 1] - axis[:, 1] * turning[:, 0]
     azimuth = 2.0 * moment * axis[:, 2] * turning[:, 2] / sine**4
     swing = -turning[:, 2] / sine
@@ -119,17 +124,17 @@ def bounded_accelerations(
     square = np.where(motion.seconds > 0.0, motion.seconds, np.nan) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         bound = -(second + pad) / square[:, None]
-        attained = np.full_like(bound, np.inf)
-        weak = np.flatnonzero(~(bound >= floor).all(axis=1) & ~resting)
-        if len(weak):
-            width = (parts.s1 - parts.s0)[weak]
-            middle = joint_accelerations(
-                geometry, segments, parts.segment[weak], (parts.s0[weak] + parts.s1[weak]) / 2
-            )
-            size = np.abs(middle) * (width * width)[:, None]
-            attained[weak] = -size / square[weak, None]
-            bound[weak] = np.fmax(bound[weak], -(size + third[weak] / 2 + pad[weak]) / square[weak, None])
-    bound[resting], attained[resting] = 0.0, 0.0
+    bound[resting] = 0.0
+    attained = np.full_like(bound, np.inf)
+    attained[resting] = 0.0
+
+    weak = np.flatnonzero(~(bound >= floor).all(axis=1) & ~resting)
+    if len(weak):
+        middle = (parts.s0[weak] + parts.s1[weak]) / 2
+        attained[weak] = -np.abs(joint_accelerations(geometry, segments, parts.segment[weak], middle))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            closer = attained[weak] - (third[weak] / 2 + pad[weak]) / square[weak, None]
+        bound[weak] = np.fmax(bound[weak], closer)
     return bound, attained
 
 

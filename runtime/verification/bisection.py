@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.verification.acceleration import joint_accelerations
 from runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
 from runtime.verification.enclosures import (
+    ACCELERATION,
     COLUMNS,
     OUTER,
     ROLL_MIN,
@@ -135,6 +137,10 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
         last = np.arange(i, i + len(points)) == len(chain)
         place = np.where(last, chain.s1[at], chain.s0[at])
         best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
+    if scope.wanted[ACCELERATION:].any():  # some value attained, so that most intervals need no closer look
+        some, halfway = np.array([0, len(segments) // 2]), np.array([0.5, 0.5])
+        rates = -np.abs(joint_accelerations(geometry, segments, some, halfway))
+        best.offer(ACCELERATION, np.where(scope.wanted[ACCELERATION:], rates, np.inf), some, halfway)
     certified = np.full(COLUMNS, np.inf)
     cuts = _Cuts()
     allowed, spent = budget(len(segments)), 0

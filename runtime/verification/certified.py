@@ -74,6 +74,15 @@ GAP_RATE = 0.01
 FINE_RATE = 5e-4
 
 
+GAUSS_LEGENDRE = (
+    (-0.8611363115940526, 0.3478548451374538),
+    (-0.3399810435848563, 0.6521451548625461),
+    (0.3399810435848563, 0.6521451548625461),
+    (0.8611363115940526, 0.3478548451374538),
+)
+"""Nodes and weights of four points on -1..1."""
+
+
 @dataclass(frozen=True, slots=True)
 class Enclosed:
     """One enclosed quantity in mm or rad; infinite where undefined."""
@@ -457,15 +466,14 @@ def _value(done: Survey, column: int, offset: float = 0.0) -> Enclosed:
 
 def wrist_length(segments: Segments, tool_mm: float) -> float:
     """Length of the wrist-centre path, mm, by four-point Gauss-Legendre per segment."""
-    nodes, weights = np.polynomial.legendre.leggauss(4)
     step = np.diff(segments.tip, axis=0)
     u, v, theta = segments.axis[:-1], segments.axis[1:], segments.theta
     sine = np.where(theta > 0.0, np.sin(theta), 1.0)
     tangent = (v - np.cos(theta)[:, None] * u) / sine[:, None]
     total = 0.0
-    for node, weight in zip(nodes, weights, strict=True):
+    for node, weight in GAUSS_LEGENDRE:
         phi = (node + 1.0) / 2.0 * theta
         turning = np.cos(phi)[:, None] * tangent - np.sin(phi)[:, None] * u
         speed = step + (tool_mm * theta)[:, None] * turning
-        total += float(weight) / 2.0 * float(np.sqrt(np.einsum("ij,ij->i", speed, speed)).sum())
+        total += weight / 2.0 * float(np.sqrt(np.einsum("ij,ij->i", speed, speed)).sum())
     return total

@@ -34,11 +34,12 @@ class Arc:
     span: float
 
     @property
-    def ends(self) -> Floats:
-        """The two end points, shape (2, 2)."""
-        angles = np.array((self.start, self.start + self.span))
-        return np.stack(
-            (self.x + self.radius * np.cos(angles), self.y + self.radius * np.sin(angles)), axis=1
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two end points, mm."""
+        first, last = self.start, self.start + self.span
+        return (
+            (self.x + self.radius * math.cos(first), self.y + self.radius * math.sin(first)),
+            (self.x + self.radius * math.cos(last), self.y + self.radius * math.sin(last)),
         )
 
 
@@ -134,7 +135,7 @@ def nearest_on_arc(points: Floats, arc: Arc) -> Floats:
     dx, dy = points[:, 0] - arc.x, points[:, 1] - arc.y
     angle = np.arctan2(dy, dx)
     on = np.stack((arc.x + arc.radius * np.cos(angle), arc.y + arc.radius * np.sin(angle)), axis=1)
-    ends = arc.ends
+    ends = np.array(arc.ends)
     gaps = np.linalg.norm(points[:, None, :] - ends, axis=2)
     extent = np.full(len(points), True) if arc.span >= TURN else _within_extent(dx, dy, arc)
     out: Floats = np.where(extent[:, None], on, ends[np.argmin(gaps, axis=1)])
@@ -183,14 +184,11 @@ def segment_to_arc(first: Floats, second: Floats, arc: Arc) -> tuple[Floats, Flo
     centre = foot(arc.x, arc.y)
     off = first + centre[:, None] * step - (arc.x, arc.y)
     half = np.sqrt(np.maximum(arc.radius**2 - np.einsum("ij,ij->i", off, off), 0.0) / safe)
-    candidates = [np.ones_like(square), centre, centre - half, centre + half]
+    candidates = [np.zeros_like(square), np.ones_like(square), centre, centre - half, centre + half]
     if arc.span < TURN:
         candidates += [foot(x, y) for x, y in arc.ends]
-    best = distance_to_arc(first, arc)  # NaN stays NaN: nothing is closer than that
-    where = np.zeros(len(first))
-    for raw in candidates:
-        t = np.clip(raw, 0.0, 1.0)
-        d = distance_to_arc(first + t[:, None] * step, arc)
-        closer = d < best
-        best, where = np.where(closer, d, best), np.where(closer, t, where)
-    return best, where
+    t = np.clip(candidates, 0.0, 1.0)
+    points = first + t[:, :, None] * step
+    distances = distance_to_arc(points.reshape(-1, 2), arc).reshape(t.shape)
+    nearest, row = np.argmin(distances, axis=0), np.arange(len(first))  # NaN counts as nearest and stays
+    return distances[nearest, row], t[nearest, row]

@@ -77,7 +77,7 @@ def test_the_formula_agrees_with_differences_at_one_place(seed):
     ]
     _, q = dense.joints(*dense.poses(np.zeros(3, dtype=int), np.array([s - h, s, s + h])))
     q[:, [0, 3]] = np.unwrap(q[:, [0, 3]], axis=0)
-    numeric = geometry.side * np.diff(q, n=2, axis=0)[0] / h**2
+    numeric = geometry.side * np.diff(q, n=2, axis=0)[0] / h**2 / segments.seconds[0] ** 2
     numeric[[2, 4]] *= geometry.side
     assert exact == pytest.approx(numeric, rel=1e-3, abs=1e-3)
 

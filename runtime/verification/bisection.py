@@ -130,17 +130,7 @@ class _Cuts:
 
 def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, aim: Aim) -> Survey:
     """Enclose the minimum of every wanted column over the whole path."""
-    best = _Best()
-    for i in range(0, len(chain) + 1, BLOCK):
-        points = chain.points.take(slice(i, i + BLOCK))
-        at = np.minimum(np.arange(i, i + len(points)), len(chain) - 1)
-        last = np.arange(i, i + len(points)) == len(chain)
-        place = np.where(last, chain.s1[at], chain.s0[at])
-        best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
-    if scope.wanted[ACCELERATION:].any():  # some value attained, so that most intervals need no closer look
-        some, halfway = np.array([0, len(segments) // 2]), np.array([0.5, 0.5])
-        rates = -np.abs(joint_accelerations(geometry, segments, some, halfway))
-        best.offer(ACCELERATION, np.where(scope.wanted[ACCELERATION:], rates, np.inf), some, halfway)
+    best = _of_the_poses(geometry, segments, chain, scope)
     certified = np.full(COLUMNS, np.inf)
     cuts = _Cuts()
     allowed, spent = budget(len(segments)), 0
@@ -178,6 +168,22 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
     bound = np.minimum(certified, best.value)
     most = allowed + len(chain) + 4 * BLOCK
     return Survey(best.value, bound, best.segment, best.fraction, spent, most, *cuts.sorted())
+
+
+def _of_the_poses(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope) -> _Best:
+    """What the programmed poses attain, and some accelerations, so that most intervals need no closer look."""
+    best = _Best()
+    for i in range(0, len(chain) + 1, BLOCK):
+        points = chain.points.take(slice(i, i + BLOCK))
+        at = np.minimum(np.arange(i, i + len(points)), len(chain) - 1)
+        last = np.arange(i, i + len(points)) == len(chain)
+        place = np.where(last, chain.s1[at], chain.s0[at])
+        best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
+    if scope.wanted[ACCELERATION:].any():
+        some, halfway = np.array([0, len(segments) // 2]), np.array([0.5, 0.5])
+        rates = -np.abs(joint_accelerations(geometry, segments, some, halfway))
+        best.offer(ACCELERATION, np.where(scope.wanted[ACCELERATION:], rates, np.inf), some, halfway)
+    return best
 
 
 def _pop(stack: list[Intervals]) -> Intervals:

@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 from runtime.kinematics.arm import turns
 from runtime.verification.bisection import Aim, survey
 from runtime.verification.branch import Candidate, candidates
-from runtime.verification.certified import (
-    FINE_MM,
-    FINE_RAD,
-    FINE_RATE,
-    azimuth_defined,
-    held_roll,
-    rates,
-    slide_and_pitch,
-)
+from runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
 from runtime.verification.chain import BLOCK, Chain, build, cut
 from runtime.verification.closed_form import Extremes, extremes
 from runtime.verification.defects import defects
@@ -42,6 +34,7 @@ from runtime.verification.enclosures import (
 )
 from runtime.verification.geometry import MIRRORED, Geometry, Ints, Segments, canonical
 from runtime.verification.problem import Problem
+from runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
 from runtime.verification.verdict import ARM_BOUNDARIES, BOUNDARIES, Verdict
 from runtime.workspace.planar import SIDES
 

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.kinematics.arm import turns
-from runtime.verification.certified import Enclosed, boundary, refused, wrist_length
 from runtime.verification.defects import defects
 from runtime.verification.geometry import Geometry, Segments, canonical
 from runtime.verification.points import Points, at
 from runtime.verification.problem import Problem
+from runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
 from runtime.verification.reasons import sentences
 from runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
 from runtime.workspace.distance import signed_sides

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Unit = Literal["mm", "deg"]
+Method = Literal["certified", "stocco"]
 Quantity = Literal["speed", "acceleration"]
 
 ARM_BOUNDARIES = ("inner", "outer", "left", "right", "top", "bottom")
@@ -84,7 +85,7 @@ class Verdict:
     ``acceleration`` is empty where no limits are given.
     """
 
-    method: Literal["certified", "stocco"]
+    method: Method
     admissible: bool
     tip_length_mm: float
     wrist_length_mm: float

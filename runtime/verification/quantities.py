@@ -1,0 +1,163 @@
+"""The quantities that are compared with their deadbands, and the form in which people read them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.verification.closed_form import Extreme, Extremes
+from runtime.verification.enclosures import ACCELERATION, SPEED
+from runtime.verification.geometry import VERTICAL, Geometry, Segments
+from runtime.verification.problem import Problem
+from runtime.verification.verdict import (
+    BOUNDARIES,
+    Boundary,
+    Evaluations,
+    Method,
+    Quantity,
+    SpeedLine,
+    Unit,
+    Verdict,
+)
+from runtime.workspace.planar import SIDES
+
+Floats = NDArray[np.float64]
+
+GAUSS_LEGENDRE = (
+    (-0.8611363115940526, 0.3478548451374538),
+    (-0.3399810435848563, 0.6521451548625461),
+    (0.3399810435848563, 0.6521451548625461),
+    (0.8611363115940526, 0.3478548451374538),
+)
+"""Nodes and weights of four points on -1..1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Enclosed:
+    """One enclosed quantity in mm or rad; infinite where undefined."""
+
+    attained: float
+    certified: float
+    segment: int
+    fraction: float
+
+
+def boundary(
+    name: str, value: Enclosed | None, arm_mm: float, wrist_rad: float, tip_at: Floats | tuple[()]
+) -> Boundary:
+    """Bring an enclosed value into the form people read: mm or deg, null where undefined.
+
+    Args:
+        name: the boundary.
+        value: enclosed quantity, mm or rad, or None if undefined.
+        arm_mm: deadband of the arm.
+        wrist_rad: deadband of the wrist.
+        tip_at: tip path length at each pose, mm.
+    """
+    angular = name not in {*SIDES, "top", "bottom"}
+    deadband = math.degrees(wrist_rad) if angular else arm_mm
+    unit: Unit = "deg" if angular else "mm"
+    if value is None or not (math.isfinite(value.certified) and math.isfinite(value.attained)):
+        return Boundary(name, unit, None, None, None, None, None, deadband, violated=True)
+    scale = 180.0 / math.pi if angular else 1.0
+    i, s = value.segment, value.fraction
+    along = float(tip_at[i] + s * (tip_at[i + 1] - tip_at[i]))
+    clearance, certified = value.attained * scale, value.certified * scale
+    return Boundary(
+        name, unit, clearance, certified, i, s, along, deadband, violated=not certified >= deadband
+    )
+
+
+def rates(problem: Problem) -> list[tuple[Quantity, int, Floats]]:
+    """What is limited at the planned feed: quantity, first column of its joints, limits (5,)."""
+    out: list[tuple[Quantity, int, Floats]] = [("speed", SPEED, problem.speed)]
+    if problem.acceleration is not None:
+        out.append(("acceleration", ACCELERATION, problem.acceleration))
+    return out
+
+
+def held_roll(problem: Problem, limits: Extremes) -> float | None:
+    """The roll at which a tool that stays exactly vertical is held, where the robot declares one."""
+    upright = limits.most_pitch.value < VERTICAL or limits.least_pitch.value > math.pi - VERTICAL
+    return problem.hold_roll if upright else None
+
+
+def azimuth_defined(limits: Extremes) -> bool:
+    """Whether the axis is nowhere vertical, so that its azimuth is defined."""
+    return limits.least_pitch.value > VERTICAL and limits.most_pitch.value < math.pi - VERTICAL
+
+
+def slide_and_pitch(geometry: Geometry, limits: Extremes, held: float | None) -> dict[str, Enclosed]:
+    """Distances of slide and pitch to their limits, in closed form, rad and mm.
+
+    Args:
+        geometry: canonical arm.
+        limits: extremes of height and pitch over the path.
+        held: roll of a tool held vertical; the singularity and a lower pitch limit of zero then do not count.
+    """
+    lowest, highest, least, most = limits.lowest, limits.highest, limits.least_pitch, limits.most_pitch
+    singular = least if least.value <= math.pi - most.value else most
+
+    def value(attained: float, pad: float, place: Extreme) -> Enclosed:
+        return Enclosed(float(attained), float(attained - pad), place.segment, place.fraction)
+
+    values = {
+        "top": value(geometry.upper[2] - highest.value, limits.pad_mm, highest),
+        "bottom": value(lowest.value - geometry.lower[2], limits.pad_mm, lowest),
+        "pitch_min": value(least.value - geometry.lower[4], limits.pad_rad, least),
+        "pitch_max": value(geometry.upper[4] - most.value, limits.pad_rad, most),
+        "wrist_singularity": value(min(least.value, math.pi - most.value), limits.pad_rad, singular),
+    }
+    if held is not None:
+        del values["wrist_singularity"]
+        if geometry.lower[4] <= 0.0:
+            del values["pitch_min"]
+    return values
+
+
+def refused(problem: Problem, wrong: tuple[str, ...], method: Method) -> Verdict:
+    """The verdict on a problem whose numbers cannot be verified: every boundary undefined, hence violated."""
+    wrist = (
+        problem.deadband.wrist_rad + problem.calibration.residual_rad + problem.deadband.path_tolerance_rad
+    )
+    arm = problem.deadband.arm_mm + problem.calibration.residual_mm + problem.deadband.path_tolerance_mm
+    nothing = {name: boundary(name, None, arm, wrist, ()) for name in BOUNDARIES}
+    unknown = {
+        quantity: tuple(
+            SpeedLine(j, float(limit), None, None, False, quantity) for j, limit in enumerate(limits)
+        )
+        for quantity, _, limits in rates(problem)
+    }
+    return Verdict(
+        method=method,
+        admissible=False,
+        tip_length_mm=0.0,
+        wrist_length_mm=0.0,
+        axis_angle_rad=0.0,
+        deadband_arm_mm=arm,
+        deadband_wrist_rad=wrist,
+        branch=None,
+        evaluations=Evaluations(0, 0, 0),
+        boundaries=nothing,
+        speed=unknown["speed"],
+        acceleration=unknown.get("acceleration", ()),
+        reasons=wrong,
+    )
+
+
+def wrist_length(segments: Segments, tool_mm: float) -> float:
+    """Length of the wrist-centre path, mm, by four-point Gauss-Legendre per segment."""
+    step = np.diff(segments.tip, axis=0)
+    u, v, theta = segments.axis[:-1], segments.axis[1:], segments.theta
+    sine = np.where(theta > 0.0, np.sin(theta), 1.0)
+    tangent = (v - np.cos(theta)[:, None] * u) / sine[:, None]
+    total = 0.0
+    for node, weight in GAUSS_LEGENDRE:
+        phi = (node + 1.0) / 2.0 * theta
+        turning = np.cos(phi)[:, None] * tangent - np.sin(phi)[:, None] * u
+        speed = step + (tool_mm * theta)[:, None] * turning
+        total += weight / 2.0 * float(np.sqrt(np.einsum("ij,ij->i", speed, speed)).sum())
+    return total

@@ -163,12 +163,13 @@ def _path_facts(verdict: Verdict) -> dict[str, str]:
         else "none"
     )
     evaluations = verdict.evaluations
+    least = "at most" if evaluations.best_case is None else f"{evaluations.best_case} to"
     return {
         "path length": f"tip {verdict.tip_length_mm:.1f} mm, wrist centre {verdict.wrist_length_mm:.1f} mm, "
         f"tool axis {math.degrees(verdict.axis_angle_rad):.1f} deg",
         "joint branch": turns,
-        "method": f"{METHOD[verdict.method]}: {evaluations.arm} arm and {evaluations.wrist} wrist evaluations of at most "
-        f"{evaluations.worst_case}",
+        "method": f"{METHOD[verdict.method]}: {evaluations.arm} arm and {evaluations.wrist} wrist evaluations of "
+        f"{least} {evaluations.worst_case}",
     }
 
 

@@ -57,6 +57,7 @@ def verdict_document(
             "arm": int(verdict.evaluations.arm),
             "wrist": int(verdict.evaluations.wrist),
             "worst_case": int(verdict.evaluations.worst_case),
+            "best_case": _integer(verdict.evaluations.best_case),
         },
         "boundaries": {name: _boundary(boundary) for name, boundary in verdict.boundaries.items()},
         "speed": _speed(verdict),

@@ -11,6 +11,9 @@ wrist marches separately on the angle of the tool axis; its D is the smallest di
 to its limits and to the singularity. The separate angular run does not see that moving the wrist centre
 turns the roll, nor does it wind q0 about the column: ``roll_min``, ``roll_max``, the joint speeds and,
 for a shoulder of a full turn or more, ``left`` and ``right`` are no part of this verdict.
+
+D is the exact distance. The planar D as printed, eq. (16)-(21), is positive at places out of reach; `march_on_printed`
+marches on it for the record, and no verdict comes of it.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from runtime.verification.reasons import sentences
 from runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
 from runtime.workspace.distance import signed_sides
 from runtime.workspace.planar import SIDES
+from runtime.workspace.printed import printed_sides
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +52,7 @@ class March:
     Attributes:
         admitted: whether the end was reached.
         evaluations: how many times D was evaluated.
+        best_case: lower bound of evaluations of an admitted path, eq. (14).
         worst_case: upper bound of evaluations, eq. (15).
         places: path length of each evaluation.
         values: all distances evaluated there, shape (evaluations, boundaries).
@@ -55,9 +60,15 @@ class March:
 
     admitted: bool
     evaluations: int
+    best_case: int
     worst_case: int
     places: Floats
     values: Floats
+
+
+def best_case(length: float) -> int:
+    """Lower bound of evaluations of an admitted path, eq. (14): both ends; one for a path of length zero."""
+    return 1 if length == 0.0 else 2
 
 
 def worst_case(length: float, deadband: float) -> int:
@@ -90,7 +101,22 @@ def march(length: float, deadband: float, distances: Callable[[float], Floats]) 
             admitted = True
             break
         place = min(length, place + d)
-    return March(admitted, len(places), bound, np.array(places), np.array(values))
+    return March(admitted, len(places), best_case(length), bound, np.array(places), np.array(values))
+
+
+def march_on_printed(problem: Problem) -> March:
+    """The arm's march on the planar distance as printed, eq. (16)-(21). For the record: it proves nothing.
+
+    ``admitted`` may be true of a path that leaves the workspace, or even starts outside. The columns of ``values`` are
+    those of the exact march: inner, outer, arc about o1, arc about o2, top, bottom; infinite where none applies.
+
+    Raises:
+        ValueError: the problem's numbers are not usable.
+    """
+    wrong = defects(problem)
+    if wrong:
+        raise ValueError("; ".join(wrong))
+    return _arm_march(*canonical(problem), _printed_arm_distances)
 
 
 def verify(problem: Problem) -> Verdict:
@@ -100,7 +126,7 @@ def verify(problem: Problem) -> Verdict:
         return refused(problem, wrong, "stocco")
     geometry, segments = canonical(problem)
     lengths = _lengths(geometry, segments)
-    arm = march(float(lengths.sum()), geometry.arm_mm, _along(geometry, segments, lengths, _arm_distances))
+    arm = _arm_march(geometry, segments, _arm_distances)
     wrist = march(
         float(segments.theta.sum()),
         geometry.wrist_rad,
@@ -125,7 +151,7 @@ def verify(problem: Problem) -> Verdict:
         deadband_arm_mm=geometry.arm_mm,
         deadband_wrist_rad=geometry.wrist_rad,
         branch=_branch(problem, geometry, first) if admitted else None,
-        evaluations=Evaluations(arm.evaluations, wrist.evaluations, arm.worst_case),
+        evaluations=Evaluations(arm.evaluations, wrist.evaluations, arm.worst_case, arm.best_case),
         boundaries=boundaries,
         speed=(),
         acceleration=(),
@@ -138,6 +164,13 @@ def verify(problem: Problem) -> Verdict:
 
 ARM = (*SIDES, "top", "bottom")
 WRIST = ("pitch_min", "pitch_max", "wrist_singularity")
+
+
+def _arm_march(
+    geometry: Geometry, segments: Segments, evaluate: Callable[[Geometry, Points], Floats]
+) -> March:
+    lengths = _lengths(geometry, segments)
+    return march(float(lengths.sum()), geometry.arm_mm, _along(geometry, segments, lengths, evaluate))
 
 
 def _lengths(geometry: Geometry, segments: Segments) -> Floats:
@@ -173,6 +206,14 @@ def _arm_distances(geometry: Geometry, points: Points) -> Floats:
     sides = signed_sides(points.distances, points.inside, full_turn=full)[0]
     if full:  # unlimited joints of the paper's Figure 2: only the two circles bound the set
         sides[2:] = np.inf
+    return _with_slide(geometry, points, sides)
+
+
+def _printed_arm_distances(geometry: Geometry, points: Points) -> Floats:
+    return _with_slide(geometry, points, printed_sides(points.centre, geometry.workspace)[0])
+
+
+def _with_slide(geometry: Geometry, points: Points, sides: Floats) -> Floats:
     z = float(points.height[0])
     return np.append(sides, (geometry.upper[2] - z, z - geometry.lower[2]))
 

@@ -29,11 +29,15 @@ class Branch:
 
 @dataclass(frozen=True, slots=True)
 class Evaluations:
-    """How many times a distance was evaluated for the arm and for the wrist; the bound for the arm."""
+    """How many times a distance was evaluated for the arm and for the wrist; the bounds for the arm.
+
+    ``best_case`` is the fewest with which the published march can admit, Stocco 2001, eq. (14); None for other methods.
+    """
 
     arm: int
     wrist: int
     worst_case: int
+    best_case: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

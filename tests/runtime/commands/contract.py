@@ -39,6 +39,7 @@ class EvaluationsPart(Part):
     arm: Annotated[int, Field(ge=0)]
     wrist: Annotated[int, Field(ge=0)]
     worst_case: Annotated[int, Field(ge=0)]
+    best_case: Annotated[int, Field(ge=1)] | None = None  # added to the contract's document
 
 
 class BoundaryPart(Part):

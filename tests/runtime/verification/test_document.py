@@ -59,7 +59,7 @@ def test_every_value_stands_where_the_contract_says():
     }
     assert found["deadband"] == {"arm_mm": 5.0, "wrist_deg": 2.0}
     assert found["branch"] == {"elbow": "right", "q0_turns": 0, "roll_turns": -1}
-    assert found["evaluations"] == {"arm": 10, "wrist": 12, "worst_case": 501}
+    assert found["evaluations"] == {"arm": 10, "wrist": 12, "worst_case": 501, "best_case": None}
     assert found["boundaries"]["outer"] == {
         "unit": "mm",
         "clearance": 7.25,

@@ -1,9 +1,13 @@
 """The paper's method: its published counts, its bounds, and what it must never do."""
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from runtime.verification import certified, stocco
 from runtime.verification.problem import Arm, Deadband
@@ -46,7 +50,8 @@ def annulus(centres, **changes):
 def test_the_papers_table_1_is_reproduced(rho, phi, count, clearance):
     verdict = stocco.verify(annulus(zigzag(rho, phi)))
     assert verdict.admissible
-    assert (verdict.evaluations.arm, verdict.evaluations.worst_case) == (count, 352)
+    assert (verdict.evaluations.arm, verdict.evaluations.best_case) == (count, 2)
+    assert verdict.evaluations.worst_case == 352
     assert verdict.wrist_length_mm == pytest.approx(17501.0, abs=1e-6)
     assert verdict.evaluations.wrist == 1
 
@@ -68,12 +73,45 @@ def test_equation_15_gives_table_2_and_one(length, bound):
 
 def test_a_path_of_length_zero_takes_one_evaluation():
     run = stocco.march(0.0, 1.0, lambda _: np.array([2.0]))
-    assert (run.admitted, run.evaluations, run.worst_case) == (True, 1, 1)
+    assert (run.admitted, run.evaluations, run.best_case, run.worst_case) == (True, 1, 1, 1)
 
 
 def test_a_path_far_inside_takes_two_evaluations():
     run = stocco.march(100.0, 1.0, lambda _: np.array([500.0, 600.0]))
-    assert (run.admitted, run.evaluations) == (True, 2)
+    assert (run.admitted, run.evaluations, run.best_case) == (True, 2, 2)
+
+
+QUARTERS = st.integers(1, 4000).map(lambda n: n / 4)
+"""Sums of these are exact, so that the bounds hold to the letter."""
+
+
+@given(
+    length=QUARTERS,
+    slack=st.lists(st.integers(4, 160).map(lambda n: n / 4), min_size=1, max_size=30),
+    deadband=QUARTERS.filter(lambda value: value <= 20),
+)
+def test_an_admitted_march_takes_as_many_evaluations_as_equations_14_and_15_allow(length, slack, deadband):
+    values = itertools.cycle([2.0 * deadband * s for s in slack])
+    run = stocco.march(length, deadband, lambda _: np.array([next(values)]))
+    assert run.admitted
+    assert run.best_case <= run.evaluations <= run.worst_case
+    assert run.places[0] == 0.0
+    assert run.places[-1] == length
+    assert (np.diff(run.places) > 0.0).all()
+
+
+@pytest.mark.parametrize("parts", [1, 2, 500])
+def test_equation_15_is_attained_where_the_distance_is_twice_the_deadband(parts):
+    run = stocco.march(parts * 4.0, 2.0, lambda _: np.array([4.0]))
+    assert run.admitted
+    assert run.evaluations == run.worst_case == parts + 1
+
+
+@pytest.mark.parametrize(
+    ("length", "least", "most"), [(0.0, 1, 1), (1e-9, 2, 2), (50.0, 2, 2), (50.001, 2, 3)]
+)
+def test_the_bounds_of_short_paths(length, least, most):
+    assert (stocco.best_case(length), stocco.worst_case(length, 25.0)) == (least, most)
 
 
 @pytest.mark.parametrize("at", [0, 1, 2])
@@ -118,6 +156,124 @@ def test_the_wrist_marches_on_the_angle_of_the_axis():
     assert not verdict.admissible
     assert any(reason.startswith("wrist") for reason in verdict.reasons)
     assert verdict.boundaries["wrist_singularity"].clearance < 4.0
+
+
+@pytest.mark.parametrize(("last_deg", "admitted"), [(40.0, True), (4.1, True), (3.9, False), (107.0, False)])
+def test_the_wrists_march_is_that_of_a_scalar(last_deg, admitted):
+    """At constant azimuth the pitch is the march length itself: equations (3)-(11) again, on a number line."""
+    pitch = np.array([80.0, (80.0 + last_deg) / 2, last_deg])
+    tips, axes = wrist_path([[500.0, 0.0, 100.0]] * 3, axis(pitch * DEG, 0.0))
+    verdict = stocco.verify(problem(tips, axes))
+    place, count, length, down = 0.0, 0, abs(last_deg - 80.0), math.copysign(1.0, last_deg - 80.0)
+    while True:
+        count += 1
+        q4 = 80.0 + down * place
+        d = min(q4, 110.0 - q4)
+        if d < 4.0 or place == length:
+            break
+        place = min(place + d, length)
+    assert verdict.evaluations.wrist == count
+    assert verdict.axis_angle_rad == pytest.approx(length * DEG)
+    assert verdict.admissible is admitted
+
+
+def test_with_the_axis_the_march_length_of_the_arm_grows_by_the_tools_sweep():
+    tips, axes = wrist_path([[500.0, 0.0, 100.0]] * 2, axis(np.array([80.0, 40.0]) * DEG, 0.0))
+    turned = stocco.verify(problem(tips, axes))
+    bound = np.linalg.norm(tips[1] - tips[0]) + 160.0 * 40.0 * DEG
+    assert turned.wrist_length_mm <= bound
+    assert turned.evaluations.worst_case == math.ceil(bound / 10.0) + 1
+
+
+def sweeping(azimuths_deg, radius):
+    """The arm the printed equations are wrong about, with a path of its wrist centre on a circle."""
+    t = np.asarray(azimuths_deg) * DEG
+    centres = np.stack((radius * np.cos(t), radius * np.sin(t), np.full(len(t), 100.0)), axis=1)
+    return annulus(
+        centres,
+        arm=Arm(500.0, 500.0, "right"),
+        lower=np.array([-60 * DEG, 0.0, -1e4, -WIDE, 0.0]),
+        upper=np.array([60 * DEG, 150 * DEG, 1e4, WIDE, math.pi]),
+    )
+
+
+def test_the_printed_distance_admits_a_path_that_is_nowhere_reachable_and_no_verdict_does():
+    path = sweeping([-118.0, -115.0, -112.0], 800.0)
+    run = stocco.march_on_printed(path)
+    assert run.admitted
+    assert run.values.min() > 100.0
+    assert not stocco.verify(path).admissible
+    assert not certified.verify(path).admissible
+
+
+def test_inside_the_reach_both_marches_admit_and_the_printed_one_takes_no_longer_steps():
+    path = sweeping([50.0, 20.0, 30.0], 600.0)
+    run, verdict = stocco.march_on_printed(path), stocco.verify(path)
+    assert run.admitted
+    assert verdict.admissible
+    assert run.evaluations >= verdict.evaluations.arm
+    assert run.worst_case == verdict.evaluations.worst_case
+
+
+def test_the_printed_march_of_the_unlimited_arm_is_the_exact_one():
+    for rho, phi, count, _ in TABLE_1:
+        assert stocco.march_on_printed(annulus(zigzag(rho, phi))).evaluations == count
+
+
+def test_the_printed_march_refuses_bad_numbers_and_denies_an_arm_without_workspace():
+    with pytest.raises(ValueError, match="finite"):
+        stocco.march_on_printed(annulus([[500.0, 0.0, 0.0], [500.0, math.nan, 0.0]]))
+    empty = sweeping([0.0, 1.0], 600.0)
+    empty = replace(empty, lower=empty.lower + np.array([3.0, 0, 0, 0, 0]))
+    assert not stocco.march_on_printed(empty).admitted
+
+
+def in_the_band(seed, wanted):
+    """Table 1's zigzag at random places whose exact smallest clearance is from one deadband up to two.
+
+    Returns:
+        Whether the march admits each, forward and reversed, and the clearances, mm.
+    """
+    rng = np.random.default_rng(seed)
+    decided, clearances = [], []
+    while len(decided) < wanted:
+        centres = zigzag(rng.uniform(250.0, 800.0), rng.uniform(0.0, 180.0))[:, :2]
+        inner, outer = _reach_of(centres)
+        clearance = min(inner - 100.0, 1000.0 - outer)
+        if not DEADBAND <= clearance < 2.0 * DEADBAND:
+            continue
+        clearances.append(clearance)
+        decided.append([_annulus_march(points) for points in (centres, centres[::-1])])
+    return np.array(decided), np.array(clearances)
+
+
+def _reach_of(centres):
+    """Least and largest distance of a polyline from the origin."""
+    first, step = centres[:-1], np.diff(centres, axis=0)
+    t = np.clip(-np.einsum("ij,ij->i", first, step) / np.einsum("ij,ij->i", step, step), 0.0, 1.0)
+    return np.linalg.norm(first + t[:, None] * step, axis=1).min(), np.linalg.norm(centres, axis=1).max()
+
+
+def _annulus_march(centres):
+    steps = np.diff(centres, axis=0)
+    ends = np.cumsum(np.hypot(*steps.T))
+    starts = np.append(0.0, ends[:-1])
+
+    def distance(place):
+        i = min(int(np.searchsorted(ends, place)), len(steps) - 1)
+        x, y = centres[i] + steps[i] * ((place - starts[i]) / (ends[i] - starts[i]))
+        r = math.hypot(x, y)
+        return np.array([min(r - 100.0, 1000.0 - r)])
+
+    return stocco.march(float(ends[-1]), DEADBAND, distance).admitted
+
+
+def test_between_one_and_two_deadbands_the_printed_method_decides_by_luck():
+    decided, clearances = in_the_band(seed=0, wanted=150)
+    forward, reversed_ = decided.T
+    assert (clearances >= DEADBAND).all()
+    assert 0.05 < forward.mean() < 0.6
+    assert (forward != reversed_).any()
 
 
 def test_the_march_never_admits_below_the_deadband():

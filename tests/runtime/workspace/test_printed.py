@@ -1,0 +1,106 @@
+"""The printed planar distance: the facts that pin our reading of equations (16)-(21)."""
+
+import math
+
+import numpy as np
+import pytest
+
+from runtime.workspace.distance import signed_distance
+from runtime.workspace.planar import PlanarWorkspace
+from runtime.workspace.printed import printed_distance, printed_sides
+from tests.runtime.workspace.test_planar import FAMILIES, FULL, workspace
+
+PAPER = workspace(500, 500, (-60, 60), (0, 150))
+
+
+def grid(space, step):
+    """Points on a square grid over the whole reach."""
+    reach = space.radius(space.q1_lo)
+    line = np.arange(-reach + step / 2, reach, step)
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+
+
+def shares(space, step=4.0):
+    """Unreachable share of what D accepts, rejected share of what is reachable, and the largest D unreachable."""
+    points = grid(space, step)
+    d, inside = printed_distance(points, space), space.inside(points)
+    wrong = (d > 0.0) & ~inside
+    return (
+        wrong.sum() / (d > 0.0).sum(),
+        ((d <= 0.0) & inside).sum() / inside.sum(),
+        d[wrong].max(initial=0.0),
+    )
+
+
+def reachable(space, rng, n):
+    q0, q1 = rng.uniform(space.q0_lo, space.q0_hi, n), rng.uniform(space.q1_lo, space.q1_hi, n)
+    x = space.a0 * np.cos(q0) + space.a1 * np.cos(q0 + q1)
+    points = np.stack((x, space.a0 * np.sin(q0) + space.a1 * np.sin(q0 + q1)), axis=1)
+    return points[space.inside(points)]
+
+
+def test_a_seventh_of_the_area_the_paper_accepts_is_unreachable():
+    wrong, rejected, largest = shares(PAPER)
+    assert wrong == pytest.approx(0.136, abs=0.001)
+    assert rejected == 0.0
+    assert 195.0 < largest < 200.0
+
+
+def test_the_largest_distance_at_an_unreachable_point_is_200_mm_behind_the_robot():
+    azimuth = np.array([-120.0, -119.9, -120.1]) * math.pi / 180
+    points = 800.0 * np.stack((np.cos(azimuth), np.sin(azimuth)), axis=1)
+    d = printed_distance(points, PAPER)
+    assert not PAPER.inside(points).any()
+    assert d[1] == pytest.approx(200.0, abs=1.0)
+    assert d[2] < 0.0
+    step = 1e-9 * np.array([[-math.sin(azimuth[0]), math.cos(azimuth[0])]])
+    assert printed_distance(points[:1] + step * 800.0, PAPER)[0] == pytest.approx(200.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("span", "share"), [(120, 0.0), (180, 0.0), (230, 0.056), (250, 0.132), (300, 0.361)]
+)
+def test_a_shoulder_span_over_a_half_turn_rejects_reachable_points(span, share):
+    _, rejected, _ = shares(workspace(500, 500, (-span / 2, span / 2), (0, 150)))
+    assert rejected == pytest.approx(share, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("space", "wrong", "rejected"),
+    [
+        (workspace(500, 300, (-60, 60), (0, 180)), 0.217, 0.0),
+        (workspace(300, 500, (-60, 60), (0, 180)), 0.089, 0.018),
+        (workspace(500, 500, (-60, 60), (25, 150)), 0.127, 0.0),
+        (workspace(450, 450, (-80, 80), (0, 145)), 0.006, 0.0),
+    ],
+    ids=["short forearm", "long forearm", "no full extension", "the example robot"],
+)
+def test_other_arms_fail_in_other_shares(space, wrong, rejected):
+    found = shares(space)
+    assert found[0] == pytest.approx(wrong, abs=0.002)
+    assert found[1] == pytest.approx(rejected, abs=0.002)
+
+
+def test_on_reachable_points_it_never_exceeds_the_exact_distance():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        bend = np.sort(rng.uniform(0, math.pi, 2))
+        bend = np.where(rng.random(2) < 0.3, (0.0, math.pi), bend)
+        centre, half = rng.uniform(-3, 3), rng.uniform(0.02, 3.1)
+        space = PlanarWorkspace(*rng.uniform(150, 600, 2), centre - half, centre + half, *bend)
+        points = reachable(space, rng, 300)
+        assert (printed_distance(points, space) <= signed_distance(points, space) + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", FULL)
+def test_without_shoulder_limits_only_the_circles_count_and_it_is_exact(name):
+    space = FULL[name]
+    points = reachable(space, np.random.default_rng(1), 500)
+    assert np.isposinf(printed_sides(points, space)[:, 2:]).all()
+    np.testing.assert_allclose(printed_distance(points, space), signed_distance(points, space), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FAMILIES | FULL)
+@pytest.mark.parametrize("point", [(math.nan, 0.0), (0.0, math.nan)])
+def test_what_is_not_a_number_stays_that(name, point):
+    assert math.isnan(printed_distance(np.array([point]), (FAMILIES | FULL)[name])[0])

@@ -30,6 +30,7 @@ M = TypeVar("M", bound=BaseModel)
 BYTES_PER_MB: Final = 1_000_000
 DEFAULT_LIMIT: Final = int(CONSTANTS["file_size_limit_mb"].default) * BYTES_PER_MB
 MAX_SHOWN: Final = 20
+PRESETS: Final = Path(__file__).parent / "presets"
 _VALUE_CHARACTERS: Final = 60
 
 
@@ -241,13 +242,25 @@ def validate(path: object, model: type[M], document: object, schema: str) -> M:
 
 
 def load_robot(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Robot]:
-    """The robot's description (``robot.toml``).
+    """The robot's description: a file (``robot.toml``), or else the preset of that name.
 
     Raises:
-        InputError: lists every problem of the file.
+        InputError: no such file or preset; lists every problem of the file.
     """
-    data = read_bytes(path, limit)
-    return Loaded(robot_from_bytes(path, data), data, Path(path))
+    file = _file_or_preset(path)
+    data = read_bytes(file, limit)
+    return Loaded(robot_from_bytes(path, data), data, Path(file))
+
+
+def _file_or_preset(path: str | os.PathLike[str]) -> str | os.PathLike[str]:
+    """A file that exists is never hidden by a preset's name."""
+    if os.path.lexists(path):
+        return path
+    presets = {preset.stem: preset for preset in sorted(PRESETS.glob("*.toml"))}
+    if str(path) not in presets:
+        remedy = f"check the name, or name a preset: {', '.join(presets)}"
+        raise InputError(shown(str(path)), "", None, "no such file", remedy)
+    return presets[str(path)]
 
 
 def robot_from_bytes(path: object, data: bytes) -> Robot:

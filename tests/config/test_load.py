@@ -43,6 +43,22 @@ def test_every_preset_is_read(path):
     assert load_robot(path).value.name == path.stem
 
 
+@pytest.mark.parametrize("path", sorted(PRESETS.glob("*.toml")), ids=lambda path: path.stem)
+def test_a_preset_can_be_named_where_no_such_file_is(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    loaded = load_robot(path.stem)
+    assert (loaded.value.name, loaded.data, loaded.path) == (path.stem, path.read_bytes(), path)
+    (tmp_path / path.stem).write_text(EXAMPLE.replace('name = "example"', 'name = "mine"'), encoding="utf-8")
+    assert load_robot(path.stem).value.name == "mine"
+
+
+@pytest.mark.parametrize("name", ["figure3", "presets/figure2", "figure2.toml", "", "fig\0ure2", "*"])
+def test_what_is_neither_file_nor_preset_is_refused_with_the_presets_names(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="name a preset: example, figure2"):
+        load_robot(name)
+
+
 def test_the_example_robot_is_the_preset():
     assert (ROOT / "examples" / "robot.toml").read_text(encoding="utf-8") == EXAMPLE
 

@@ -15,7 +15,7 @@ The arcs' extents appear nowhere, which is what goes wrong. Facts that pin this 
 - q0 +-60 deg, a0 = a1 = 500 mm, q1 0..150 deg: 13.6 % of the accepted area is unreachable (13.7 % on
   record, from sampling), all of it in one wedge behind the robot; D there comes up to 200 mm, with the supremum
   at azimuth -120 deg, r = 800 mm, which is where the line o0-o1 switches the arc about o1 off;
-- q0 spans up to 180 deg of that arm reject no reachable point; a span of 250 deg rejects 13.2 % of them;
+- q0 spans up to 180 deg of that arm reject no reachable point; a span of 250 deg rejects 13.1 % of them;
 - on reachable points D never exceeds the exact distance (1000 random arms, 400 000 points, to 3e-13 mm).
 """
 

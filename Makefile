@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test bench demo lint types imports check lock clean
+.PHONY: test bench demo pictures lint types imports check lock clean
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
@@ -13,6 +13,9 @@ bench: $(READY)
 
 demo: $(READY)
 	$(BIN)/cutgate demo
+
+pictures: $(READY)
+	$(BIN)/python docs/make_pictures.py
 
 check: lint types imports
 

@@ -53,7 +53,7 @@ class March:
         admitted: whether the end was reached.
         evaluations: how many times D was evaluated.
         best_case: lower bound of evaluations of an admitted path, eq. (14).
-        worst_case: upper bound of evaluations, eq. (15).
+        worst_case: upper bound of evaluations, eq. (15); rounding of the places may cost one more.
         places: path length of each evaluation.
         values: all distances evaluated there, shape (evaluations, boundaries).
     """

@@ -121,8 +121,8 @@ def certify(
         Admissible only if proven. Anything not finite, and values that contradict the stated bounds, are undecided.
     """
     lengths, slope = path.lengths, distance.lipschitz
-    stated = (float(lengths.sum()), slope, distance.error, deadband, tolerance)
-    if not (len(lengths) > 0 and all(math.isfinite(v) and v >= 0.0 for v in stated)):
+    stated = np.append(lengths, (slope, distance.error, deadband, tolerance))
+    if not (len(lengths) > 0 and (np.isfinite(stated) & (stated >= 0.0)).all()):
         return _unknown("path, bounds, deadband and tolerance must be finite and not negative", 0)
     if not (deadband > 0.0 and tolerance > 0.0):
         return _unknown("deadband and tolerance must be over zero", 0)

@@ -94,6 +94,7 @@ def test_the_papers_method_is_offered_beside_the_gates(verdict):
     code, found = verdict(PLAN, *MOUNTED, "--registration", SECOND, "--method", "stocco")
     assert code == (0 if found.verdict == "admissible" else 1)
     assert (found.method, found.guidance) == ("stocco", None)
+    assert found.evaluations.best_case == 2 <= found.evaluations.arm <= found.evaluations.worst_case
 
 
 def test_for_people_the_answer_comes_first_and_the_way_out_is_shown(cutgate):

@@ -36,6 +36,17 @@ def chord(height, half=60.0):
     return Polyline(np.array([[-half, height], [half, height]]))
 
 
+class Backward(Polyline):
+    """A path that states one negative length."""
+
+    def __init__(self):
+        super().__init__(np.array([[0.0, 0.0], [50.0, 0.0], [60.0, 0.0]]))
+
+    @property
+    def lengths(self):
+        return np.array([50.0, -10.0])
+
+
 def dense(path, parts=400):
     segments = np.repeat(np.arange(len(path.lengths)), parts + 1)
     return path.at(segments, np.tile(np.linspace(0, 1, parts + 1), len(path.lengths)))
@@ -151,7 +162,7 @@ def test_a_value_that_is_not_a_finite_number_denies_wherever_it_appears(bad, whe
         {"distance": Disc(error=math.nan)}, {"distance": Disc(error=-1.0)}, {"distance": Disc(error=math.inf)},
         {"path": Polyline(np.array([[0.0, 0.0], [math.nan, 0.0]]))},
         {"path": Polyline(np.array([[0.0, 0.0], [math.inf, 0.0]]))},
-        {"path": Polyline(np.zeros((1, 2)))},
+        {"path": Polyline(np.zeros((1, 2)))}, {"path": Backward()},
     ],
 )  # fmt: skip
 def test_numbers_that_mean_nothing_deny(change):

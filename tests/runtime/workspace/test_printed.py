@@ -86,12 +86,12 @@ def test_other_arms_fail_in_other_shares(space, wrong, rejected):
 
 def test_on_reachable_points_it_never_exceeds_the_exact_distance():
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(1000):
         bend = np.sort(rng.uniform(0, math.pi, 2))
         bend = np.where(rng.random(2) < 0.3, (0.0, math.pi), bend)
         centre, half = rng.uniform(-3, 3), rng.uniform(0.02, 3.1)
         space = PlanarWorkspace(*rng.uniform(150, 600, 2), centre - half, centre + half, *bend)
-        points = reachable(space, rng, 300)
+        points = reachable(space, rng, 400)
         assert (printed_distance(points, space) <= signed_distance(points, space) + 1e-9).all()
 
 

@@ -17,7 +17,7 @@ def summary(verdict: Verdict) -> str:
             f"{_value(tightest.certified)} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
         )
     parts = [
-        f"{b.name} short by {_value(None if b.certified is None else b.deadband - b.certified)} {b.unit}"
+        f"{b.name} short by {_shortfall(b)} {b.unit}"
         for b in sorted(known, key=_relative)
         if b.violated
     ]
@@ -42,6 +42,12 @@ def _relative(boundary: Boundary) -> float:
         if boundary.certified is None
         else (boundary.certified - boundary.deadband) / boundary.deadband
     )
+
+
+def _shortfall(boundary: Boundary) -> str:
+    """What is lacking at the worst place found; of an undecided boundary what could not be proved."""
+    known = [v for v in (boundary.clearance, boundary.certified) if v is not None and v < boundary.deadband]
+    return _value(boundary.deadband - known[0] if known else None)
 
 
 def _value(value: float | None) -> str:

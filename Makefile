@@ -3,13 +3,18 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test bench demo pictures lint types imports check lock clean
+.PHONY: test test-long bench demo pictures lint types imports check lock clean
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
 
+# A million random segments against the dense reference on all cores; CUTGATE_SEGMENTS and CUTGATE_SEED change them.
+test-long: $(READY)
+	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification
+
+# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well.
 bench: $(READY)
-	$(BIN)/python benchmarks/verification.py
+	$(BIN)/python benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
 
 demo: $(READY)
 	$(BIN)/cutgate demo

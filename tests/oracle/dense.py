@@ -2,12 +2,55 @@
 
 Takes any object with the attributes of a verification problem and imports nothing of the packages
 under test. Boundaries are sampled through forward kinematics of the joint rectangle's sides, so the
-clipped-arc formulas are not used here either.
+clipped-arc formulas are not used here either. Every value is attained at a pose of the path; nothing
+is proved between the poses, but they are set closer where a joint turns fast and around each minimum.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+
+SIDES = ("inner", "outer", "left", "right")
+COLUMNS = (
+    *SIDES,
+    "top",
+    "bottom",
+    "pitch_min",
+    "pitch_max",
+    "wrist_singularity",
+    "roll_min",
+    "roll_max",
+    "q0_min",
+    "q0_max",
+    *(f"speed{joint}" for joint in range(5)),
+)
+"""What is followed along the path, small is bad: mm and deg; joint speeds are negative. The roll's two are
+the least and minus the largest continuous roll, its widening taken off."""
+
+CORNERS = 33
+NEWTON_STEPS = 3
+LARGEST_JUMP = 0.3
+SMALLEST_WIDTH = 1e-13
+SPEED_STEP = 1e-4
+"""Joint speeds are means over this part of a segment, hence attained somewhere in it."""
+
+ROUNDING = 2e-12
+"""Of the change of a joint over that step, mm and rad; taken off, so that tiny segments do not seem fast."""
+
+WINDOWS, ZOOM_POINTS, ZOOM_ROUNDS = 4, 9, 7
+
+
+@dataclass
+class Samples:
+    """Evaluated poses; arrays over m samples, true joints q (m, 5), unsigned distances to the sides (m, 4)."""
+
+    segment: np.ndarray
+    s: np.ndarray
+    q: np.ndarray
+    sides: np.ndarray
+    inside: np.ndarray
+    widening: np.ndarray
 
 
 class Dense:
@@ -23,28 +66,42 @@ class Dense:
         self.hi = np.array(problem.upper) + c.joint_offset
         bent = (0.0, math.pi) if self.sign > 0 else (-math.pi, 0.0)
         self.q1 = (max(self.lo[1], bent[0]), min(self.hi[1], bent[1]))
+        self.full = self.hi[0] - self.lo[0] >= 2 * math.pi
+        self.turn, self.normal, self.seconds = self._segments()
         n = len(problem.tips_mm) - 1
-        self.segment = np.repeat(np.arange(n), per_segment)
-        self.s = np.tile(np.linspace(0.0, 1.0, per_segment), n)
-        self.margins = self._margins(*self.poses(self.segment, self.s))
+        self.samples = self.at(np.repeat(np.arange(n), per_segment), np.tile(np.linspace(0, 1, per_segment), n))
+        self._close_in_on_jumps()
+        self.q0, self.q3 = np.unwrap(self.samples.q[:, 0]), np.unwrap(self.samples.q[:, 3])
+        self.place = self.samples.segment + self.samples.s
+        self.inside = self.samples.inside
+        self.values = self.columns(self.samples, self.q0, self.q3)
+        self.stays_inside = bool(self.inside.all()) and (self.full or self._keeps_its_turn())
+
+    # -- the path ------------------------------------------------------------------------------
+
+    def _segments(self):
+        """Turn, common normal and planned duration of each segment."""
+        p, u = self.problem.tips_mm, self.problem.axes
+        normal = np.cross(u[:-1], u[1:])
+        length = np.linalg.norm(normal, axis=1)
+        turn = np.arctan2(length, (u[:-1] * u[1:]).sum(axis=1))
+        step = np.linalg.norm(np.diff(p, axis=0), axis=1)
+        seconds = np.maximum(step, self.problem.tool_length_mm * turn) / self.problem.feed_mm_s
+        return turn, normal / np.where(length > 0, length, 1.0)[:, None], seconds
 
     def poses(self, segment, s):
         """Tip and axis: the axis by Rodrigues' rotation about the common normal."""
         p, u = self.problem.tips_mm, self.problem.axes
         tip = p[segment] * (1 - s)[:, None] + p[segment + 1] * s[:, None]
-        first, second = u[segment], u[segment + 1]
-        normal = np.cross(first, second)
-        length = np.linalg.norm(normal, axis=1)
-        angle = s * np.arctan2(length, (first * second).sum(axis=1))
-        normal = normal / np.where(length > 0, length, 1.0)[:, None]
-        axis = first * np.cos(angle)[:, None] + np.cross(normal, first) * np.sin(angle)[:, None]
+        first, angle = u[segment], s * self.turn[segment]
+        beside = np.cross(self.normal[segment], first)
+        axis = first * np.cos(angle)[:, None] + beside * np.sin(angle)[:, None]
         return tip, axis / np.linalg.norm(axis, axis=1)[:, None]
 
     def joints(self, tip, axis):
         """True joints by the law of cosines; NaN out of reach; also the planar wrist centre."""
-        c = self.problem.calibration
         w = tip + self.problem.tool_length_mm * axis
-        xy = w[:, :2] - w[:, 2:] * np.asarray(c.slide_tilt)
+        xy = w[:, :2] - w[:, 2:] * np.asarray(self.problem.calibration.slide_tilt)
         square = (xy**2).sum(axis=1)
         with np.errstate(invalid="ignore"):
             q1 = self.sign * np.arccos((square - self.a0**2 - self.a1**2) / (2 * self.a0 * self.a1))
@@ -54,90 +111,167 @@ class Dense:
         q4 = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2])
         return xy, np.stack((q0, q1, w[:, 2], q3, q4), axis=1)
 
-    def place(self, q0, q1):
-        """Forward kinematics in the plane."""
-        return np.stack(
-            (
-                self.a0 * np.cos(q0) + self.a1 * np.cos(q0 + q1),
-                self.a0 * np.sin(q0) + self.a1 * np.sin(q0 + q1),
-            ),
-            axis=-1,
-        )
+    def at(self, segment, s):
+        """Evaluate fractions (m,) of segments (m,)."""
+        xy, q = self.joints(*self.poses(segment, s))
+        sides = np.stack([self.side_distance(xy, name) for name in SIDES], axis=1)
+        bent = (q[:, 1] >= self.q1[0]) & (q[:, 1] <= self.q1[1])
+        turned = np.mod(q[:, 0] - self.lo[0], 2 * math.pi) <= self.hi[0] - self.lo[0]
+        return Samples(segment, s, q, sides, bent & turned, self._widening(q))
+
+    def _close_in_on_jumps(self):
+        """Halve the steps over which a joint turns by more than LARGEST_JUMP, so that turns can be counted."""
+        for _ in range(45):
+            x = self.samples
+            jump = np.remainder(np.diff(x.q[:, [0, 1, 3]], axis=0) + math.pi, 2 * math.pi) - math.pi
+            width = np.where(x.segment[1:] == x.segment[:-1], np.diff(x.s), 0.0)
+            far = np.flatnonzero((np.abs(jump) > LARGEST_JUMP).any(axis=1) & (width > SMALLEST_WIDTH))
+            if len(far) == 0:
+                return
+            more = self.at(x.segment[far], (x.s[far] + x.s[far + 1]) / 2)
+            both = (np.insert(a, far + 1, b, axis=0) for a, b in zip(vars(x).values(), vars(more).values(), strict=True))
+            self.samples = Samples(*both)
+
+    def _keeps_its_turn(self):
+        start = self.q0[0] + 2 * math.pi * math.ceil((self.lo[0] - self.q0[0]) / (2 * math.pi) - 1e-12)
+        q0 = self.q0 + (start - self.q0[0])
+        return bool(q0.min() >= self.lo[0] - 1e-9 and q0.max() <= self.hi[0] + 1e-9)
+
+    # -- the boundaries ------------------------------------------------------------------------
 
     def side_distance(self, xy, name):
-        """Distance to one side of the joint rectangle by sampling, refined around the best sample."""
+        """Distance to one side of the joint rectangle: sampled, then Newton's steps from the best sample.
+
+        The plane is complex here: the joint that moves turns its lever by t, about zero or the elbow's place.
+        """
         inner, outer = (self.q1[1], self.q1[0]) if self.sign > 0 else (self.q1[0], self.q1[1])
         if name in {"inner", "outer"}:
-            fixed = inner if name == "inner" else outer
             low, high = self.lo[0], self.lo[0] + min(self.hi[0] - self.lo[0], 2 * math.pi)
-
-            def curve(t):
-                return self.place(t, np.full_like(t, fixed))
+            pivot, lever = 0.0, self.a0 + self.a1 * np.exp(1j * (inner if name == "inner" else outer))
         else:
-            fixed = self.hi[0] if name == "left" else self.lo[0]
             low, high = self.q1
-
-            def curve(t):
-                return self.place(np.full_like(t, fixed), t)
-
-        step = (high - low) / 64
-        centre = np.full(len(xy), (low + high) / 2)
-        half = 32
-        for _ in range(9):
-            t = np.clip(centre[:, None] + np.arange(-half, half + 1) * step, low, high)
-            d = np.linalg.norm(curve(t) - xy[:, None, :], axis=2)
-            centre = t[np.arange(len(xy)), d.argmin(axis=1)]
-            best = d.min(axis=1)
-            half, step = 6, step / 5
-        return best
-
-    def _margins(self, tip, axis):
-        xy, q = self.joints(tip, axis)
-        lo, hi = self.lo, self.hi
-        planar = np.stack([self.side_distance(xy, n) for n in ("inner", "outer", "left", "right")], axis=1)
-        self.unsigned = {"left": planar[:, 2], "right": planar[:, 3]}
-        bounding = 2 if hi[0] - lo[0] >= 2 * math.pi else 4
-        turn = np.mod(q[:, 0] - lo[0], 2 * math.pi)
-        self.inside = (q[:, 1] >= self.q1[0]) & (q[:, 1] <= self.q1[1]) & (turn <= hi[0] - lo[0])
-        nearest = planar[:, :bounding].argmin(axis=1)
-        signed = planar.copy()
-        rows = np.flatnonzero(~self.inside)
-        signed[rows, nearest[rows]] *= -1
-        self.q = q
-        self.q0, self.q3 = np.unwrap(q[:, 0]), np.unwrap(q[:, 3])
-        singular = np.degrees(np.minimum(q[:, 4], math.pi - q[:, 4]))
-        out = dict(zip(("inner", "outer", "left", "right"), signed.T, strict=True))
-        out |= {"top": hi[2] - q[:, 2], "bottom": q[:, 2] - lo[2], "wrist_singularity": singular}
-        out |= {"pitch_min": np.degrees(q[:, 4] - lo[4]), "pitch_max": np.degrees(hi[4] - q[:, 4])}
-        self.widening = self._widening(q)
-        return out
+            upper = np.exp(1j * (self.hi[0] if name == "left" else self.lo[0]))
+            pivot, lever = self.a0 * upper, self.a1 * upper
+        goal = xy[:, 0] + 1j * xy[:, 1] - pivot
+        sampled = np.linspace(low, high, CORNERS)
+        reach = lever * np.exp(1j * sampled)  # all as far from the pivot, so the nearest is most aligned
+        t = sampled[(goal.real[:, None] * reach.real + goal.imag[:, None] * reach.imag).argmax(axis=1)]
+        best = np.abs(lever * np.exp(1j * t) - goal)
+        for _ in range(NEWTON_STEPS):
+            across = goal.conj() * (lever * np.exp(1j * t))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = t - np.where(across.real > 0.0, across.imag / across.real, 0.0)
+            t = np.minimum(low + np.mod(t - low, 2 * math.pi), high)  # beyond an end, the end is the best sample
+        return np.minimum(best, np.abs(lever * np.exp(1j * t) - goal))
 
     def _widening(self, q):
+        """What the errors take from the roll, rad."""
         c, d = self.problem.calibration, self.problem.deadband
         e, mm = c.residual_rad + d.path_tolerance_rad, c.residual_mm + d.path_tolerance_mm
-        with np.errstate(invalid="ignore"):
-            return np.arcsin(np.sin(e) / np.sin(q[:, 4])) - e + mm / (self.a1 * np.abs(np.sin(q[:, 1])))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lost = mm / (self.a1 * np.abs(np.sin(q[:, 1]))) if mm > 0 else 0.0
+            return np.arcsin(np.sin(e) / np.sin(q[:, 4])) - e + lost if e > 0 else lost + np.zeros(len(q))
 
-    def lifted(self, joint, turns):
+    def signed(self, x):
+        """Signed distances to the sides, (m, 4): outside the nearest of them counts as negative."""
+        out = x.sides.copy()
+        rows = np.flatnonzero(~x.inside)
+        nearest = out[rows, : 2 if self.full else 4].argmin(axis=1)
+        out[rows, nearest] *= -1
+        return out
+
+    def columns(self, x, q0, q3):
+        """Everything in COLUMNS at samples with their continuous shoulder and roll, (m, k)."""
+        z, q4 = x.q[:, 2], x.q[:, 4]
+        slide = np.stack((self.hi[2] - z, z - self.lo[2]), axis=1)
+        pitch = np.stack((q4 - self.lo[4], self.hi[4] - q4, np.minimum(q4, math.pi - q4)), axis=1)
+        turns = np.stack((q3 - x.widening, -q3 - x.widening, q0, -q0), axis=1)
+        return np.hstack((self.signed(x), slide, np.degrees(pitch), np.degrees(turns), -self.speeds(x)))
+
+    def speeds(self, x):
+        """Joint speeds at the planned feed, rad/s and mm/s, (m, 5)."""
+        ahead = np.where(x.s < 0.5, SPEED_STEP, -SPEED_STEP)
+        _, q = self.joints(*self.poses(x.segment, x.s + ahead))
+        change = q - x.q
+        change[:, [0, 3]] = np.remainder(change[:, [0, 3]] + math.pi, 2 * math.pi) - math.pi
+        change = np.maximum(np.abs(change) - ROUNDING, 0.0)
+        seconds = self.seconds[x.segment] * SPEED_STEP
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(change > 0.0, change / seconds[:, None], 0.0)
+
+    # -- the whole path ------------------------------------------------------------------------
+
+    def lift(self, x):
+        """Continuous shoulder and roll of samples from the nearest known ones."""
+        near = np.clip(np.searchsorted(self.place, x.segment + x.s), 0, len(self.place) - 1)
+        lifted = []
+        for joint, known in ((0, self.q0), (3, self.q3)):
+            raw = x.q[:, joint]
+            lifted.append(raw + 2 * math.pi * np.round((known[near] - raw) / (2 * math.pi)))
+        return lifted
+
+    def minima(self, columns=None):
+        """Least value of each column on the path, (k,): the lowest samples, then closer around them."""
+        columns = columns or self.columns
+        base = self.values if columns == self.columns else columns(self.samples, self.q0, self.q3)
+        base = np.where(np.isnan(base), np.inf, base)
+        best = base.min(axis=0)
+        edge = np.full((1, base.shape[1]), np.inf)
+        low = (base <= np.vstack((edge, base[:-1]))) & (base <= np.vstack((base[1:], edge)))
+        order = np.argsort(np.where(low & np.isfinite(base), base, np.inf), axis=0)[:WINDOWS]
+        row, column = order.T.ravel(), np.repeat(np.arange(base.shape[1]), len(order))
+        segment, s = self.samples.segment, self.samples.s
+        before, after = np.maximum(row - 1, 0), np.minimum(row + 1, len(s) - 1)
+        first = np.where(segment[before] == segment[row], s[before], s[row])
+        last = np.where(segment[after] == segment[row], s[after], s[row])
+        segment = segment[row]
+        part, window = np.linspace(0, 1, ZOOM_POINTS), np.arange(len(row))
+        for _ in range(ZOOM_ROUNDS):
+            inner = first[:, None] + (last - first)[:, None] * part
+            x = self.at(np.repeat(segment, ZOOM_POINTS), inner.ravel())
+            found = columns(x, *self.lift(x))
+            found = np.where(np.isnan(found), np.inf, found)
+            best = np.minimum(best, found.min(axis=0))
+            own = found.reshape(len(row), ZOOM_POINTS, -1)[window, :, column]
+            at = own.argmin(axis=1)
+            first, last = inner[window, np.maximum(at - 1, 0)], inner[window, np.minimum(at + 1, ZOOM_POINTS - 1)]
+        return best
+
+    def lifted(self, joint, turns, followed=None):
         """A joint followed continuously; its turns count the reported joint at the first pose."""
-        followed = self.q0 if joint == 0 else self.q3
-        first = followed[0] - self.problem.calibration.joint_offset[joint]
+        start = (self.q0 if joint == 0 else self.q3)[0]
+        followed = (self.q0 if joint == 0 else self.q3) if followed is None else followed
+        first = start - self.problem.calibration.joint_offset[joint]
         wrapped = -((-first + math.pi) % (2 * math.pi) - math.pi)
         return followed + (wrapped + 2 * math.pi * turns - first)
 
-    def lifted_sides(self, q0_turns):
-        """Left and right of a shoulder of a turn or more: they count within half a turn of their limit."""
-        q0 = self.lifted(0, q0_turns)
-        out = {}
-        for name, beyond in (("left", q0 - self.hi[0]), ("right", self.lo[0] - q0)):
-            signed = np.where(beyond <= 0, self.unsigned[name], -self.unsigned[name])
-            out[name] = np.where(np.abs(beyond) <= math.pi, signed, np.inf)
-        return out
+    def lifted_sides(self, q0_turns, x=None, q0=None):
+        """Left and right of a shoulder of a turn or more, (m, 2): they count within half a turn of their limit."""
+        x = self.samples if x is None else x
+        q0 = self.lifted(0, q0_turns, q0)
+        out = []
+        for side, beyond in ((2, q0 - self.hi[0]), (3, self.lo[0] - q0)):
+            signed = np.where(beyond <= 0, x.sides[:, side], -x.sides[:, side])
+            out.append(np.where(np.abs(beyond) <= math.pi, signed, np.inf))
+        return np.stack(out, axis=1)
 
-    def roll(self, roll_turns):
-        """Roll margins in deg for a branch."""
-        lifted = self.lifted(3, roll_turns)
-        return {
-            "roll_min": np.degrees(lifted - self.widening - self.lo[3]),
-            "roll_max": np.degrees(self.hi[3] - lifted - self.widening),
-        }
+    def least_lifted_sides(self, q0_turns):
+        """Their least values on the path, mm."""
+        return self.minima(lambda x, q0, q3: self.lifted_sides(q0_turns, x, q0))  # noqa: ARG005
+
+    def roll_margins(self, least, roll_turns):
+        """Both margins of the roll in deg for a choice of turns, from the minima of its columns."""
+        shift = math.degrees(self.lifted(3, roll_turns)[0] - self.q3[0])
+        low, high = least[COLUMNS.index("roll_min")], least[COLUMNS.index("roll_max")]
+        return low + shift - math.degrees(self.lo[3]), high - shift + math.degrees(self.hi[3])
+
+    def turns_that_fit(self, joint, least):
+        """All turns of the shoulder or the roll that keep its whole range within its limits."""
+        name = "q0" if joint == 0 else "roll"
+        low, high = least[COLUMNS.index(f"{name}_min")], -least[COLUMNS.index(f"{name}_max")]
+        if not (math.isfinite(low) and math.isfinite(high)):
+            return []
+        start = math.degrees((self.q0 if joint == 0 else self.q3)[0])
+        shift = math.degrees(self.lifted(joint, 0)[0]) - start
+        first = math.ceil((math.degrees(self.lo[joint]) - low - shift) / 360)
+        return list(range(first, math.floor((math.degrees(self.hi[joint]) - high - shift) / 360) + 1))

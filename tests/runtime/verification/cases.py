@@ -1,6 +1,7 @@
 """Random and hand-made problems for the tests of verification."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -91,4 +92,38 @@ def random_problem(rng, *, calibrated=True, segments=3, wide=False, spinning=Fal
         upper=upper,
         calibration=calibration,
         deadband=Deadband(float(rng.choice([0.01, 5.0])), float(rng.choice([0.01, 2.0])) * DEG),
+    )
+
+
+def turned(before, angle):
+    """The same problem with the whole cell turned about the first joint: path, shoulder limits and slide tilt."""
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    add = np.array([angle, 0.0, 0.0, 0.0, 0.0])
+    tilt = turn[:2, :2] @ before.calibration.slide_tilt
+    return replace(
+        before,
+        tips_mm=before.tips_mm @ turn.T,
+        axes=before.axes @ turn.T,
+        lower=before.lower + add,
+        upper=before.upper + add,
+        calibration=replace(before.calibration, slide_tilt=tilt),
+    )
+
+
+def mirrored(before):
+    """The mirror image in the plane y = 0: other elbow; q0, q1, q3, their limits and offsets and ty change sign."""
+    flip = np.array([-1.0, -1.0, 1.0, -1.0, 1.0])
+    found, arm = before.calibration, before.arm
+    ends = np.stack((before.lower * flip, before.upper * flip))
+    return replace(
+        before,
+        arm=replace(arm, elbow="left" if arm.elbow == "right" else "right"),
+        tips_mm=before.tips_mm * (1, -1, 1),
+        axes=before.axes * (1, -1, 1),
+        lower=ends.min(axis=0),
+        upper=ends.max(axis=0),
+        calibration=replace(
+            found, joint_offset=found.joint_offset * flip, slide_tilt=found.slide_tilt * (1, -1)
+        ),
     )

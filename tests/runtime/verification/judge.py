@@ -42,7 +42,10 @@ class Case:
     @property
     def inside(self):
         """Whether the whole path stays within the reach and within the shoulder's limits."""
-        return self.dense.stays_inside and bool(not self.dense.full or self.dense.turns_that_fit(0, self.least))
+        bounding = 2 if self.dense.full else 4
+        if not (self.dense.stays_inside and self.least[:bounding].min() >= 0.0):
+            return False
+        return not self.dense.full or bool(self.dense.turns_that_fit(0, self.least))
 
     @property
     def margins(self):

@@ -69,7 +69,9 @@ class Dense:
         self.full = self.hi[0] - self.lo[0] >= 2 * math.pi
         self.turn, self.normal, self.seconds = self._segments()
         n = len(problem.tips_mm) - 1
-        self.samples = self.at(np.repeat(np.arange(n), per_segment), np.tile(np.linspace(0, 1, per_segment), n))
+        self.samples = self.at(
+            np.repeat(np.arange(n), per_segment), np.tile(np.linspace(0, 1, per_segment), n)
+        )
         self._close_in_on_jumps()
         self.q0, self.q3 = np.unwrap(self.samples.q[:, 0]), np.unwrap(self.samples.q[:, 3])
         self.place = self.samples.segment + self.samples.s
@@ -129,7 +131,10 @@ class Dense:
             if len(far) == 0:
                 return
             more = self.at(x.segment[far], (x.s[far] + x.s[far + 1]) / 2)
-            both = (np.insert(a, far + 1, b, axis=0) for a, b in zip(vars(x).values(), vars(more).values(), strict=True))
+            both = (
+                np.insert(a, far + 1, b, axis=0)
+                for a, b in zip(vars(x).values(), vars(more).values(), strict=True)
+            )
             self.samples = Samples(*both)
 
     def _keeps_its_turn(self):
@@ -161,7 +166,9 @@ class Dense:
             across = goal.conj() * (lever * np.exp(1j * t))
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = t - np.where(across.real > 0.0, across.imag / across.real, 0.0)
-            t = np.minimum(low + np.mod(t - low, 2 * math.pi), high)  # beyond an end, the end is the best sample
+            t = np.minimum(
+                low + np.mod(t - low, 2 * math.pi), high
+            )  # beyond an end, the end is the best sample
         return np.minimum(best, np.abs(lever * np.exp(1j * t) - goal))
 
     def _widening(self, q):
@@ -234,7 +241,10 @@ class Dense:
             best = np.minimum(best, found.min(axis=0))
             own = found.reshape(len(row), ZOOM_POINTS, -1)[window, :, column]
             at = own.argmin(axis=1)
-            first, last = inner[window, np.maximum(at - 1, 0)], inner[window, np.minimum(at + 1, ZOOM_POINTS - 1)]
+            first, last = (
+                inner[window, np.maximum(at - 1, 0)],
+                inner[window, np.minimum(at + 1, ZOOM_POINTS - 1)],
+            )
         return best
 
     def lifted(self, joint, turns, followed=None):
@@ -257,7 +267,7 @@ class Dense:
 
     def least_lifted_sides(self, q0_turns):
         """Their least values on the path, mm."""
-        return self.minima(lambda x, q0, q3: self.lifted_sides(q0_turns, x, q0))  # noqa: ARG005
+        return self.minima(lambda x, q0, q3: self.lifted_sides(q0_turns, x, q0))
 
     def roll_margins(self, least, roll_turns):
         """Both margins of the roll in deg for a choice of turns, from the minima of its columns."""

@@ -53,7 +53,9 @@ class Case:
         found = dict(zip(COLUMNS[:9], self.least[:9].tolist(), strict=True))
         branch = self.verdict.branch
         if branch is not None:
-            found |= zip(("roll_min", "roll_max"), self.dense.roll_margins(self.least, branch.roll_turns), strict=True)
+            found |= zip(
+                ("roll_min", "roll_max"), self.dense.roll_margins(self.least, branch.roll_turns), strict=True
+            )
         if self.dense.full:
             sides = (np.inf, np.inf) if branch is None else self.dense.least_lifted_sides(branch.q0_turns)
             found |= zip(("left", "right"), sides, strict=True)
@@ -71,7 +73,9 @@ def best_margins(case):
     dense, least = case.dense, case.least
     if not case.inside:
         return None
-    arm = min(least[i] for i, n in enumerate(COLUMNS) if n in ARM and not (dense.full and n in {"left", "right"}))
+    arm = min(
+        least[i] for i, n in enumerate(COLUMNS) if n in ARM and not (dense.full and n in {"left", "right"})
+    )
     if dense.full:
         turns = dense.turns_that_fit(0, least)
         arm = min(arm, max((dense.least_lifted_sides(k).min() for k in turns), default=-math.inf))
@@ -98,7 +102,9 @@ def admitted_paths_keep_every_deadband(case):
     if not case.inside:
         yield "admitted though a sampled pose is out of reach"
     for name, least in case.margins.items():
-        deadband = case.verdict.deadband_arm_mm if name in ARM else math.degrees(case.verdict.deadband_wrist_rad)
+        deadband = (
+            case.verdict.deadband_arm_mm if name in ARM else math.degrees(case.verdict.deadband_wrist_rad)
+        )
         if not least >= deadband - ORACLE:
             yield f"admitted with {name} {least}, deadband {deadband}"
     for joint, limit in enumerate(case.problem.speed):
@@ -227,13 +233,17 @@ class Tally:
 def undecided(verdict):
     """Whether some bracket straddles its deadband."""
     return any(
-        b.certified is not None and b.certified < b.deadband <= b.clearance for b in verdict.boundaries.values()
+        b.certified is not None and b.certified < b.deadband <= b.clearance
+        for b in verdict.boundaries.values()
     )
 
 
 def widest(verdict):
     """Widest bracket among those that the documentation promises to be a hundredth wide, mm and deg."""
-    kept = all(n in verdict.boundaries and not verdict.boundaries[n].violated for n in ("inner", "outer", "wrist_singularity"))
+    kept = all(
+        n in verdict.boundaries and not verdict.boundaries[n].violated
+        for n in ("inner", "outer", "wrist_singularity")
+    )
     return max(
         b.clearance - b.certified
         for b in verdict.boundaries.values()

@@ -96,8 +96,12 @@ def _limits(rng, side):
     bend = np.sort((0.0 if extends else bend[0], math.pi if folds else bend[1])) * side
     roll = rng.uniform(-math.pi, math.pi)
     room = rng.uniform(0.5, 7.0)
-    lower = np.array([centre - span / 2, bend.min(), rng.uniform(-300, 0), roll - room, rng.choice([0.0, 0.3])])
-    upper = np.array([centre + span / 2, bend.max(), rng.uniform(200, 700), roll + room, rng.uniform(1.5, math.pi)])
+    lower = np.array(
+        [centre - span / 2, bend.min(), rng.uniform(-300, 0), roll - room, rng.choice([0.0, 0.3])]
+    )
+    upper = np.array(
+        [centre + span / 2, bend.max(), rng.uniform(200, 700), roll + room, rng.uniform(1.5, math.pi)]
+    )
     return lower, upper
 
 
@@ -116,7 +120,10 @@ def _walk(rng, segments, lower, upper):
 def _forward(arm, calibration, joints):
     """Wrist centres and axes of reported joints."""
     q = joints + calibration.joint_offset
-    a0, a1 = arm.upper_mm + calibration.upper_link_error_mm, arm.forearm_mm + calibration.forearm_link_error_mm
+    a0, a1 = (
+        arm.upper_mm + calibration.upper_link_error_mm,
+        arm.forearm_mm + calibration.forearm_link_error_mm,
+    )
     heading, azimuth = q[:, 0] + q[:, 1], q[:, 0] + q[:, 1] + q[:, 3]
     lean = q[:, 2:3] * calibration.slide_tilt
     planar = np.stack(

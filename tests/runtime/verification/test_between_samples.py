@@ -42,7 +42,9 @@ def sampled(path):
     samples = 2 * math.ceil((length / STEP_MM + 1) / 2)  # an even number: none in the middle
     x = dense.at(np.zeros(samples, dtype=int), np.linspace(0.0, 1.0, samples))
     assert x.inside.all()
-    return dict(zip(COLUMNS[:9], dense.columns(x, x.q[:, 0], x.q[:, 3]).min(axis=0).tolist()[:9], strict=True))
+    return dict(
+        zip(COLUMNS[:9], dense.columns(x, x.q[:, 0], x.q[:, 3]).min(axis=0).tolist()[:9], strict=True)
+    )
 
 
 def check(path, name, deadband, spare, elbow):
@@ -143,7 +145,9 @@ def test_a_roll_that_crosses_its_gap(elbow, gap_deg):
     Each sample's roll, wrapped, lies within its limits, farther than the deadband from both.
     """
     axes = axis(90 * DEG, np.array([-50.0, 50.0]) * DEG)
-    free = problem([[450.0, 0.0, 0.0]] * 2, axes, deadband=Deadband(5.0, 1e-8 * DEG), **limited(q0=(-3.0, 3.0)))
+    free = problem(
+        [[450.0, 0.0, 0.0]] * 2, axes, deadband=Deadband(5.0, 1e-8 * DEG), **limited(q0=(-3.0, 3.0))
+    )
     dense = Dense(free, 2)
     x = dense.at(np.zeros(6000, dtype=int), np.linspace(0.0, 1.0, 6000))
     middle = (x.q[3000, 3] + x.q[3001, 3]) / 2

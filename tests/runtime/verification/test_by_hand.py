@@ -53,7 +53,7 @@ def test_the_unreachable_wedge_is_refused(elbow, turn):
     +-60 both ways. The printed equations (16)-(21) find D = 200 here, the distance to r = 1000.
     """
     start = 800.0 * np.array([math.cos(-120 * DEG), math.sin(-120 * DEG), 0.0])
-    tips, axes = wrist_path([start, start + (5.0, 0.0, 0.0)], LEVEL)
+    tips, axes = wrist_path([start, np.add(start, (5.0, 0.0, 0.0))], LEVEL)
     verdict = ask(
         problem(tips, axes, arm=Arm(500.0, 500.0, "right"), **limits(q0=(-60, 60), q1=(0, 150))), elbow, turn
     )
@@ -119,7 +119,9 @@ def test_a_thin_gap_behind_the_robot_is_refused(elbow, turn, step):
 @pytest.mark.parametrize(("clearance", "admitted"), [(5.001, True), (4.999, False)])
 @everywhere
 @both_elbows
-def test_a_clearance_of_5001_is_admitted_and_4999_refused_at_a_deadband_of_5(elbow, turn, clearance, admitted):
+def test_a_clearance_of_5001_is_admitted_and_4999_refused_at_a_deadband_of_5(
+    elbow, turn, clearance, admitted
+):
     """Links 500 and 395, folded: the inner circle has radius 500 - 395 = 105.
 
     A straight stroke from x = -200 to 200 at y = 105 + clearance comes nearest at x = 0, in its middle.

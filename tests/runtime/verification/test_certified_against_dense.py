@@ -65,7 +65,9 @@ def test_the_random_paths_cover_what_they_must():
     assert any(p.calibration.slide_tilt.any() and p.calibration.residual_mm for p in drawn)
     assert {round(p.deadband.arm_mm, 4) for p in drawn} == {1e-4, 0.01, 1.0, 5.0}
     bends = [sorted(np.abs((p.lower[1], p.upper[1]))) for p in drawn]
-    assert {(low == 0.0, high > np.pi - 1e-9) for low, high in bends} == {(a, b) for a in (0, 1) for b in (0, 1)}
+    assert {(low == 0.0, high > np.pi - 1e-9) for low, high in bends} == {
+        (a, b) for a in (0, 1) for b in (0, 1)
+    }
 
 
 @pytest.mark.parametrize("seed", range(2))

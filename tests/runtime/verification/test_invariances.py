@@ -124,7 +124,10 @@ def test_the_mirror_image_swaps_left_and_right_and_the_ends_of_the_roll(seed):
         one = asked.verdict
         assert (one.branch is None) is (two.branch is None)
         if one.branch is not None:
-            assert (one.branch.q0_turns, one.branch.roll_turns) == (-two.branch.q0_turns, -two.branch.roll_turns)
+            assert (one.branch.q0_turns, one.branch.roll_turns) == (
+                -two.branch.q0_turns,
+                -two.branch.roll_turns,
+            )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -140,7 +143,9 @@ def test_another_unit_of_length(seed, k):
             tips_mm=problem.tips_mm * k,
             feed_mm_s=problem.feed_mm_s * k,
             tool_length_mm=problem.tool_length_mm * k,
-            arm=replace(problem.arm, upper_mm=problem.arm.upper_mm * k, forearm_mm=problem.arm.forearm_mm * k),
+            arm=replace(
+                problem.arm, upper_mm=problem.arm.upper_mm * k, forearm_mm=problem.arm.forearm_mm * k
+            ),
             lower=problem.lower * mm,
             upper=problem.upper * mm,
             speed=problem.speed * mm,

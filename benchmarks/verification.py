@@ -1,111 +1,191 @@
-"""How fast the certified verification is, as ratios in one run: ``python benchmarks/verification.py``.
+"""How fast the certified verification is, as ratios in one run: ``python benchmarks/verification.py [--write FILE]``.
 
-The rival is what a careful engineer would write instead: sample the path densely, run vectorised inverse
-kinematics in numpy and take the smallest joint margins. It proves nothing between its samples.
+Markdown tables on stdout; with ``--write`` in a file as well.
 """
 
-import platform
-import resource
+import argparse
+import inspect
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from statistics import median
 
-import numpy as np
-from numpy.typing import NDArray
+from measure import RUNS, in_a_child, machine, seconds
+from paths import TABLE_1, TABLE_2, finer, hip_stem, level_pocket, prepared, zigzag
+from rivals import AlongThePath, bisection, dense, optimal_cover
 
-from config.load import load_robot
-from config.records import calibration_record, limits_record, tool_record
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import prepare
-from runtime.verification import certified
+from runtime.verification import certified, guidance, stocco
 from runtime.verification.problem import Problem
-from runtime.verification.recorded import problem_from_records
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
-RUNS = 7
-Floats = NDArray[np.float64]
+Rows = Iterator[tuple[str, ...]]
 
 
-def hip_stem() -> Problem:
-    """The example's second placement: 2000 poses, 5003.6 mm, turning axis."""
-    robot = load_robot(EXAMPLES / "robot.toml").value
-    plan = load_plan(EXAMPLES / "hip-stem.plan.json")
-    placed = load_registration(EXAMPLES / "registration-second.json")
-    path = prepare(plan, placed, robot, now=datetime.now(UTC)).path
-    bodies = (limits_record(robot).body(), calibration_record(robot).body(), tool_record(robot).body())
-    return problem_from_records(path.body(), *bodies, robot)
+def table_1() -> Rows:
+    """Evaluations of a distance at the four placements of the paper's Table 1.
+
+    `certified` also brackets each boundary to 0.01 mm or deg and follows roll and speeds; the others only decide.
+    The fewest are what no method that knows the distance only where it looks can undercut.
+    """
+    yield (
+        "placement",
+        "paper",
+        "`stocco`",
+        "bound, eq. (15)",
+        "`certified`",
+        "adaptive bisection",
+        "fewest at 2 deadbands",
+        "fewest at the deadband",
+    )
+    for number, (rho, phi, printed) in enumerate(TABLE_1, 1):
+        problem = zigzag(rho, phi)
+        march = stocco.verify(problem).evaluations
+        d, keep = AlongThePath(problem), problem.deadband.arm_mm
+        counts = (
+            printed,
+            march.arm,
+            march.worst_case,
+            certified.verify(problem).evaluations.arm,
+            bisection(d, keep, 0.0, d.length),
+            optimal_cover(d, 2 * keep),
+            optimal_cover(d, keep),
+        )
+        yield (f"{number}: rho {rho:g} mm, phi {phi:g} deg", *map(str, counts))
 
 
-def finer(problem: Problem, parts: int) -> Problem:
-    """The same path with each segment cut into equal parts."""
-    tips, axes = sampled(problem, np.full(len(problem.tips_mm) - 1, parts))
-    return replace(problem, tips_mm=tips, axes=axes)
+def table_2() -> Rows:
+    """Largest number of evaluations, deadband 5 mm, as the paper prints it and by its equation (15)."""
+    yield ("path length", "paper", "eq. (15)")
+    for length, printed in TABLE_2:
+        yield (f"{length:g} mm", str(printed), str(stocco.worst_case(length, 5.0)))
 
 
-def sampled(problem: Problem, parts: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Tips and unit axes at equal steps of every segment, both ends included."""
-    segment = np.repeat(np.arange(len(parts)), parts)
-    s = (np.arange(len(segment)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[segment]
-    tips = problem.tips_mm[segment] * (1 - s)[:, None] + problem.tips_mm[segment + 1] * s[:, None]
-    axes = problem.axes[segment] * (1 - s)[:, None] + problem.axes[segment + 1] * s[:, None]
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return np.vstack((tips, problem.tips_mm[-1:])), np.vstack((axes, problem.axes[-1:]))
+def against_sampling() -> Rows:
+    """Certified for every point, against inverse kinematics in numpy at samples, which prove nothing between."""
+    yield (
+        "path, 2000 poses",
+        "certified",
+        "sampled at 1 mm",
+        "certified / 1 mm",
+        "sampled at 0.1 mm",
+        "certified / 0.1 mm",
+        "evaluations",
+    )
+    for name, problem in (
+        ("hip stem, axis turning", hip_stem()),
+        ("level pocket, axis constant", level_pocket()),
+    ):
+        verdict = certified.verify(problem)
+        if not verdict.admissible:
+            raise ValueError(f"{name} is inadmissible: {verdict.reasons}")
+        own, coarse, fine = seconds(*_works(problem))
+        yield (
+            f"{name}, {verdict.tip_length_mm:.0f} mm",
+            f"{own * 1e3:.1f} ms",
+            f"{coarse * 1e3:.1f} ms",
+            f"{own / coarse:.2f}",
+            f"{fine * 1e3:.1f} ms",
+            f"{own / fine:.2f}",
+            f"{verdict.evaluations.arm}",
+        )
 
 
-def dense(problem: Problem, step_mm: float) -> Floats:
-    """Smallest margin of each joint at samples at most ``step_mm`` apart along the tip, rad and mm, shape (5,)."""
-    lengths = np.linalg.norm(np.diff(problem.tips_mm, axis=0), axis=1)
-    tips, axes = sampled(problem, np.maximum(1, np.ceil(lengths / step_mm)).astype(np.int64))
-    wrist = tips + problem.tool_length_mm * axes
-    a0, a1 = problem.arm.upper_mm, problem.arm.forearm_mm
-    cosine = (np.square(wrist[:, :2]).sum(axis=1) - a0 * a0 - a1 * a1) / (2 * a0 * a1)
-    q1 = np.arccos(cosine)
-    q0 = np.arctan2(wrist[:, 1], wrist[:, 0]) - np.arctan2(a1 * np.sin(q1), a0 + a1 * cosine)
-    roll = np.arctan2(axes[:, 1], axes[:, 0]) - q0 - q1
-    q3 = np.mod(roll + np.pi, 2 * np.pi) - np.pi
-    joints = np.stack((q0, q1, wrist[:, 2], q3, np.arccos(axes[:, 2])), axis=1)
-    margin: Floats = np.minimum(joints - problem.lower, problem.upper - joints).min(axis=0)
-    return margin
+def _works(problem: Problem) -> tuple[Callable[[], object], ...]:
+    return lambda: certified.verify(problem), lambda: dense(problem, 1.0), lambda: dense(problem, 0.1)
 
 
-def seconds(*works: Callable[[], object]) -> list[float]:
-    """Median seconds of each, the works taken in turn so that a drifting machine hits all alike."""
-    times: list[list[float]] = [[] for _ in works]
-    for run in range(RUNS + 1):
-        for work, kept in zip(works, times, strict=True):
-            began = time.perf_counter()
-            work()
-            if run:  # the first warms up
-                kept.append(time.perf_counter() - began)
-    return [median(kept) for kept in times]
+def growth() -> Rows:
+    """The hip stem cut finer, each size in a process of its own: best of a few runs, and the peak memory of the whole process."""
+    yield ("poses", "certified", "a segment", "peak memory", "verdict")
+    for poses in (1_000, 10_000, 100_000, 1_000_000):
+        (took, count, admissible), peak = in_a_child(_grown, poses)
+        yield (
+            f"{count}",
+            f"{took * 1e3:.1f} ms",
+            f"{took / (count - 1) * 1e6:.2f} us",
+            f"{peak:.0f} MiB",
+            "admissible" if admissible else "inadmissible",
+        )
+
+
+def _grown(poses: int) -> tuple[float, int, bool]:
+    whole = hip_stem()
+    if poses < len(whole.tips_mm):
+        problem = _first(whole, poses)
+    else:
+        problem = _first(finer(whole, -(-poses // (len(whole.tips_mm) - 1))), poses)
+    took = []
+    for _ in range(2 if poses > 100_000 else RUNS):
+        began = time.perf_counter()
+        verdict = certified.verify(problem)
+        took.append(time.perf_counter() - began)
+    return min(took), len(problem.tips_mm), verdict.admissible
+
+
+def _first(problem: Problem, poses: int) -> Problem:
+    return replace(problem, tips_mm=problem.tips_mm[:poses], axes=problem.axes[:poses])
+
+
+def beside_the_verdict() -> Rows:
+    """What else is done with a path of 2000 poses, median seconds."""
+    yield ("work, hip stem", "time", "result")
+    for name, work in BESIDE.items():
+        result = work()
+        yield (name, f"{seconds(work)[0] * 1e3:.0f} ms", result)
+
+
+def guided() -> str:
+    """The move that cures the example's first placement, verified."""
+    ready, problem = prepared("first")
+    found = guidance.guide(problem, certified.verify(problem), ready.quantise)
+    if found is None or found.translation_mm is None:
+        return "no move found"
+    x, y, z = found.translation_mm
+    return f"move by ({x:.1f}, {y:.1f}, {z:.1f}) mm, {'verified' if found.verified else 'NOT verified'}"
+
+
+BESIDE: dict[str, Callable[[], str]] = {
+    "guidance": guided,
+}
+"""One line a work: what it is called, and a function without arguments that says its result in a few words."""
+
+SECTIONS: dict[str, Callable[[], Rows]] = {
+    "Growth with the number of poses": growth,
+    "Against dense sampling": against_sampling,
+    "Beside the verdict": beside_the_verdict,
+    "Table 1 of the paper": table_1,
+    "Table 2 of the paper": table_2,
+}
+"""Growth first: a child starts from the small process that this one still is."""
+
+
+def document() -> Iterator[str]:
+    """The lines of the whole page."""
+    yield "# Benchmarks"
+    yield ""
+    yield f"By `make bench` on {machine()}. Medians of {RUNS} runs taken in turn; compare the ratios, not the times."
+    for title, section in SECTIONS.items():
+        rows = section()
+        head = next(rows)
+        about = inspect.cleandoc(section.__doc__ or "").replace("\n\n", "\n")
+        yield from ("", f"## {title}", "", about, "", _row(head), _row(("---",) * len(head)))
+        yield from map(_row, rows)
+
+
+def _row(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cells) + " |"
 
 
 def main() -> None:
-    """Print the table."""
-    problem = hip_stem()
-    print(
-        f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, median of {RUNS}"
-    )
-    own, coarse, fine = seconds(
-        lambda: certified.verify(problem), lambda: dense(problem, 1.0), lambda: dense(problem, 0.1)
-    )
-    print(f"hip stem, 2000 poses, 5003.6 mm: certified {own * 1e3:.1f} ms, proved for every point")
-    print(f"  sampled at 1 mm   {coarse * 1e3:6.1f} ms: certified takes {own / coarse:.2f} of it")
-    print(f"  sampled at 0.1 mm {fine * 1e3:6.1f} ms: certified takes {own / fine:.2f} of it")
-    print("growth, the same path cut finer:")
-    for parts in (1, 5, 50, 500):
-        many = finer(problem, parts)
-        began = time.perf_counter()
-        verdict = certified.verify(many)
-        took = time.perf_counter() - began
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(
-            f"  {len(many.tips_mm):8} poses {took * 1e3:8.1f} ms {took / len(many.tips_mm) * 1e6:5.2f} us a segment, "
-            f"peak {peak:4.0f} MiB, {'admissible' if verdict.admissible else 'inadmissible'}"
-        )
+    """Print the page as it comes, and write it where asked."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page to a file as well")
+    arguments = parser.parse_args()
+    lines = []
+    for line in document():
+        print(line, flush=True)
+        lines.append(line)
+    if arguments.write is not None:
+        arguments.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

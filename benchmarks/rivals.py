@@ -58,10 +58,10 @@ def optimal_cover(d: AlongThePath, keep_mm: float) -> int:
     near, far = d.place - (d.values - keep_mm), d.place + (d.values - keep_mm)
     covered, count = 0.0, 0
     while covered < d.length:
-        best = float(far[int(np.searchsorted(near, covered, side="right")) - 1])
-        if not best > covered:
-            raise ValueError("the path does not keep this distance")
-        covered, count = best, count + 1
+        last = int(np.searchsorted(near, covered, side="right")) - 1
+        if last < 0 or not far[last] > covered:
+            raise ValueError(f"the path does not keep {keep_mm:g} mm at {covered:.2f} mm of its length")
+        covered, count = float(far[last]), count + 1
     return count
 
 

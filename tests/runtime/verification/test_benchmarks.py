@@ -1,0 +1,53 @@
+"""The benchmark scripts still run, and what they count is what the paper and the optimum say."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Import a benchmark script as its own directory's Python would."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module
+
+
+def test_table_1_beside_bisection_and_the_fewest_evaluations_possible(script):
+    head, *rows = script("verification").table_1()
+    columns = dict(zip(head, zip(*rows, strict=True), strict=True))
+    assert columns["paper"] == columns["`stocco`"] == ("97", "83", "47", "65")
+    assert columns["bound, eq. (15)"] == ("352",) * 4
+    assert columns["adaptive bisection"] == ("83", "69", "31", "35")
+    assert columns["fewest at 2 deadbands"] == ("73", "56", "25", "25")
+    assert columns["fewest at the deadband"] == ("56", "42", "25", "25")
+
+
+def test_table_2_is_one_more_than_printed(script):
+    _, *rows = script("verification").table_2()
+    assert [row[1:] for row in rows] == [("500", "501"), ("700", "701"), ("300", "301")]
+
+
+def test_no_cover_is_found_where_the_path_does_not_keep_the_distance(script):
+    paths, rivals = script("paths"), script("rivals")
+    with pytest.raises(ValueError, match="does not keep"):
+        rivals.optimal_cover(rivals.AlongThePath(paths.zigzag(765.299, 90.0)), 56.0)
+
+
+def test_the_paths_that_are_timed_are_admissible_and_as_long_as_said(script):
+    certified, paths = script("verification").certified, script("paths")
+    for problem in (paths.hip_stem(), paths.level_pocket()):
+        assert len(problem.tips_mm) == 2000
+        assert certified.verify(problem).admissible
+    heights = paths.level_pocket().tips_mm[:, 2]
+    assert heights.min() == heights.max()
+
+
+def test_the_sampling_rival_agrees_with_the_gate_where_both_look(script):
+    """Slide margins are the same thing for both; the rival's come from its samples alone."""
+    certified, paths, rivals = script("verification").certified, script("paths"), script("rivals")
+    problem = paths.hip_stem()
+    found, margin = certified.verify(problem).boundaries, rivals.dense(problem, 0.1)
+    assert margin[2] == pytest.approx(min(found["top"].clearance, found["bottom"].clearance), abs=1e-3)

@@ -251,10 +251,10 @@ def widest(verdict):
     )
 
 
-def share(seed, count, *, longest=40, per_segment=48):
+def share(seed, count, *, longest=40, per_segment=48, lean=0.02):
     """Judge so many random segments of one seed."""
     tally = Tally()
-    for number, problem in enumerate(random_paths(np.random.default_rng(seed), (9, longest), count)):
+    for number, problem in enumerate(random_paths(np.random.default_rng(seed), (9, longest), count, lean)):
         case = judged(problem, per_segment)
         where = f"seed {seed}, path {number}"
         wrong = [(rule.__name__, where, what) for rule in RULES for what in rule(case)]

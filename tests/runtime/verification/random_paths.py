@@ -18,11 +18,11 @@ LARGEST_TURN = 170 * DEG
 FREE = 36000 * DEG
 
 
-def random_path(rng, segments):
-    """A problem with a path of so many segments."""
+def random_path(rng, segments, lean=0.02):
+    """A problem with a path of so many segments; the slide leans by up to ``lean`` each way where calibrated."""
     elbow = str(rng.choice(["right", "left"]))
     arm = Arm(*_links(rng), elbow)
-    calibration = _calibration(rng) if rng.random() < 0.4 else Calibration()
+    calibration = _calibration(rng, lean) if rng.random() < 0.4 else Calibration()
     lower, upper = _limits(rng, 1.0 if elbow == "right" else -1.0)
     joints = _walk(rng, segments, lower, upper)
     tool = float(rng.choice([0.0, 1.0, 20.0, 80.0, 200.0], p=[0.05, 0.25, 0.25, 0.25, 0.2]))
@@ -33,7 +33,7 @@ def random_path(rng, segments):
     tips = centres - tool * axes
     tips, axes = _degenerate(rng, tips, axes / np.linalg.norm(axes, axis=1, keepdims=True))
     if (np.einsum("ij,ij->i", axes[:-1], axes[1:]) < math.cos(LARGEST_TURN)).any():
-        return random_path(rng, segments)
+        return random_path(rng, segments, lean)
     if rng.random() < 0.25:
         _close_in(rng, lower, upper, joints)
     if rng.random() < 0.08:
@@ -57,12 +57,12 @@ def random_path(rng, segments):
     )
 
 
-def random_paths(rng, segments, count):
+def random_paths(rng, segments, count, lean=0.02):
     """Problems until they have ``count`` segments together; single segments, handfuls, and long paths."""
     drawn = []
     while count > 0:
         n = min(count, int(rng.choice([1, rng.integers(2, 9), rng.integers(*segments)], p=[0.25, 0.5, 0.25])))
-        drawn.append(random_path(rng, n))
+        drawn.append(random_path(rng, n, lean))
         count -= n
     return drawn
 
@@ -72,11 +72,11 @@ def _links(rng):
     return (float(a0), float(a0 if rng.random() < 0.25 else a1))
 
 
-def _calibration(rng):
+def _calibration(rng, lean):
     return Calibration(
         *rng.uniform(-2, 2, 2),
         joint_offset=rng.uniform(-1, 1, 5) * (0.02, 0.02, 3, 0.02, 0.02),
-        slide_tilt=rng.uniform(-0.02, 0.02, 2),
+        slide_tilt=rng.uniform(-lean, lean, 2),
         residual_mm=float(rng.choice([0.0, 0.3])),
         residual_rad=float(rng.choice([0.0, 0.002])),
     )

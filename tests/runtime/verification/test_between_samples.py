@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from runtime.verification import certified
-from runtime.verification.problem import Arm, Deadband
+from runtime.verification.problem import Arm, Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, turned, wrist_path
 
@@ -97,6 +97,28 @@ def test_a_straight_segment_that_passes_the_end_of_a_side(elbow, spare, name, q0
     tips, axes = wrist_path(centres, LEVEL)
     arc = limited(q0=(-40 * DEG, 40 * DEG), q1=(17 * DEG, 150 * DEG))
     check(problem(tips, axes, arm=Arm(500.0, 500.0, "right"), **arc), name, 5.0, spare, elbow)
+
+
+@symmetries
+@pytest.mark.parametrize("spare", [LITTLE, -0.9e-6])
+def test_a_leaning_slide_stretches_what_the_turning_axis_does(elbow, spare):
+    """The axis dips and rises in the plane x, z: seen along the slide, x bulges by l sqrt(1 + 0.02^2) (1 - cos phi).
+
+    Tool 300, phi = +-0.00683: 0.0070014 mm with the stretch of 1.0002, 1.4e-6 mm less without it; half a step
+    misses 300 * (0.025 / 300)^2 / 2 = 1.04e-6 mm.
+    """
+    lean, tool, half = 0.02, 300.0, 0.00683
+    dip = math.pi / 2 + math.atan(lean)
+    axes = axis(np.array([dip - half, dip + half]), 0.0)
+    crest = tool * math.hypot(1.0, lean)
+    path = problem(
+        [[900.0 - 5.0 - spare - crest, 0.0, 0.0]] * 2,
+        axes,
+        tool_length_mm=tool,
+        calibration=Calibration(slide_tilt=np.array([lean, 0.0])),
+        **limited(q0=(-3.0, 3.0), q1=(0.0, 2.5)),
+    )
+    assert check(path, "outer", 5.0, spare, elbow).admissible is (spare > 0)
 
 
 @symmetries

@@ -9,6 +9,7 @@ import pytest
 from runtime.verification import bisection, certified, chain
 from runtime.verification.problem import Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
+from tests.runtime.verification.judge import RULES, judged
 
 
 def round_the_column(radius, *, roll=(-WIDE, WIDE), poses=4):
@@ -118,6 +119,24 @@ def test_a_straight_pass_over_the_column_winds_by_half_a_turn_and_no_more():
     heading = np.unwrap(np.arctan2(y, x)) + np.arccos(np.hypot(x, y) / 900)  # equal links: q1 / 2
     assert rolled == pytest.approx(math.degrees(np.ptp(heading)), abs=0.02)
     assert not certified.verify(replace(path, deadband=Deadband(0.6, 2 * DEG))).admissible
+
+
+@pytest.mark.parametrize("turn_deg", [60.0, 170.0, -170.0])
+@pytest.mark.parametrize("offset", [-50.0, 0.0, 30.0])
+def test_a_wrist_that_swings_round_the_column_within_a_segment_is_followed(turn_deg, offset):
+    """At -50 the chord passes the column on one side and the way on the other: the ends alone mislead."""
+    axes = axis(90 * DEG, np.array([-0.5, 0.5]) * turn_deg * DEG)
+    path = problem(
+        [[offset, 5.0, 0.0]] * 2,
+        axes,
+        tool_length_mm=100.0,
+        lower=np.array([-WIDE, 0.0, -1e3, -WIDE, 0.0]),
+        upper=np.array([WIDE, math.pi, 1e3, WIDE, math.pi]),
+        speed=np.full(5, 1e9),
+    )
+    case = judged(path, 100)
+    assert case.verdict.admissible, case.verdict.reasons
+    assert [wrong for rule in RULES for wrong in rule(case)] == []
 
 
 def test_thousands_of_poses_need_about_one_look_each():

@@ -70,6 +70,12 @@ def test_the_random_paths_cover_what_they_must():
     }
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slide_that_leans_far_more_than_it_may(seed):
+    """Up to 0.7, where 0.02 is allowed: what the shear does to lengths is then no longer small."""
+    assert judge.share([20260105, seed], 150, lean=0.7).wrong == []
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_a_boundary_is_violated_exactly_from_its_clearance_on(seed):
     """Whatever the place and the boundary: a deadband a little above its clearance refuses, below it not."""

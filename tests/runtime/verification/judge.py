@@ -6,6 +6,7 @@ Each rule takes a problem with its verdict and its reference and yields what is 
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class Case:
     dense: Dense
     least: np.ndarray
 
-    @property
+    @cached_property
     def inside(self):
         """Whether the whole path stays within the reach and within the shoulder's limits."""
         bounding = 2 if self.dense.full else 4
@@ -47,7 +48,7 @@ class Case:
             return False
         return not self.dense.full or bool(self.dense.turns_that_fit(0, self.least))
 
-    @property
+    @cached_property
     def margins(self):
         """Least margin of each boundary that the reference knows, in the verdict's joint branch."""
         found = dict(zip(COLUMNS[:9], self.least[:9].tolist(), strict=True))
@@ -61,6 +62,23 @@ class Case:
             found |= zip(("left", "right"), sides, strict=True)
         return found
 
+    @cached_property
+    def best(self):
+        """Least arm and wrist margins, mm and deg, in the best joint branch; None out of the reach."""
+        dense, least = self.dense, self.least
+        if not self.inside:
+            return None
+        lifted = {"left", "right"} if dense.full else set()
+        arm = min(least[i] for i, n in enumerate(COLUMNS) if n in ARM and n not in lifted)
+        if dense.full:
+            turns = dense.turns_that_fit(0, least)
+            arm = min(arm, max((dense.least_lifted_sides(k).min() for k in turns), default=-math.inf))
+        wrist = min(least[i] for i, n in enumerate(COLUMNS) if n in WRIST[:3])
+        roll = max(
+            (min(dense.roll_margins(least, k)) for k in dense.turns_that_fit(3, least)), default=-math.inf
+        )
+        return float(arm), float(min(wrist, roll))
+
 
 def judged(problem, per_segment):
     """Verify a problem and compute its reference."""
@@ -68,25 +86,9 @@ def judged(problem, per_segment):
     return Case(problem, certified.verify(problem), dense, dense.minima())
 
 
-def best_margins(case):
-    """Least arm and wrist margins, mm and deg, in the best joint branch; None where no branch fits."""
-    dense, least = case.dense, case.least
-    if not case.inside:
-        return None
-    arm = min(
-        least[i] for i, n in enumerate(COLUMNS) if n in ARM and not (dense.full and n in {"left", "right"})
-    )
-    if dense.full:
-        turns = dense.turns_that_fit(0, least)
-        arm = min(arm, max((dense.least_lifted_sides(k).min() for k in turns), default=-math.inf))
-    wrist = min(least[i] for i, n in enumerate(COLUMNS) if n in WRIST[:3])
-    roll = max((min(dense.roll_margins(least, k)) for k in dense.turns_that_fit(3, least)), default=-math.inf)
-    return float(arm), float(min(wrist, roll))
-
-
 def room(case):
     """What the path has beyond its deadbands by the reference, the smaller of mm and deg; minus infinity outside."""
-    margins = best_margins(case)
+    margins = case.best
     if margins is None:
         return -math.inf
     verdict = case.verdict
@@ -185,7 +187,7 @@ RULES = (
 
 def at_its_deadbands(case):
     """The same path with deadbands just kept, which must be admitted, and just missed, which must be refused."""
-    margins = best_margins(case)
+    margins = case.best
     if margins is None:
         return
     c, d = case.problem.calibration, case.problem.deadband

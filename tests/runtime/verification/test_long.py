@@ -5,7 +5,6 @@ import os
 import resource
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 
 import numpy as np
 import pytest
@@ -23,8 +22,9 @@ MOST_MEMORY_MIB = 1024.0
 pytestmark = pytest.mark.long
 
 
-def _share(number, count):
-    """Judge one share in a process of its own; a path's seed is (SEED, number)."""
+def _share(number):
+    """Judge one share in a process of its own; its seed is [SEED, number]."""
+    count = min(SHARE, SEGMENTS - number * SHARE)
     return judge.share([SEED, number], count), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
@@ -42,12 +42,10 @@ def _summary(whole, seconds, peak):
 
 def test_random_segments_against_dense_sampling_on_all_cores():
     whole, began, peak = judge.Tally(), time.monotonic(), 0.0
-    counts = [min(SHARE, SEGMENTS - start) for start in range(0, SEGMENTS, SHARE)]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(mp_context=context, max_tasks_per_child=50) as pool:
-        shares = [pool.submit(_share, number, count) for number, count in enumerate(counts)]
-        for done, share in enumerate(as_completed(shares), 1):
-            tally, memory = share.result()
+    shares = range(-(-SEGMENTS // SHARE))
+    # Not ProcessPoolExecutor: with max_tasks_per_child Python 3.11 stops for good when its first workers retire.
+    with multiprocessing.get_context("spawn").Pool(maxtasksperchild=50) as pool:
+        for done, (tally, memory) in enumerate(pool.imap_unordered(_share, shares), 1):
             whole.add(tally)
             peak = max(peak, memory)
             for wrong in tally.wrong:
@@ -60,7 +58,7 @@ def test_random_segments_against_dense_sampling_on_all_cores():
 
 
 def _million_poses(conversation):
-    """Verify a million poses; say the verdict and what memory it took beyond that of the path itself."""
+    """Verify a million poses in a process of its own; send the verdict, the seconds and the peak memory."""
     t = np.linspace(0, 15000, MILLION)
     centres = np.stack((520 + 40 * np.cos(t), 30 * np.sin(t), 150 + t / 250), axis=1)
     tips, axes = wrist_path(centres, axis(0.9 + 0.1 * np.sin(t / 7), 0.3 * np.cos(t / 5)))

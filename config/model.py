@@ -231,11 +231,18 @@ class Permit(Strictly):
 
 
 class Start(Strictly):
-    """The start's lifetime and how near to the first pose the arm must stand."""
+    """The start's lifetime and how near to the bound start joints the arm must stand."""
 
     start_lifetime_ms: Integer = _constant("start_lifetime_ms")
     start_tolerance_mm: Real = _constant("start_tolerance_mm")
     start_tolerance_deg: Real = _constant("start_tolerance_deg")
+
+
+class Approach(Strictly):
+    """The way from where the arm stands to the path's first pose, and back from its last."""
+
+    approach_clearance_mm: Real = _constant("approach_clearance_mm")
+    approach_speed_percent: Integer = _constant("approach_speed_percent")
 
 
 class Log(Strictly):
@@ -269,6 +276,7 @@ class Site(Strictly):
     link: Link = Link()
     permit: Permit = Permit()
     start: Start = Start()
+    approach: Approach = Approach()
     log: Log = Log()
     files: Files = Files()
     controller: ExpectedController = ExpectedController()
@@ -277,6 +285,6 @@ class Site(Strictly):
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""
-        tables = (self.timing, self.link, self.permit, self.start, self.log, self.files)
+        tables = (self.timing, self.link, self.permit, self.start, self.approach, self.log, self.files)
         values = {name: value for table in tables for name, value in table.model_dump().items()}
         return {name: values[name] for name, c in CONSTANTS.items() if c.exchanged or not exchanged_only}

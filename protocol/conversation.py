@@ -27,7 +27,7 @@ from protocol.wire import (
     digest,
 )
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 
 NO_MAC = bytes(16)
 """Stands in a record that is not signed yet."""
@@ -61,6 +61,8 @@ class Timing(Block):
     start_lifetime_ms: U16
     start_tolerance_um: U16
     start_tolerance_mdeg: U16
+    approach_clearance_um: U32
+    approach_speed_percent: U16
 
 
 @dataclass(frozen=True)
@@ -186,8 +188,34 @@ class Branch(Block):
 
 
 @dataclass(frozen=True)
+class Approach(Block):
+    """Between the start joints and the cut, there and back: joint line, then straight along the tool axis.
+
+    The joints at entry and exit follow from the rest; they are bound so that both sides' kinematics must agree on
+    the lines that were verified, full turns included.
+    """
+
+    entry_um: U32
+    """The entry pose is so far from the first pose along its axis, toward the holder."""
+    exit_um: U32
+    """The exit pose likewise from the last pose."""
+    entry_joints_u: Counts5
+    exit_joints_u: Counts5
+    speed_percent: U8
+    """Of each joint's speed limit, on the joint lines."""
+
+    def check(self) -> None:
+        """Refuse a speed that is none or beyond the limits."""
+        if not 1 <= self.speed_percent <= 100:
+            raise RecordError(f"Approach.speed_percent is {self.speed_percent}, must be in 1..100")
+
+
+@dataclass(frozen=True)
 class Permit(SignedRecord):
-    """The permission to enter cutting mode, for exactly what it names. `lifetime_s` runs from the nonce on."""
+    """The permission to enter cutting mode, for exactly what it names. `lifetime_s` runs from the nonce on.
+
+    `start_joints_u` are the measured joints from which the approach was verified.
+    """
 
     TYPE: ClassVar[int] = 0x07
     SENDER: ClassVar[Side] = Side.RUNTIME
@@ -209,6 +237,7 @@ class Permit(SignedRecord):
     verifier_version: Ascii16
     start_joints_u: Counts5
     branch: Annotated[Branch, Nested(Branch)]
+    approach: Annotated[Approach, Nested(Approach)]
     lifetime_s: U16
     mac: Mac16 = NO_MAC
 

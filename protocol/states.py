@@ -153,3 +153,5 @@ class Refusal(IntEnum):
     TOOL_LENGTH = 35
     JOINTS_BEYOND_WIRE = 36
     PERMIT_MISMATCH = 37
+    APPROACH = 38
+    APPROACH_SPEED = 39

@@ -42,7 +42,11 @@ def test_the_default_time_out_spans_three_heartbeats():
 
 
 def test_exchanged_constants_are_those_of_the_open_record():
-    rename = {"start_tolerance_um": "start_tolerance_mm", "start_tolerance_mdeg": "start_tolerance_deg"}
+    rename = {
+        "start_tolerance_um": "start_tolerance_mm",
+        "start_tolerance_mdeg": "start_tolerance_deg",
+        "approach_clearance_um": "approach_clearance_mm",
+    }
     fields = {rename.get(name, name) for name in Timing.__dataclass_fields__}
     assert {constant.name for constant in TABLE if constant.exchanged} == fields
     assert set(Site().constants(exchanged_only=True)) == fields

@@ -44,10 +44,10 @@ def values(codec: Codec) -> st.SearchStrategy[Any]:
 
 
 def blocks(kind: type[Block]) -> st.SearchStrategy[Block]:
-    """Any instance of a block; turns within their bound."""
+    """Any instance of a block; turns and speeds within their bounds."""
+    bounds = {"q0_turns": (-100, 100), "roll_turns": (-100, 100), "speed_percent": (1, 100)}
     fields = {
-        name: st.integers(-100, 100) if name.endswith("_turns") else values(codec)
-        for name, codec in layout(kind)
+        name: st.integers(*bounds[name]) if name in bounds else values(codec) for name, codec in layout(kind)
     }
     return st.builds(kind, **fields)
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from protocol import conversation
 from protocol.conversation import (
     NO_MAC,
+    Approach,
     Branch,
     Permit,
     Reset,
@@ -45,6 +46,12 @@ def test_nonce_that_gives_tag_zero_does_not_serve(monkeypatch: pytest.MonkeyPatc
 def test_turns_no_joint_has_are_refused(turns: tuple[int, int]):
     with pytest.raises(RecordError, match="must be within"):
         Branch("right", *turns)
+
+
+@pytest.mark.parametrize("percent", [0, 101])
+def test_an_approach_faster_than_the_limits_or_not_at_all_is_refused(percent: int):
+    with pytest.raises(RecordError, match="speed_percent"):
+        Approach(1, 1, (0, 0, 0, 0, 0), (0, 0, 0, 0, 0), percent)
 
 
 @pytest.mark.parametrize("kind", [Permit, Start, Reset])

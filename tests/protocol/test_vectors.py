@@ -12,7 +12,18 @@ from protocol.e2e import intact
 from protocol.frames import DATA_IDS, FRAMES, decode_frame, encode_frame
 from protocol.parameters import Calibration, Limits, Tool
 from protocol.path import Assembly, Path, PathBlock, split
-from protocol.records import Branch, Permit, Reset, Start, digest, pack, session_digest, session_tag, unpack
+from protocol.records import (
+    Approach,
+    Branch,
+    Permit,
+    Reset,
+    Start,
+    digest,
+    pack,
+    session_digest,
+    session_tag,
+    unpack,
+)
 from protocol.states import StopCause
 from tests.protocol.vectors import generate
 
@@ -74,11 +85,14 @@ def a_permit() -> Permit:
         boot_nonce=hexed("boot_nonce"),
         session_digest=hexed("session_digest"),
         serial=SIGNED["serial"],
-        protocol_version=1,
+        protocol_version=2,
         epoch=200,
         verifier_version=SIGNED["verifier_version"],
         start_joints_u=tuple(SIGNED["start_joints_u"]),
         branch=Branch("left", -1, 3),
+        approach=Approach(
+            **{k: tuple(v) if isinstance(v, list) else v for k, v in SIGNED["approach"].items()}
+        ),
         lifetime_s=120,
         **digests,
     )

@@ -151,10 +151,12 @@ def signed() -> dict[str, object]:
     }
     digests |= {name: patterned(32, 20 + at) for at, name in enumerate(("registration", "configuration"))}
     joints = (-80_000_000, 45_500_000, 250_000_001, -1, 90_000_000)
+    entry, leave = (1, -2, 3, 719_999_999, 5), (-36_000_000_000, 145_000_000, 449_999_999, 7, 8)
+    approach = struct.pack("<2I", 92_001, 4_000_000_000) + struct.pack("<10qB", *entry, *leave, 25)
     permit = (
-        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", 1, 200)
+        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", 2, 200)
         + b"".join(digests.values()) + named("certified/1") + struct.pack("<5q", *joints)
-        + struct.pack("<Bhh", 2, -1, 3) + struct.pack("<H", 120)
+        + struct.pack("<Bhh", 2, -1, 3) + approach + struct.pack("<H", 120)
     )  # fmt: skip
     signed = b"cutgate/permit/1\0" + permit
     permit += cmac(derived, signed)
@@ -178,6 +180,13 @@ def signed() -> dict[str, object]:
         "verifier_version": "certified/1",
         "digests": {name: value.hex() for name, value in digests.items()},
         "start_joints_u": list(joints),
+        "approach": {
+            "entry_um": 92_001,
+            "exit_um": 4_000_000_000,
+            "entry_joints_u": list(entry),
+            "exit_joints_u": list(leave),
+            "speed_percent": 25,
+        },
         "permit": envelope(0x07, 0xDEADBEEF, 41, permit),
         "permit_digest": hashlib.sha256(signed).hexdigest(),
         "start": envelope(0x08, 0xDEADBEEF, 42, start),

@@ -21,13 +21,15 @@ from config.records import calibration_record, limits_record, tool_record
 from config.terminal import WordReader
 from firmware_sim import memory
 from firmware_sim.faults import FaultSpec
-from firmware_sim.process import Options, Process, Word
+from firmware_sim.kinematics import Joints, as_joints, limit_text
+from firmware_sim.process import Options, Process, Word, middle_of
 from firmware_sim.state import Controller, Holdings, Identity
 from protocol.endpoint import Endpoint
-from protocol.frames import FRAMES, TRANSFER_IDS
+from protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
+from protocol.parameters import counts_nearest
 from protocol.permit import KeyFileError, load_key
 from protocol.port import Port
-from protocol.records import Side
+from protocol.records import Limits, Side, joints_to_memory
 
 EXIT_OK: Final = 0
 EXIT_BAD_INPUT: Final = 2
@@ -120,7 +122,33 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
     except ValueError as error:
         raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
-    return Options(options.time_scale, CONSTANTS["announce_ms"].default / 1000, faults, hold)
+    joints = _joints(options.joints, limits_record(robot))
+    return Options(options.time_scale, CONSTANTS["announce_ms"].default / 1000, faults, hold, joints)
+
+
+def _joints(text: str | None, limits: Limits) -> Joints:
+    """Where the arm stands at power-up, q0,q1,q2,q3,q4 in deg and mm: inside the limits and what a frame reports."""
+    try:
+        joints = middle_of(limits) if text is None else _five(text)
+        joint_frames(joints)
+    except FrameError as error:
+        raise RefusedError(f"--joints: {error}; name joints that the bus can report") from None
+    except ValueError:
+        raise RefusedError(
+            f"--joints is {text!r}, must be five numbers q0,q1,q2,q3,q4 in deg and mm, for example 0,70,250,0,55"
+        ) from None
+    outside = limit_text(joints, as_joints(limits.q_min), as_joints(limits.q_max))
+    if outside:
+        raise RefusedError(f"--joints: {outside}; name joints inside the limits of robot.toml")
+    return joints
+
+
+def _five(text: str) -> Joints:
+    """Raises ValueError unless these are five finite numbers."""
+    counts = tuple(counts_nearest(float(part), "joint") for part in text.split(","))
+    if len(counts) != 5:
+        raise ValueError(text)
+    return as_joints(joints_to_memory(counts))
 
 
 def _bus_of(options: argparse.Namespace) -> tuple[str, str]:
@@ -173,6 +201,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--serial", help="serial number; default made from the robot's name")
     parser.add_argument(
         "--time-scale", type=float, default=1.0, help="the plant runs this many times faster than the clock"
+    )
+    parser.add_argument(
+        "--joints",
+        metavar="q0,q1,q2,q3,q4",
+        help="where the arm stands at power-up, deg and mm (write --joints=...); default the middle of the limits",
     )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@STATE", help="a fault to have in that state"

@@ -197,12 +197,6 @@ def wrap_many(angles_rad: Floats) -> Floats:
     return wrapped
 
 
-def on_turns(joints: Joints, *, q0_turns: int, roll_turns: int) -> Joints:
-    """Joints with q0 and q3 in (-pi, pi] moved by full turns: the branch of a path's first pose."""
-    q0, q1, q2, q3, q4 = joints
-    return q0 + math.tau * q0_turns, q1, q2, q3 + math.tau * roll_turns, q4
-
-
 def nearest_turns(joints: Joints, previous: Joints) -> Joints:
     """The same pose with q0 and q3 on the turns nearest to the joints before."""
     q0, q1, q2, q3, q4 = joints

@@ -73,12 +73,18 @@ class PathCheck:
         self._next = 0
         self._before = np.empty(5)
         self._first: Joints | None = None
+        self._last: Joints | None = None
         self.verdict: PathVerdict | None = self._check_header(tool)
 
     @property
     def first_joints(self) -> Joints | None:
         """Reported joints at the first pose, on the path's branch; None until found inside the limits."""
         return self._first
+
+    @property
+    def last_joints(self) -> Joints | None:
+        """Reported joints at the last pose, followed from the first; None unless the path is accepted."""
+        return self._last
 
     def step(self, max_poses: int) -> bool:
         """Check at most so many more poses; whether the check is done and `verdict` stands."""
@@ -89,6 +95,7 @@ class PathCheck:
         self._next = end
         if self.verdict is None and end == len(self._path):
             self.verdict = PathVerdict(Refusal.ACCEPTED, 0, "")
+            self._last = as_joints(self._before)
         return self.verdict is not None
 
     def run(self) -> PathVerdict:

@@ -1,4 +1,4 @@
-"""The simulated arm: it executes the stored path segment by segment, no faster than feed and joint limits allow.
+"""The simulated arm: it executes approach, stored path and retract, no faster than feed and joint limits allow.
 
 Pure: time comes in as `dt_s`, the state goes in and out as a value. With a time scale the plant's own time runs
 faster than the clock; feed and joint speeds keep their limits in the plant's time.
@@ -6,12 +6,14 @@ faster than the clock; feed and joint speeds keep their limits in the plant's ti
 
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import Final, NamedTuple, Self
 
 import numpy as np
 
+from firmware_sim.approach import Approach, pose_beyond
 from firmware_sim.kinematics import (
     Arm,
     Joints,
@@ -24,7 +26,6 @@ from firmware_sim.kinematics import (
     largest_turn,
     limit_text,
     nearest_turns,
-    on_turns,
     turn_rad,
 )
 from protocol.path import HEADER_BYTES, POSE_BYTES, decode_axes
@@ -40,8 +41,6 @@ SHORTEST_STEP: Final = 2.0**-30
 OFF_PATH_MM: Final = 1.0
 """An arm further from its place on the path than this, or than OFF_PATH_RAD, does not move."""
 OFF_PATH_RAD: Final = math.radians(0.5)
-
-_ZERO: Final[Joints] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class BlockError(Exception):
@@ -107,25 +106,46 @@ def _first_pose(block: int) -> int:
     return max(0, (BLOCK_BYTES * block - HEADER_BYTES) // POSE_BYTES)
 
 
+class Leg(IntEnum):
+    """The motion after START, in this order."""
+
+    APPROACH = 0
+    """Joint line: start joints to the entry pose."""
+    ENTRY = 1
+    """Straight: entry to the first pose."""
+    CUT = 2
+    EXIT = 3
+    """Straight: last pose to the exit pose."""
+    RETRACT = 4
+    """Joint line: exit pose back to the start joints."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlantState:
     """Where the arm is.
 
     Attributes:
         joints: reported joints, rad and mm.
-        segment: the segment it is on, from 0.
-        fraction: how far along it, 0 to 1.
+        leg: what it executes.
+        segment: the path's segment it is on: the first before the cut, the last after it.
+        fraction: how far along the leg, in the cut along the segment, 0 to 1.
         moving: whether it moved in the last step.
         cutter: whether the cutter turns.
-        done: whether it stands at the path's last pose, having executed every segment.
+        done: whether it stands at the start joints again, having executed every leg.
     """
 
     joints: Joints
+    leg: Leg = Leg.APPROACH
     segment: int = 0
     fraction: float = 0.0
     moving: bool = False
     cutter: bool = False
     done: bool = False
+
+    @property
+    def progress(self) -> tuple[int, float]:
+        """Segment and fraction of the cut: 0 and 0 before it, the last and 1 after it."""
+        return self.segment, self.fraction if self.leg is Leg.CUT else float(self.leg > Leg.CUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +161,7 @@ class Advance(NamedTuple):
 
     Attributes:
         state: the new state.
-        executed: the segments completed in this step, in order, without a gap to those before.
+        executed: the segments of the cut completed in this step, in order, without a gap to those before.
         speed_ratio: the highest joint speed in the step over its limit, in the plant's time; at most 1.
         slowed: whether the joint speed limits held the feed below the planned one.
         fault: why the arm stopped by itself, None if it did not.
@@ -154,17 +174,22 @@ class Advance(NamedTuple):
     fault: PlantFault | None
 
 
-class _Segment(NamedTuple):
-    """A segment under execution."""
+class _Stretch(NamedTuple):
+    """A leg, or one segment of the cut, under execution.
 
-    start: Pose
-    end: Pose
+    Attributes:
+        joints: those at a fraction of it, given the joints just before.
+        time_s: planned.
+        longest_step: the joints are computed at least so often, as a fraction.
+    """
+
+    joints: Callable[[float, Joints], Joints]
     time_s: float
     longest_step: float
 
 
 class _Step(NamedTuple):
-    """A stretch of a segment that the arm can take at once."""
+    """A part of a stretch that the arm can take at once."""
 
     fraction: float
     joints: Joints
@@ -187,23 +212,11 @@ class Plant:
     calibration: Calibration
     hold_roll_rad: float | None = None
 
-    def place_at_first_pose(self, path: StoredPath, offset: Joints = _ZERO) -> PlantState:
-        """The arm standing at the path's first pose, on the path's branch, or that much off it.
-
-        Raises:
-            KinematicsError: the pose is out of reach, or vertical without a held roll.
-            BlockError: the stored path has changed.
-        """
-        joints = on_turns(
-            inverse(self._arm(path), path.pose(0)), q0_turns=path.q0_turns, roll_turns=path.roll_turns
-        )
-        q0, q1, q2, q3, q4 = (joint + off for joint, off in zip(joints, offset, strict=True))
-        return PlantState((q0, q1, q2, q3, q4))
-
     def advance(
         self,
         state: PlantState,
         path: StoredPath,
+        approach: Approach,
         *,
         dt_s: float,
         moving: bool,
@@ -215,6 +228,7 @@ class Plant:
         Args:
             state: the state now.
             path: the path being executed.
+            approach: how it gets there and back, as permitted.
             dt_s: seconds, >= 0.
             moving: whether motion is allowed; without it the arm stands at once.
             cutter: whether the cutter is switched on.
@@ -229,7 +243,7 @@ class Plant:
         standing = replace(state, moving=False, cutter=cutter)
         if state.done or not moving or budget_s == 0.0:
             return Advance(standing, range(state.segment, state.segment), 0.0, False, None)
-        return _Motion(self, path, standing).run(budget_s)
+        return _Motion(self, path, approach, standing).run(budget_s)
 
     def _arm(self, path: StoredPath) -> Arm:
         return calibrated_arm(
@@ -238,13 +252,14 @@ class Plant:
 
 
 class _Motion:
-    """One step under way: moves along segment after segment until the time is spent, the end or a fault."""
+    """One step under way: moves along stretch after stretch until the time is spent, the end or a fault."""
 
-    def __init__(self, plant: Plant, path: StoredPath, state: PlantState) -> None:
+    def __init__(self, plant: Plant, path: StoredPath, approach: Approach, state: PlantState) -> None:
         self._arm = plant._arm(path)  # noqa: SLF001 - same module
         self._lower, self._upper = as_joints(plant.limits.q_min), as_joints(plant.limits.q_max)
         self._speed = as_joints(plant.limits.speed)
         self._path = path
+        self._approach = approach
         self._begin = state.segment
         self._state = state
         self._completed = state.segment
@@ -258,8 +273,7 @@ class _Motion:
         try:
             fault = self._off_path()
             while fault is None and left_s > spent_s and not self._state.done:
-                segment = self._segment(self._state.segment)
-                step = self._next_step(segment, left_s)
+                step = self._next_step(self._stretch(), left_s)
                 if step is None:
                     break
                 fault = self._outside(step.joints)
@@ -267,28 +281,69 @@ class _Motion:
                     left_s -= step.time_s
                     self._take(step)
         except KinematicsError as error:
-            fault = PlantFault(StopCause.LIMIT_EXCEEDED, f"segment {self._state.segment}: {error}")
+            fault = PlantFault(StopCause.LIMIT_EXCEEDED, f"{self._place}: {error}")
         except BlockError as error:
             fault = PlantFault(StopCause.PATH_CHANGED, str(error))
         state = replace(self._state, moving=fault is None and not self._state.done)
         return Advance(state, range(self._begin, self._completed), self._ratio, self._slowed, fault)
 
-    def _segment(self, index: int) -> _Segment:
-        start, end = self._path.pose(index), self._path.pose(index + 1)
+    @property
+    def _place(self) -> str:
+        leg = self._state.leg
+        return f"segment {self._state.segment}" if leg is Leg.CUT else leg.name.lower()
+
+    # ---------------------------------------------------------- the legs
+
+    def _stretch(self) -> _Stretch:
+        """What is under execution: the legs as a table."""
+        bound, path, index = self._approach, self._path, self._state.segment
+        match self._state.leg:
+            case Leg.APPROACH:
+                return self._joint_line(bound.start, bound.entry)
+            case Leg.ENTRY:
+                first = path.pose(0)
+                return self._straight(pose_beyond(first, bound.entry_um), first)
+            case Leg.CUT:
+                return self._straight(path.pose(index), path.pose(index + 1))
+            case Leg.EXIT:
+                last = path.pose(len(path) - 1)
+                return self._straight(last, pose_beyond(last, bound.exit_um))
+            case Leg.RETRACT:
+                return self._joint_line(bound.exit, bound.start)
+
+    def _straight(self, start: Pose, end: Pose) -> _Stretch:
+        """Tip on a line, axis on a great circle, at the path's feed."""
         turn = turn_rad(start.axis, end.axis)
         longest_mm = max(math.dist(start.tip, end.tip), self._path.tool_length_mm * turn)
         steps = max(1.0, math.ceil(longest_mm / STEP_MM), math.ceil(turn / STEP_RAD))
-        return _Segment(start, end, longest_mm / self._path.feed_mm_s, 1.0 / steps)
 
-    def _next_step(self, segment: _Segment, left_s: float) -> _Step | None:
-        """The longest stretch, of those tried, that fits the time left; None if none does."""
+        def joints(fraction: float, near: Joints) -> Joints:
+            return nearest_turns(inverse(self._arm, interpolate(start, end, fraction)), near)
+
+        return _Stretch(joints, longest_mm / self._path.feed_mm_s, 1.0 / steps)
+
+    def _joint_line(self, start: Joints, end: Joints) -> _Stretch:
+        """All joints linear in one parameter, the slowest at the bound part of its speed limit; no turn is left out."""
+        slowest_s = max(abs(b - a) / v for a, b, v in zip(start, end, self._speed, strict=True))
+        steps = max(1.0, math.ceil(2.0 * largest_turn(start, end) / STEP_TURN_RAD))
+
+        def joints(fraction: float, _near: Joints) -> Joints:
+            if fraction in {0.0, 1.0}:
+                return end if fraction else start
+            q0, q1, q2, q3, q4 = (a + fraction * (b - a) for a, b in zip(start, end, strict=True))
+            return q0, q1, q2, q3, q4
+
+        return _Stretch(joints, slowest_s / self._approach.speed, 1.0 / steps)
+
+    # ---------------------------------------------------------- moving along them
+
+    def _next_step(self, stretch: _Stretch, left_s: float) -> _Step | None:
+        """The longest part, of those tried, that fits the time left; None if none does."""
         at = self._state.fraction
-        size = min(1.0 - at, segment.longest_step)
-        reserve = (
-            1.0 - 1e-9
-        )  # for rounding; a stretch whose time is not proportional needs more the next time
+        size = min(1.0 - at, stretch.longest_step)
+        reserve = 1.0 - 1e-9  # for rounding; a part whose time is not proportional needs more the next time
         while size > SHORTEST_STEP:
-            step = self._stretch(segment, 1.0 if at + size > 1.0 - SHORTEST_STEP else at + size)
+            step = self._part(stretch, 1.0 if at + size > 1.0 - SHORTEST_STEP else at + size)
             if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
                 size *= 0.5
             elif step.time_s > left_s:
@@ -300,10 +355,9 @@ class _Motion:
             raise KinematicsError(f"a joint jumps at fraction {at:.9f}: the path runs through a singularity")
         return None
 
-    def _stretch(self, segment: _Segment, to: float) -> _Step:
-        pose = interpolate(segment.start, segment.end, to)
-        joints = nearest_turns(inverse(self._arm, pose), self._state.joints)
-        planned_s = (to - self._state.fraction) * segment.time_s
+    def _part(self, stretch: _Stretch, to: float) -> _Step:
+        joints = stretch.joints(to, self._state.joints)
+        planned_s = (to - self._state.fraction) * stretch.time_s
         at_limits_s = max(
             abs(new - old) / speed
             for new, old, speed in zip(joints, self._state.joints, self._speed, strict=True)
@@ -315,25 +369,30 @@ class _Motion:
     def _take(self, step: _Step) -> None:
         self._ratio = max(self._ratio, step.speed_ratio)
         self._slowed = self._slowed or step.slowed
-        segment, fraction, done = self._state.segment, step.fraction, False
-        if fraction == 1.0:
-            self._completed = segment + 1
-            done = self._completed == len(self._path) - 1
-            segment, fraction = (segment, 1.0) if done else (segment + 1, 0.0)
-        self._state = replace(self._state, joints=step.joints, segment=segment, fraction=fraction, done=done)
+        self._state = replace(self._state, joints=step.joints, fraction=step.fraction)
+        if step.fraction == 1.0:
+            self._state = self._next_stretch(self._state)
+
+    def _next_stretch(self, state: PlantState) -> PlantState:
+        """At the end of one stretch: the next segment, the next leg, or done."""
+        if state.leg is Leg.RETRACT:
+            return replace(state, done=True)
+        if state.leg is Leg.CUT:
+            self._completed = state.segment + 1
+            if self._completed < len(self._path) - 1:
+                return replace(state, segment=self._completed, fraction=0.0)
+        return replace(state, leg=Leg(state.leg + 1), fraction=0.0)
 
     def _off_path(self) -> PlantFault | None:
-        """A fault if the arm is not where its progress says."""
-        index = self._state.segment
-        pose = interpolate(self._path.pose(index), self._path.pose(index + 1), self._state.fraction)
-        place = nearest_turns(inverse(self._arm, pose), self._state.joints)
+        """A fault if the arm is not where its progress says, whatever the leg."""
+        place = self._stretch().joints(self._state.fraction, self._state.joints)
         slide_mm = abs(place[2] - self._state.joints[2])
         turn = largest_turn(place, self._state.joints)
         if slide_mm <= OFF_PATH_MM and turn <= OFF_PATH_RAD:
             return None
         return PlantFault(
             StopCause.TRACKING_DEVIATION,
-            f"the arm is {slide_mm:.3f} mm and {math.degrees(turn):.3f} deg off its place on segment {index}, "
+            f"the arm is {slide_mm:.3f} mm and {math.degrees(turn):.3f} deg off its place on {self._place}, "
             f"at most {OFF_PATH_MM} mm and {math.degrees(OFF_PATH_RAD):.3f} deg",
         )
 
@@ -341,4 +400,4 @@ class _Motion:
         text = limit_text(joints, self._lower, self._upper)
         if not text:
             return None
-        return PlantFault(StopCause.LIMIT_EXCEEDED, f"segment {self._state.segment}: {text}")
+        return PlantFault(StopCause.LIMIT_EXCEEDED, f"{self._place}: {text}")

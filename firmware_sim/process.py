@@ -19,8 +19,9 @@ import can
 
 from config.terminal import WordReader
 from firmware_sim import memory
+from firmware_sim.approach import Approach, Ends, own_ends
 from firmware_sim.faults import FaultName, FaultSpec
-from firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm, forward
+from firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm
 from firmware_sim.path_check import PathCheck
 from firmware_sim.plant import Plant, PlantState, StoredPath
 from firmware_sim.state import (
@@ -36,6 +37,7 @@ from firmware_sim.state import (
     HeartbeatLost,
     HeartbeatReceived,
     InputsChanged,
+    JointsMeasured,
     LimitsChanged,
     NonceRequested,
     OpenLink,
@@ -44,7 +46,6 @@ from firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
-    PoseMeasured,
     ResetReceived,
     Send,
     SendFault,
@@ -88,12 +89,13 @@ class Word(StrEnum):
 
 @dataclass(frozen=True)
 class Options:
-    """How this simulated controller behaves."""
+    """How this simulated controller behaves; ``joints``: where the arm stands at power-up, rad and mm."""
 
     time_scale: float = 1.0
     announce_s: float = 0.2
     faults: tuple[FaultSpec, ...] = ()
     hold_roll_rad: float | None = None
+    joints: Joints | None = None
 
 
 class Process:
@@ -143,7 +145,8 @@ class Process:
         self._checked_path = b""
         self._stored: StoredPath | None = None
         self._plant = self._new_plant()
-        self._arm_state = PlantState(self._middle())
+        self._approach: Approach | None = None
+        self._arm_state = PlantState(options.joints or middle_of(self._plant.limits))
         self._executed = 0
         self._speed_ratio = 0.0
 
@@ -266,6 +269,7 @@ class Process:
             case records.NonceRequest():
                 self._feed(NonceRequested(record.purpose, self._random(16)))
             case records.Permit():
+                self._measure()
                 self._feed(PermitReceived(record, item.sequence))
             case records.Start():
                 self._measure()
@@ -308,13 +312,31 @@ class Process:
         verdict = check.verdict
         assert verdict is not None  # noqa: S101 - step() has just said that it is done
         refusal, pose, detail = verdict
-        joints = check.first_joints
         if refusal is Refusal.ACCEPTED and not self._joints_fit_the_wire():
             refusal, detail = Refusal.JOINTS_BEYOND_WIRE, "limits beyond what a joints frame can carry"
         if refusal is not Refusal.ACCEPTED:
             self._say(f"path refused: {refusal.name} at pose {pose}: {detail}")
-        counts = records.joints_to_counts(joints) if joints is not None else None
-        self._feed(PathChecked(self._checked_path, refusal, pose, counts))
+        self._feed(PathChecked(self._checked_path, refusal, pose, self._own_ends(check)))
+
+    def _own_ends(self, check: PathCheck) -> Ends | None:
+        """Entry and exit of the checked path; None, said why, where the arm cannot reach them."""
+        held, session = self.controller.holdings, self.controller.session
+        first, last = check.first_joints, check.last_joints
+        if session is None or first is None or last is None:
+            return None
+        path = records.Path.parse(self._checked_path)
+        arm = calibrated_arm(
+            records.Calibration.parse(held.calibration),
+            tool_mm=path.tool_length_mm,
+            elbow=path.elbow,
+            hold_roll_rad=self._options.hold_roll_rad,
+        )
+        limits = records.Limits.parse(held.limits)
+        try:
+            return own_ends(path, arm, limits, first, last, clearance_um=session.approach_clearance_um)
+        except KinematicsError as error:
+            self._say(f"no approach: {error}")
+            return None
 
     def _joints_fit_the_wire(self) -> bool:
         limits = records.Limits.parse(self.controller.holdings.limits)
@@ -376,6 +398,8 @@ class Process:
             self._show(event)
         if before.holdings.path is not self.controller.holdings.path:
             self._load()
+        if self.controller.state is ControllerState.CUTTING and before.state is not ControllerState.CUTTING:
+            self._begin()
         for effect in effects:
             self._carry_out(effect)
 
@@ -432,55 +456,33 @@ class Process:
             hold_roll_rad=self._options.hold_roll_rad,
         )
 
-    def _middle(self) -> Joints:
-        limits = records.Limits.parse(self.controller.holdings.limits)
-        q0, q1, q2, q3, q4 = ((low + high) / 2 for low, high in zip(limits.q_min, limits.q_max, strict=True))
-        # limits of many turns stand for none; what is reported has to fit its frame
-        return (math.remainder(q0, math.tau), q1, q2, math.remainder(q3, math.tau), q4)
-
     def _load(self) -> None:
-        """The stored path has changed: the arm stands at its first pose, or keeps its place where there is none."""
+        """The stored path has changed; the arm keeps its place."""
         stored = self.controller.holdings.path
         self._plant = self._new_plant()
-        if stored is None:
-            self._stored = None
-            return
-        self._stored = StoredPath.of(records.Path.parse(stored))
+        self._stored = StoredPath.of(records.Path.parse(stored)) if stored is not None else None
+        self._approach = None
+
+    def _begin(self) -> None:
+        """The start was accepted: from where the arm stands along the permitted legs."""
+        permit = self.controller.permit
+        assert permit is not None  # noqa: S101 - NO_PERMIT stands in the rules
+        self._approach = Approach.of(permit)
+        self._arm_state = PlantState(self._arm_state.joints)
         self._executed, self._speed_ratio = 0, 0.0
-        try:
-            self._arm_state = self._plant.place_at_first_pose(self._stored)
-        except KinematicsError as error:
-            self._say(f"the arm cannot stand at the first pose: {error}")
-            self._feed(Fault(StopCause.LIMIT_EXCEEDED))
-            return
-        self._measure()
 
     def _measure(self) -> None:
-        """Measured joints against the first pose, for START."""
-        start_u = self.controller.holdings.start_joints_u
-        if start_u is None:
-            return
-        held = self.controller.holdings
-        arm = calibrated_arm(
-            records.Calibration.parse(held.calibration),
-            tool_mm=records.Tool.parse(held.tool).length_mm,
-            elbow="right" if records.Limits.parse(held.limits).q_min_u[1] >= 0 else "left",
-        )
-        start = records.joints_to_memory(start_u)
-        q0, q1, q2, q3, q4 = (float(value) for value in start)
-        measured = self._arm_state.joints
-        here, there = forward(arm, measured).tip, forward(arm, (q0, q1, q2, q3, q4)).tip
-        distance_mm = math.dist(here, there)
-        turned = [abs(a - float(b)) for a, b in zip(measured, start, strict=True)]
-        angle_deg = math.degrees(max(turned[joint] for joint in (0, 1, 3, 4)))
-        self._feed(PoseMeasured(distance_mm, angle_deg))
+        """Where the arm stands, for PERMIT and START."""
+        self._feed(JointsMeasured(records.joints_to_counts(self._arm_state.joints)))
 
     def _move(self, gap_s: float) -> None:
-        if self._stored is None or self.controller.state is not ControllerState.CUTTING:
+        if self.controller.state is not ControllerState.CUTTING:
             return
+        assert self._stored is not None and self._approach is not None  # noqa: S101, PT018 - CUTTING has both
         advance = self._plant.advance(
             self._arm_state,
             self._stored,
+            self._approach,
             dt_s=gap_s if self.controller.may_move else 0.0,
             moving=self.controller.may_move,
             cutter=self.controller.cutting_mode,
@@ -523,8 +525,8 @@ class Process:
         for frame in joint_frames(self._arm_state.joints):
             endpoint.send_frame(frame, now_s)
         if controller.state in (ControllerState.CUTTING, ControllerState.DONE):
-            part = round(self._arm_state.fraction * FRACTION_MAX)
-            endpoint.send_frame(Progress(self._arm_state.segment, part), now_s)
+            segment, fraction = self._arm_state.progress
+            endpoint.send_frame(Progress(segment, round(fraction * FRACTION_MAX)), now_s)
 
     def _announce(self, now_s: float) -> None:
         self._next_announce_s = now_s + self._options.announce_s
@@ -594,8 +596,21 @@ class Process:
         self._assembly, self._check = records.Assembly(), None
         self.controller = Controller(
             identity=replace(old.identity, boot_nonce=self._random(16)),
-            holdings=replace(old.holdings, path=None, start_joints_u=None),
+            holdings=replace(old.holdings, path=None, ends=None),
             withdrawn=old.withdrawn,
         )
         self._load()
         self._next_announce_s = self._clock()
+
+
+def middle_of(limits: records.Limits) -> Joints:
+    """Each joint in the middle of its limits; a turning joint with half a turn left on either side of 0 stands at 0."""
+
+    def middle(joint: int, low: float, high: float) -> float:
+        return 0.0 if joint != 2 and low <= -math.pi and math.pi <= high else (low + high) / 2.0
+
+    q0, q1, q2, q3, q4 = (
+        middle(joint, float(low), float(high))
+        for joint, (low, high) in enumerate(zip(limits.q_min, limits.q_max, strict=True))
+    )
+    return q0, q1, q2, q3, q4

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from firmware_sim.approach import agrees, inside, start_offset
 from firmware_sim.state import Controller, DeviceCycle
 from protocol import permit as permits
 from protocol import records
@@ -105,17 +106,30 @@ def _same_branch(case: Case) -> bool:
     return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
 
 
-def _same_start_joints(case: Case) -> bool:
-    """The runtime's and the controller's kinematics agree on the first pose within the start tolerance."""
-    own, session = case.controller.holdings.start_joints_u, case.controller.session
-    if own is None or session is None:
+def _at_start(case: Case) -> bool:
+    """The arm stands at the bound start joints, within the start tolerance and inside its limits."""
+    session, held, measured_u = case.controller.session, case.controller.holdings, case.controller.measured_u
+    if session is None or measured_u is None:
         return False
-    tolerances = [session.start_tolerance_deg] * 5
-    tolerances[2] = session.start_tolerance_mm
-    return len(own) == len(case.request.start_joints_u) and all(
-        abs(a - b) <= tolerance * 1e6
-        for a, b, tolerance in zip(own, case.request.start_joints_u, tolerances, strict=True)
+    bound_u = _permit(case).start_joints_u
+    off_mm, off_deg = start_offset(records.Calibration.parse(held.calibration), measured_u, bound_u)
+    return (
+        inside(records.Limits.parse(held.limits), bound_u)
+        and 0.0 <= off_mm <= session.start_tolerance_mm
+        and 0.0 <= off_deg <= session.start_tolerance_deg
     )
+
+
+def _own_approach(case: Case) -> bool:
+    """Entry and exit are where the controller's own kinematics put them, and inside its limits."""
+    held, bound = case.controller.holdings, case.request.approach
+    limits = records.Limits.parse(held.limits)
+    return agrees(held.ends, bound) and inside(limits, bound.entry_joints_u, bound.exit_joints_u)
+
+
+def _speed_as_opened(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.approach.speed_percent == session.approach_speed_percent
 
 
 def _lifetime_as_opened(case: Case) -> bool:
@@ -128,15 +142,6 @@ def _permit_alive(case: Case) -> bool:
     session = case.controller.session
     age_s = case.now_s - case.controller.permit_issued_at_s
     return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
-
-
-def _at_start(case: Case) -> bool:
-    session = case.controller.session
-    return (
-        session is not None
-        and 0.0 <= case.controller.start_offset_mm <= session.start_tolerance_mm
-        and 0.0 <= case.controller.start_offset_deg <= session.start_tolerance_deg
-    )
 
 
 PERMIT_RULES: tuple[Rule, ...] = (
@@ -159,7 +164,9 @@ PERMIT_RULES: tuple[Rule, ...] = (
     (Refusal.REGISTRATION_DIGEST, _names_the_sessions_registration),
     (Refusal.TIMING_OUT_OF_BOUNDS, _lifetime_as_opened),
     (Refusal.BRANCH, _same_branch),
-    (Refusal.START_JOINTS, _same_start_joints),
+    (Refusal.APPROACH, _own_approach),
+    (Refusal.APPROACH_SPEED, _speed_as_opened),
+    (Refusal.START_JOINTS, _at_start),
 )
 
 START_RULES: tuple[Rule, ...] = (

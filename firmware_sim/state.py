@@ -1,9 +1,9 @@
 """What the simulated controller remembers, what can happen to it and what it answers."""
 
-import math
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
+from firmware_sim.approach import Ends
 from protocol import records
 from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
 
@@ -26,8 +26,8 @@ class Holdings:
     calibration: bytes
     tool: bytes
     path: bytes | None = None
-    start_joints_u: tuple[int, ...] | None = None
-    """Reported joints at the first pose by the controller's own kinematics, 1e-6 deg | mm."""
+    ends: Ends | None = None
+    """Entry and exit of the stored path by the controller's own kinematics; None where it cannot reach them."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Session:
     start_lifetime_s: float
     start_tolerance_mm: float
     start_tolerance_deg: float
+    approach_clearance_um: int
+    approach_speed_percent: int
     heartbeat_s: float
     timeout_s: float
     live: bool = True
@@ -91,9 +93,8 @@ class Controller:
     """The runtime's heartbeat has said CUT since the start; without it nothing moves."""
     started_at_s: float = 0.0
     heartbeat_fresh: bool = False
-    start_offset_mm: float = math.inf
-    start_offset_deg: float = math.inf
-    """Distance from the stored path's first pose; infinite until measured for this path."""
+    measured_u: tuple[int, ...] | None = None
+    """Reported joints, 1e-6 deg | mm; None until measured since the last stop."""
     withdrawn: frozenset[bytes] = frozenset()
     """Digests of registrations that may never be permitted again; survives reboots."""
     last_registration: bytes | None = None
@@ -133,12 +134,12 @@ class CollectReceived:
 
 @dataclass(frozen=True)
 class PathChecked:
-    """A path arrived whole and the controller's own kinematics have judged every pose."""
+    """A path arrived whole and the controller's own kinematics have judged every pose, entry and exit."""
 
     path: bytes
     refusal: Refusal
     pose: int
-    start_joints_u: tuple[int, ...] | None
+    ends: Ends | None
 
 
 @dataclass(frozen=True)
@@ -231,16 +232,15 @@ class LimitsChanged:
 
 
 @dataclass(frozen=True)
-class PoseMeasured:
-    """Distance of the measured joints from the stored path's first pose."""
+class JointsMeasured:
+    """Where the arm stands: reported joints, 1e-6 deg | mm."""
 
-    distance_mm: float
-    angle_deg: float
+    joints_u: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class PathFinished:
-    """The plant has executed the last segment."""
+    """The plant has executed the last segment and stands at the start joints again."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ Event = (
     | InputsChanged
     | BoneMoved
     | LimitsChanged
-    | PoseMeasured
+    | JointsMeasured
     | PathFinished
     | Tick
 )

@@ -5,7 +5,6 @@ Everything that enables is judged here against what the controller holds at that
 that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -27,6 +26,7 @@ from firmware_sim.state import (
     HeartbeatReceived,
     InputsChanged,
     Issued,
+    JointsMeasured,
     LimitsChanged,
     NonceRequested,
     OpenLink,
@@ -35,7 +35,6 @@ from firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
-    PoseMeasured,
     ResetReceived,
     Send,
     SendFault,
@@ -91,9 +90,8 @@ def _void(state: Controller) -> Controller:
         permit=None,
         device=DeviceCycle.UNSEEN,
         cut_ordered=False,
-        start_offset_mm=math.inf,
-        start_offset_deg=math.inf,
-        holdings=replace(state.holdings, path=None, start_joints_u=None),
+        measured_u=None,
+        holdings=replace(state.holdings, path=None, ends=None),
     )
 
 
@@ -186,6 +184,8 @@ def open_session(state: Controller, event: OpenReceived, _now_s: float) -> Outco
         start_lifetime_s=timing.start_lifetime_ms / 1000,
         start_tolerance_mm=timing.start_tolerance_um / 1000,
         start_tolerance_deg=timing.start_tolerance_mdeg / 1000,
+        approach_clearance_um=timing.approach_clearance_um,
+        approach_speed_percent=timing.approach_speed_percent,
         heartbeat_s=timing.heartbeat_ms / 1000,
         timeout_s=timing.timeout_ms / 1000,
     )
@@ -221,6 +221,8 @@ def _timing_within_bounds(timing: records.Timing) -> bool:
         "start_lifetime_ms": timing.start_lifetime_ms,
         "start_tolerance_mm": timing.start_tolerance_um / 1000,
         "start_tolerance_deg": timing.start_tolerance_mdeg / 1000,
+        "approach_clearance_mm": timing.approach_clearance_um / 1000,
+        "approach_speed_percent": timing.approach_speed_percent,
     }
     return timing.timeout_ms >= TIMEOUT_HEARTBEATS * timing.heartbeat_ms and all(
         CONSTANTS[name].holds(value) for name, value in values.items()
@@ -246,10 +248,8 @@ def path_checked(state: Controller, event: PathChecked, _now_s: float) -> Outcom
         holdings=replace(
             state.holdings,
             path=event.path if accepted else None,
-            start_joints_u=event.start_joints_u if accepted else None,
+            ends=event.ends if accepted else None,
         ),
-        start_offset_mm=math.inf,  # what was measured before, was measured against another path
-        start_offset_deg=math.inf,
     )
     answer = records.PathStored(digest=digest(event.path), refusal=event.refusal, pose=event.pose)
     return loaded, (Send(answer, state.session.tag, bulk=True),)
@@ -371,12 +371,12 @@ def heartbeat_cutting(state: Controller, event: HeartbeatReceived, now_s: float)
     return replace(seen, cut_ordered=orders_cut and event.fresh), ()
 
 
-def measured(state: Controller, event: PoseMeasured, _now_s: float) -> Outcome:
-    return replace(state, start_offset_mm=event.distance_mm, start_offset_deg=event.angle_deg), ()
+def measured(state: Controller, event: JointsMeasured, _now_s: float) -> Outcome:
+    return replace(state, measured_u=event.joints_u), ()
 
 
 def finished(state: Controller, _event: PathFinished, _now_s: float) -> Outcome:
-    """The end of the path: cutting mode off, the permit is spent. It counts only where the arm was free to move."""
+    """The end of the retract: cutting mode off, the permit is spent. It counts only where the arm was free to move."""
     if not state.may_move:
         return state, ()
     done = replace(
@@ -429,7 +429,7 @@ EVERYWHERE: dict[type, Handler] = {
     ResetReceived: reset_received,
     AcknowledgeReceived: acknowledge_received,
     HeartbeatReceived: heartbeat,
-    PoseMeasured: measured,
+    JointsMeasured: measured,
     StopReceived: stop_received,
     HeartbeatLost: heartbeat_lost,
     Fault: fault,

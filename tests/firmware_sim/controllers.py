@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from firmware_sim.approach import Ends
 from firmware_sim.rules import Case
 from firmware_sim.state import (
     AcknowledgeReceived,
@@ -21,13 +22,13 @@ from firmware_sim.state import (
     Identity,
     Inputs,
     InputsChanged,
+    JointsMeasured,
     LimitsChanged,
     NonceRequested,
     OpenReceived,
     PathChecked,
     PathFinished,
     PermitReceived,
-    PoseMeasured,
     ResetReceived,
     Send,
     SendFault,
@@ -47,6 +48,12 @@ BOOT_NONCE, RUNTIME_NONCE = b"b" * 16, b"r" * 16
 PERMIT_NONCE, START_NONCE, RESET_NONCE = b"p" * 16, b"s" * 16, b"z" * 16
 REGISTRATION = records.digest(b"registration")
 START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
+ENDS = Ends(
+    entry_um=12_000,
+    exit_um=32_000,
+    entry_joints_u=(-70_000_000, 100_000_000, 210_000_000, -160_000_000, 36_000_000),
+    exit_joints_u=(-69_000_000, 99_000_000, 211_000_000, 160_000_000, 37_000_000),
+)
 
 LIMITS = records.Limits.quantised(
     q_min_deg=(-80, 0, 50, -170, 0), q_max_deg=(80, 145, 450, 170, 110), speed_deg_s=(57, 57, 200, 114, 114)
@@ -76,6 +83,8 @@ OPEN = records.Open(
         start_lifetime_ms=2000,
         start_tolerance_um=500,
         start_tolerance_mdeg=200,
+        approach_clearance_um=10_000,
+        approach_speed_percent=25,
     ),
 )
 TAG = records.session_tag(BOOT_NONCE, RUNTIME_NONCE)
@@ -100,10 +109,11 @@ def alive(code: RuntimeCode = RuntimeCode.INHIBIT, epoch: int = 1, **changes: An
 
 HOLD, RELEASE = InputsChanged(Inputs(device_pressed=True)), InputsChanged(Inputs(device_pressed=False))
 EMERGENCY_STOP = InputsChanged(Inputs(device_pressed=True, emergency_stop_clear=False))
-ACCEPTED_PATH = PathChecked(PATH.body(), Refusal.ACCEPTED, 0, START_JOINTS)
+ACCEPTED_PATH = PathChecked(PATH.body(), Refusal.ACCEPTED, 0, ENDS)
+STANDING = JointsMeasured(START_JOINTS)
 
 OPENED = fed(POWERED_UP, OpenReceived(OPEN, 1), alive())
-LOADED = fed(OPENED, ACCEPTED_PATH, PoseMeasured(0.1, 0.05))
+LOADED = fed(OPENED, ACCEPTED_PATH, STANDING)
 ASKED = fed(LOADED, NonceRequested(Purpose.PERMIT, PERMIT_NONCE))
 
 PERMIT = records.Permit(
@@ -122,6 +132,9 @@ PERMIT = records.Permit(
     verifier_version="cutgate test",
     start_joints_u=START_JOINTS,
     branch=records.Branch("right", 0, 1),
+    approach=records.Approach(
+        ENDS.entry_um, ENDS.exit_um, ENDS.entry_joints_u, ENDS.exit_joints_u, speed_percent=25
+    ),
     lifetime_s=120,
 )
 START = records.Start(
@@ -265,8 +278,8 @@ def events(state: Controller) -> list[Event]:
         StopReceived(StopCode.END, StopCause.SESSION_ENDED),
         HOLD,
         RELEASE,
-        PoseMeasured(0.0, 0.0),
-        PoseMeasured(9.0, 0.0),
+        STANDING,
+        JointsMeasured((0, *START_JOINTS[1:])),
         PathFinished(),
         Tick(),
         *(event for event, _ in STOPPING_EVENTS.values()),

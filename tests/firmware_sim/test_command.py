@@ -1,5 +1,6 @@
 """The command line of the simulated controller: what it refuses, and with which exit code it ends."""
 
+import math
 import os
 import shutil
 import signal
@@ -89,6 +90,21 @@ def test_the_entry_point_names_the_controller(given):
     assert [process.controller.identity.serial for process, _ in processes] == ["A-1", "A-2"]
 
 
+def test_the_arm_stands_where_joints_say_and_else_in_the_middle(given):
+    arguments, processes = given
+    assert command.main([*arguments, "--joints=-10.5,70,250,20,55"]) == 0
+    assert command.main(arguments) == 0
+    shown = [
+        [
+            joint if index == 2 else math.degrees(joint)
+            for index, joint in enumerate(process._arm_state.joints)
+        ]
+        for process, _ in processes
+    ]
+    assert shown[0] == pytest.approx([-10.5, 70, 250, 20, 55])
+    assert shown[1] == pytest.approx([0, 72.5, 250, 0, 55])
+
+
 def test_every_boot_has_a_nonce_of_its_own(given):
     arguments, processes = given
     command.main(arguments)
@@ -113,6 +129,14 @@ def test_the_memory_beside_the_key_is_read(given, capsys):
         (["--time-scale", "0"], ["--time-scale is 0.0", "at most 1000"]),
         (["--time-scale", "nan"], ["--time-scale is nan"]),
         (["--time-scale", "1e9"], ["at most 1000"]),
+        (["--joints", "0,70,250,0"], ["--joints is '0,70,250,0'", "five numbers"]),
+        (["--joints", "0,70,250,0,nan"], ["--joints is ", "five numbers"]),
+        (["--joints", "0,70,250,0,x"], ["--joints is ", "five numbers"]),
+        (
+            ["--joints=-81,70,451,0,55"],
+            ["--joints: ", "q0 = -81.000000 deg is outside", "q2 = 451.000000 mm"],
+        ),
+        (["--joints", "9000,70,250,0,55"], ["--joints: ", "name joints that the bus can report"]),
         (["--fault", "explode"], ["--fault: ", "'explode' is not known"]),
         (["--fault", "hang@moon"], ["--fault: ", "state must be one of"]),
         (["--robot", "nowhere.toml"], ["nowhere.toml"]),

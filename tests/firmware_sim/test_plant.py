@@ -3,15 +3,25 @@
 import dataclasses
 import math
 import time
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_sim.kinematics import OutOfReachError, calibrated_arm, forward, interpolate, inverse
+from firmware_sim.approach import Approach
+from firmware_sim.kinematics import (
+    KinematicsError,
+    Pose,
+    calibrated_arm,
+    forward,
+    interpolate,
+    inverse,
+    nearest_turns,
+)
 from firmware_sim.path_check import PathCheck
-from firmware_sim.plant import BlockError, Plant, PlantFault, StoredPath
+from firmware_sim.plant import BlockError, Leg, Plant, PlantFault, PlantState, StoredPath
 from protocol.records import UNIT, Path, split
 from protocol.states import StopCause
 from tests.firmware_sim.arms import (
@@ -32,45 +42,55 @@ STORED = StoredPath.of(PATH)
 DT_S = 0.02
 
 
+def first_joints(plant, path):
+    """Joints at the first pose on the path's branch."""
+    arm = calibrated_arm(
+        plant.calibration, tool_mm=TOOL_MM, elbow=path.elbow, hold_roll_rad=plant.hold_roll_rad
+    )
+    q0, q1, q2, q3, q4 = inverse(arm, path.pose(0))
+    return q0 + math.tau * path.q0_turns, q1, q2, q3 + math.tau * path.roll_turns, q4
+
+
+def out(pose, distance_um):
+    """The pose so far along its axis."""
+    return Pose(tuple(t + distance_um / 1000 * u for t, u in zip(*pose, strict=True)), pose.axis)
+
+
+@cache
+def way(plant, path, start=None, *, out_um=(30_000, 40_000), speed=0.25):
+    """Approach and retract of a path, its joints followed pose by pose; from the entry itself where no start is given."""
+    arm = calibrated_arm(
+        plant.calibration, tool_mm=TOOL_MM, elbow=path.elbow, hold_roll_rad=plant.hold_roll_rad
+    )
+    joints = first = first_joints(plant, path)
+    entry = nearest_turns(inverse(arm, out(path.pose(0), out_um[0])), first)
+    try:
+        for index in range(len(path)):
+            joints = nearest_turns(inverse(arm, path.pose(index)), joints)
+        leave = nearest_turns(inverse(arm, out(path.pose(len(path) - 1), out_um[1])), joints)
+    except KinematicsError:
+        leave = entry  # never reached
+    return Approach(start or entry, entry, leave, *out_um, speed)
+
+
+def at_cut(plant, path, offset=(0.0, 0.0, 0.0, 0.0, 0.0)):
+    """The arm about to cut, or so much off the first pose."""
+    q0, q1, q2, q3, q4 = (q + off for q, off in zip(first_joints(plant, path), offset, strict=True))
+    return PlantState((q0, q1, q2, q3, q4), Leg.CUT)
+
+
 def drive(plant, path, *, dt_s=DT_S, time_scale=1.0, ticks=100_000):
-    """Move until done or stopped; every step taken."""
-    state, steps = plant.place_at_first_pose(path), []
+    """Cut until the last pose is reached or something stopped; every step taken."""
+    state, steps = at_cut(plant, path), []
     for _ in range(ticks):
-        step = plant.advance(state, path, dt_s=dt_s, moving=True, cutter=True, time_scale=time_scale)
+        step = plant.advance(
+            state, path, way(plant, path), dt_s=dt_s, moving=True, cutter=True, time_scale=time_scale
+        )
         steps.append(step)
         state = step.state
-        if state.done or step.fault is not None:
+        if state.leg is not Leg.CUT or step.fault is not None:
             return steps
-    raise AssertionError(f"not done after {ticks} ticks: {state}")
-
-
-def test_the_arm_powers_up_at_the_first_pose():
-    state = Plant(LIMITS, CALIBRATED).place_at_first_pose(STORED)
-    pose = forward(calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right"), state.joints)
-    np.testing.assert_allclose(pose.tip, PATH.tips_mm[0], atol=1e-9)
-    np.testing.assert_allclose(pose.axis, PATH.axes[0], atol=1e-12)
-    assert (state.segment, state.fraction, state.moving, state.cutter, state.done) == (
-        0,
-        0.0,
-        False,
-        False,
-        False,
-    )
-
-
-def test_the_arm_can_be_placed_off_the_first_pose_and_on_other_turns():
-    path = StoredPath.of(dataclasses.replace(PATH, q0_turns=1, roll_turns=-2))
-    base = PLANT.place_at_first_pose(STORED).joints
-    off = (0.01, 0.0, 0.6, 0.0, -0.02)
-    joints = PLANT.place_at_first_pose(path, offset=off).joints
-    turns = (math.tau, 0, 0, -2 * math.tau, 0)
-    assert joints == pytest.approx(tuple(np.add(np.add(base, off), turns)))
-
-
-def test_a_first_pose_out_of_reach_is_refused():
-    path = StoredPath.of(line_path((1500, 0, 100), (1400, 0, 100)))
-    with pytest.raises(OutOfReachError):
-        PLANT.place_at_first_pose(path)
+    raise AssertionError(f"not at its end after {ticks} ticks: {state}")
 
 
 @pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED])
@@ -78,15 +98,17 @@ def test_every_segment_is_executed_in_order_and_the_last_pose_is_reached_exactly
     steps = drive(Plant(LIMITS, calibration), STORED)
     assert [segment for step in steps for segment in step.executed] == list(range(len(PATH) - 1))
     last = steps[-1].state
-    assert (last.done, last.moving, last.segment, last.fraction) == (True, False, len(PATH) - 2, 1.0)
+    assert (last.leg, last.progress) == (Leg.EXIT, (len(PATH) - 2, 1.0))
     arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow="right")
-    assert last.joints == pytest.approx(inverse(arm, STORED.pose(len(PATH) - 1)), abs=1e-12)
-    assert all(step.state.moving for step in steps[:-1])
+    pose, there = forward(arm, last.joints), out(STORED.pose(len(PATH) - 1), 40_000 * last.fraction)
+    np.testing.assert_allclose(pose.tip, there.tip, atol=1e-9)
+    np.testing.assert_allclose(pose.axis, there.axis, atol=1e-12)
+    assert all(step.state.moving for step in steps)
 
 
 def test_the_arm_is_always_on_the_path():
     arm = calibrated_arm(NOMINAL, tool_mm=TOOL_MM, elbow="right")
-    for step in drive(PLANT, STORED, time_scale=7.3):
+    for step in drive(PLANT, STORED, time_scale=7.3)[:-1]:
         state = step.state
         on_path = interpolate(STORED.pose(state.segment), STORED.pose(state.segment + 1), state.fraction)
         pose = forward(arm, state.joints)
@@ -113,7 +135,7 @@ def test_the_path_takes_the_planned_time(time_scale):
 def test_joint_speeds_hold_the_feed_back_where_it_would_exceed_them():
     path = StoredPath.of(dataclasses.replace(PATH, feed_u=5_000 * UNIT))
     steps = drive(PLANT, path, dt_s=0.001)
-    before = PLANT.place_at_first_pose(path).joints
+    before = first_joints(PLANT, path)
     for step in steps:
         speed = np.abs(np.subtract(step.state.joints, before)) / 0.001
         assert np.all(speed <= LIMITS.speed * (1 + 1e-9))
@@ -141,9 +163,11 @@ def test_an_axis_that_passes_close_to_the_vertical_is_slowed_to_the_rolls_limit(
 @settings(max_examples=25)
 def test_whatever_the_ticks_nothing_is_skipped_and_no_joint_is_too_fast(ticks, time_scale):
     path = StoredPath.of(dataclasses.replace(PATH, feed_u=300 * UNIT))
-    state, executed = PLANT.place_at_first_pose(path), []
+    state, executed = at_cut(PLANT, path), []
     for dt_s, moving in ticks:
-        step = PLANT.advance(state, path, dt_s=dt_s, moving=moving, cutter=False, time_scale=time_scale)
+        step = PLANT.advance(
+            state, path, way(PLANT, path), dt_s=dt_s, moving=moving, cutter=False, time_scale=time_scale
+        )
         assert step.fault is None
         executed += step.executed
         change = np.abs(np.subtract(step.state.joints, state.joints))
@@ -151,23 +175,23 @@ def test_whatever_the_ticks_nothing_is_skipped_and_no_joint_is_too_fast(ticks, t
         if not moving:
             assert dataclasses.replace(step.state, moving=state.moving) == state
         state = step.state
-    assert executed == list(range(state.segment + state.done))
+    assert executed == list(range(state.segment + (state.leg > Leg.CUT)))
 
 
 def test_without_leave_to_move_the_arm_stands_at_once():
     steps = drive(PLANT, STORED)
     state = steps[3].state
     assert state.moving
-    held = PLANT.advance(state, STORED, dt_s=1.0, moving=False, cutter=False)
+    held = PLANT.advance(state, STORED, way(PLANT, STORED), dt_s=1.0, moving=False, cutter=False)
     assert held.state == dataclasses.replace(state, moving=False, cutter=False)
     assert not held.executed
-    again = PLANT.advance(held.state, STORED, dt_s=DT_S, moving=True, cutter=True)
+    again = PLANT.advance(held.state, STORED, way(PLANT, STORED), dt_s=DT_S, moving=True, cutter=True)
     assert again.state == steps[4].state
 
 
 def test_at_the_end_nothing_moves_any_more():
-    last = drive(PLANT, STORED, time_scale=50)[-1].state
-    step = PLANT.advance(last, STORED, dt_s=1.0, moving=True, cutter=True)
+    last = dataclasses.replace(drive(PLANT, STORED, time_scale=50)[-1].state, done=True, moving=False)
+    step = PLANT.advance(last, STORED, way(PLANT, STORED), dt_s=1.0, moving=True, cutter=True)
     assert step.state == last
     assert not step.executed
 
@@ -176,11 +200,12 @@ def test_the_whole_path_can_be_done_in_one_step():
     step = drive(PLANT, STORED, dt_s=1000.0)
     assert len(step) == 1
     assert step[0].executed == range(len(PATH) - 1)
+    assert step[0].state.done
 
 
 def test_no_time_is_no_motion():
-    state = PLANT.place_at_first_pose(STORED)
-    step = PLANT.advance(state, STORED, dt_s=0.0, moving=True, cutter=True)
+    state = at_cut(PLANT, STORED)
+    step = PLANT.advance(state, STORED, way(PLANT, STORED), dt_s=0.0, moving=True, cutter=True)
     assert step.state == dataclasses.replace(state, cutter=True)
 
 
@@ -189,9 +214,11 @@ def test_no_time_is_no_motion():
     [(-1.0, 1.0), (math.nan, 1.0), (math.inf, 1.0), (1.0, 0.0), (1.0, -1.0), (1.0, math.nan)],
 )
 def test_a_time_that_is_none_is_refused(dt_s, time_scale):
-    state = PLANT.place_at_first_pose(STORED)
+    state = at_cut(PLANT, STORED)
     with pytest.raises(ValueError, match="must be finite"):
-        PLANT.advance(state, STORED, dt_s=dt_s, moving=True, cutter=True, time_scale=time_scale)
+        PLANT.advance(
+            state, STORED, way(PLANT, STORED), dt_s=dt_s, moving=True, cutter=True, time_scale=time_scale
+        )
 
 
 def test_a_limit_that_would_be_exceeded_stops_the_arm_before_it():
@@ -253,8 +280,8 @@ def test_a_path_through_the_column_stops_the_arm():
 @pytest.mark.parametrize(("offset", "moves"), [((0, 0, 0.4, 0, 0), True), ((0, 0, 1.1, 0, 0), False),
                                                ((0.002, 0, 0, -0.002, 0), True), ((0, 0.01, 0, 0, 0), False)])  # fmt: skip
 def test_an_arm_off_its_path_does_not_move(offset, moves):
-    state = PLANT.place_at_first_pose(STORED, offset=offset)
-    step = PLANT.advance(state, STORED, dt_s=DT_S, moving=True, cutter=True)
+    state = at_cut(PLANT, STORED, offset)
+    step = PLANT.advance(state, STORED, way(PLANT, STORED), dt_s=DT_S, moving=True, cutter=True)
     if moves:
         assert step.fault is None
         assert step.state.moving
@@ -285,14 +312,14 @@ def test_a_flipped_bit_stops_the_arm_before_its_block_is_executed(block):
     if block == 0:
         blocks[0][100] ^= 1
         with pytest.raises(BlockError, match="block 0 of 4"):
-            PLANT.place_at_first_pose(stored)
+            stored.pose(0)
         return
-    state = PLANT.place_at_first_pose(stored)
+    state, there = at_cut(PLANT, stored), way(PLANT, stored)
     blocks[block][100] ^= 1
     first_bad = (4000 * block - 40) // 20
     executed = []
     while True:
-        step = PLANT.advance(state, stored, dt_s=DT_S, moving=True, cutter=True, time_scale=300)
+        step = PLANT.advance(state, stored, there, dt_s=DT_S, moving=True, cutter=True, time_scale=300)
         executed += step.executed
         state = step.state
         if step.fault is not None:
@@ -303,6 +330,155 @@ def test_a_flipped_bit_stops_the_arm_before_its_block_is_executed(block):
     assert executed == list(range(first_bad - 1))  # the segment that ends in the bad block is not begun
 
 
+# ---------------------------------------------------------------- approach and retract
+
+
+ELSEWHERE = tuple(math.radians(q) if joint != 2 else q for joint, q in enumerate((40, 30, 400, -120, 80)))
+
+
+def whole(plant, path, bound, *, dt_s=DT_S, time_scale=1.0, ticks=100_000):
+    """From the start joints to done or a stop: every state, and every step taken."""
+    states, steps = [PlantState(bound.start)], []
+    for _ in range(ticks):
+        steps.append(
+            plant.advance(states[-1], path, bound, dt_s=dt_s, moving=True, cutter=True, time_scale=time_scale)
+        )
+        states.append(steps[-1].state)
+        if states[-1].done or steps[-1].fault is not None:
+            return states, steps
+    raise AssertionError(f"not done after {ticks} ticks: {states[-1]}")
+
+
+@pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED])
+def test_every_leg_is_executed_in_order_and_the_arm_returns_to_where_it_stood(calibration):
+    plant = Plant(LIMITS, calibration)
+    states, steps = whole(plant, STORED, way(plant, STORED, ELSEWHERE))
+    assert states[-1].joints == ELSEWHERE
+    assert (states[-1].done, states[-1].moving, states[-1].leg) == (True, False, Leg.RETRACT)
+    legs = [state.leg for state in states]
+    assert legs == sorted(legs)
+    assert set(legs) == set(Leg)
+    assert [segment for step in steps for segment in step.executed] == list(range(len(PATH) - 1))
+
+
+def test_the_progress_shows_the_cut_alone():
+    states, _ = whole(PLANT, STORED, way(PLANT, STORED, ELSEWHERE))
+    for state in states:
+        if state.leg < Leg.CUT:
+            assert state.progress == (0, 0.0)
+        elif state.leg > Leg.CUT:
+            assert state.progress == (len(PATH) - 2, 1.0)
+    shown = [state.progress for state in states]
+    assert shown == sorted(shown)
+
+
+@pytest.mark.parametrize("leg", [Leg.APPROACH, Leg.RETRACT])
+def test_on_a_joint_line_all_joints_are_linear_and_the_slowest_has_its_part_of_its_limit(leg):
+    bound = way(PLANT, STORED, ELSEWHERE)
+    first, last = (bound.start, bound.entry) if leg is Leg.APPROACH else (bound.exit, bound.start)
+    change = np.subtract(last, first)
+    states, steps = whole(PLANT, STORED, bound)
+    on_it = [state for state in states if state.leg is leg and 0 < state.fraction < 1]
+    for state in on_it:
+        np.testing.assert_allclose(state.joints, first + state.fraction * change, atol=1e-12)
+    slowest_s = float(np.max(np.abs(change) / LIMITS.speed)) / 0.25
+    assert len(on_it) * DT_S == pytest.approx(slowest_s, abs=2 * DT_S)
+    ratio = max(step.speed_ratio for step, state in zip(steps, states, strict=False) if state in on_it[1:-1])
+    assert ratio == pytest.approx(0.25, rel=1e-6)
+
+
+@pytest.mark.parametrize(("leg", "index", "outer"), [(Leg.ENTRY, 0, "entry"), (Leg.EXIT, -1, "exit")])
+def test_between_entry_first_pose_last_pose_and_exit_the_tip_moves_along_the_tool_at_the_feed(
+    leg, index, outer
+):
+    bound = way(PLANT, STORED, ELSEWHERE)
+    arm = calibrated_arm(NOMINAL, tool_mm=TOOL_MM, elbow="right")
+    tip, axis = PATH.tips_mm[index], PATH.axes[index]
+    out_mm = getattr(bound, f"{outer}_um") / 1000
+    states, _ = whole(PLANT, STORED, bound)
+    on_it = [state for state in states if state.leg is leg and 0 < state.fraction < 1]
+    assert len(on_it) * DT_S == pytest.approx(out_mm / PATH.feed_mm_s, abs=2 * DT_S)
+    for state in on_it:
+        pose = forward(arm, state.joints)
+        np.testing.assert_allclose(pose.axis, axis, atol=1e-12)
+        beyond = out_mm * (state.fraction if leg is Leg.EXIT else 1.0 - state.fraction)
+        np.testing.assert_allclose(pose.tip, tip + beyond * axis, atol=1e-9)
+
+
+def test_a_roll_that_stands_a_turn_off_is_unwound_on_the_joint_line():
+    plant, turn = Plant(WIDE, NOMINAL), math.tau
+    q0, q1, q2, q3, q4 = way(plant, STORED).entry
+    bound = way(plant, STORED, (q0, q1, q2, q3 + turn, q4))
+    states, _ = whole(plant, STORED, bound)
+    rolls = np.array([state.joints[3] for state in states])
+    assert rolls[0] == rolls[-1] == q3 + turn
+    assert min(rolls) < q3 + 1.0
+    assert np.max(np.abs(np.diff(rolls))) < 0.1
+    assert all(state.joints[:3] == (q0, q1, q2) for state in states if state.leg is Leg.APPROACH)
+
+
+@given(st.lists(st.tuples(st.floats(0, 0.2), st.booleans()), min_size=1, max_size=80), st.floats(0.1, 100))
+@settings(max_examples=25)
+def test_no_joint_is_too_fast_on_any_leg_whatever_the_ticks(ticks, time_scale):
+    bound = way(PLANT, STORED, ELSEWHERE, speed=1.0)
+    state = PlantState(bound.start)
+    for dt_s, moving in ticks:
+        step = PLANT.advance(
+            state, STORED, bound, dt_s=dt_s, moving=moving, cutter=False, time_scale=time_scale
+        )
+        assert step.fault is None
+        change = np.abs(np.subtract(step.state.joints, state.joints))
+        assert np.all(change <= LIMITS.speed * dt_s * time_scale * (1 + 1e-9) + 1e-12)
+        state = step.state
+
+
+@pytest.mark.parametrize("leg", Leg)
+def test_the_arm_stands_at_once_and_does_not_move_off_its_line_on_every_leg(leg):
+    bound = way(PLANT, STORED, ELSEWHERE)
+    states, _ = whole(PLANT, STORED, bound)
+    state = next(state for state in states if state.leg is leg and state.fraction > 0.3)
+    held = PLANT.advance(state, STORED, bound, dt_s=1.0, moving=False, cutter=False)
+    assert held.state == dataclasses.replace(state, moving=False, cutter=False)
+    for joint, off in ((2, 1.1), (3, 0.01)):
+        joints = tuple(q + off * (j == joint) for j, q in enumerate(state.joints))
+        astray = dataclasses.replace(state, joints=joints)
+        step = PLANT.advance(astray, STORED, bound, dt_s=DT_S, moving=True, cutter=True)
+        assert step.fault.cause is StopCause.TRACKING_DEVIATION
+        assert ("segment" if leg is Leg.CUT else leg.name.lower()) in step.fault.detail
+        assert (step.state.joints, step.state.moving) == (joints, False)
+
+
+@pytest.mark.parametrize("leg", [Leg.APPROACH, Leg.RETRACT])
+def test_a_joint_line_is_left_at_a_limit(leg):
+    """Its ends were checked; should a limit be narrower by now, the arm stops before it."""
+    bound = way(PLANT, STORED, ELSEWHERE)
+    states, _ = whole(PLANT, STORED, bound)
+    state = next(state for state in states if state.leg is leg and state.fraction > 0.5)
+    at = state.joints[4]
+    toward = (1 if leg is Leg.RETRACT else -1) * math.degrees(0.01)
+    edge = round((math.degrees(at) + toward) * UNIT)
+    limits = dataclasses.replace(
+        LIMITS,
+        **{
+            "q_max_u" if toward > 0 else "q_min_u": (
+                *(LIMITS.q_max_u if toward > 0 else LIMITS.q_min_u)[:4],
+                edge,
+            )
+        },
+    )
+    step = Plant(limits, NOMINAL).advance(state, STORED, bound, dt_s=5.0, moving=True, cutter=True)
+    assert step.fault.cause is StopCause.LIMIT_EXCEEDED
+    assert "q4" in step.fault.detail
+    assert leg.name.lower() in step.fault.detail
+
+
+def test_without_a_way_to_go_each_leg_is_done_at_once():
+    first = first_joints(PLANT, STORED)
+    bound = way(PLANT, STORED, first, out_um=(0, 0))
+    state = PLANT.advance(PlantState(first), STORED, bound, dt_s=1e-3, moving=True, cutter=True).state
+    assert state.leg is Leg.CUT
+
+
 def test_a_held_roll_carries_a_vertical_tool():
     tips = np.column_stack((np.linspace(500, 550, 5), np.zeros(5), np.full(5, 100.0)))
     path = Path.quantised(
@@ -310,7 +486,7 @@ def test_a_held_roll_carries_a_vertical_tool():
     )
     steps = drive(Plant(LIMITS, NOMINAL, hold_roll_rad=0.3), StoredPath.of(path))
     assert {step.state.joints[3] for step in steps} == {0.3}
-    assert steps[-1].state.done
+    assert steps[-1].state.leg is Leg.EXIT
 
 
 def test_duplicate_poses_take_no_time_and_are_executed():
@@ -326,6 +502,6 @@ def test_five_metres_of_path_cost_little():
     begin = time.process_time()
     steps = drive(PLANT, path, time_scale=80)
     cost_s = time.process_time() - begin
-    assert steps[-1].state.done
+    assert steps[-1].state.leg > Leg.CUT
     assert len(steps) * DT_S < 8.0
     assert cost_s < 2.0  # measured 0.06 s; a quarter of a core would be 1.6 s

@@ -13,7 +13,7 @@ import pytest
 from config.terminal import WordReader
 from firmware_sim import memory
 from firmware_sim.faults import FaultName, FaultSpec
-from firmware_sim.process import Options, Process, Word
+from firmware_sim.process import Options, Process, Word, middle_of
 from firmware_sim.state import BoneMoved, Controller, Holdings, Identity, PathChecked, Session
 from protocol import records
 from protocol.endpoint import Endpoint, RecordReceived
@@ -21,9 +21,11 @@ from protocol.frames import CONTROL_IDS
 from protocol.port import Port
 from protocol.records import Side
 from protocol.states import ControllerState, Refusal, StopCause
-from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, pocket
+from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, line_path, pocket
 
 KEY = bytes(32)
+HIGH = line_path((500.0, 0.0, 200.0), (500.0, 20.0, 200.0), polar=(30, 30), azimuth=(0, 0))
+"""200 mm further along the tool the slide is beyond its upper limit."""
 
 
 class Clock:
@@ -212,25 +214,58 @@ def _with_registration(controller):
     return replace(controller, last_registration=b"r" * 32)
 
 
-def test_a_stored_path_without_a_start_pose_stops_the_arm(bench):
-    """A path out of reach never gets here, for it is checked; if it did, nothing moves."""
+def test_a_stored_path_does_not_move_the_arm(bench):
     one = bench()
-    far = records.Path.quantised(
-        [(5000.0, 0.0, 100.0), (5001.0, 0.0, 100.0)],
-        [(0.6, 0.0, 0.8)] * 2,
-        feed_mm_s=10.0,
-        tool_length_mm=160.0,
-        elbow="right",
-    )
+    before = one.process._arm_state
     one.process.controller = _opened(one.process.controller)
-    one.process._feed(PathChecked(far.body(), Refusal.ACCEPTED, 0, (0,) * 5))
-    assert any("cannot stand at the first pose" in line for line in one.said)
-    assert one.process.controller.state is ControllerState.FAULT
-    assert one.process.controller.cause is StopCause.LIMIT_EXCEEDED
+    one.process._feed(PathChecked(PATH.body(), Refusal.ACCEPTED, 0, None))
+    assert one.process.controller.state is ControllerState.LOADED
+    assert one.process._arm_state == before
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [
+        ((-80, 0, 50, -170, 0), (80, 145, 450, 170, 110), (0, 72.5, 250, 0, 55)),
+        ((-36_000, -145, -10, 100, 20), (36_000, 0, 20, 220, 180), (0, -72.5, 5, 160, 100)),
+        ((-180, 0, 0, -100, 0), (500, 180, 1, 700, 180), (0, 90, 0.5, 300, 90)),
+    ],
+)
+def test_the_arm_powers_up_in_the_middle_of_its_limits(lower, upper, expected):
+    """0 where a joint has half a turn on either side of it."""
+    limits = records.Limits.quantised(q_min_deg=lower, q_max_deg=upper, speed_deg_s=(57, 57, 200, 114, 114))
+    joints = middle_of(limits)
+    shown = [joint if index == 2 else math.degrees(joint) for index, joint in enumerate(joints)]
+    assert shown == pytest.approx(expected)
+
+
+def test_the_arm_stands_where_it_is_told_to(bench):
+    joints = (0.1, 0.2, 300.0, 0.4, 0.5)
+    assert bench(joints=joints).process._arm_state.joints == joints
+
+
+def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench):
+    """The path itself is accepted: why it cannot be approached is the answer to the permit."""
+    for clearance_um, reaches in ((10_000, True), (200_000, False)):
+        one = bench()
+        opened = _opened(one.process.controller)
+        session = replace(opened.session, approach_clearance_um=clearance_um)
+        one.process.controller = replace(opened, session=session)
+        one.process.port.endpoint.use_session(1)
+        for block in records.split(HIGH.body()):
+            one.process._block(block)
+        while one.process._check is not None:
+            one.process._continue_check()
+        assert one.process.controller.state is ControllerState.LOADED
+        assert (one.process.controller.holdings.ends is not None) is reaches
+        assert (
+            any("no approach: entry pose, 200.000 mm along the tool: q2" in line for line in one.said)
+            is not reaches
+        )
 
 
 def _opened(controller):
-    session = Session(1, bytes(32), bytes(32), 120.0, 2.0, 0.5, 0.2, 0.02, 0.1)
+    session = Session(1, bytes(32), bytes(32), 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1)
     return replace(controller, state=ControllerState.OPEN, session=session)
 
 
@@ -260,10 +295,10 @@ def test_a_record_of_no_session_is_ignored(bench):
     assert one.process.port.endpoint.outgoing() == []
 
 
-def test_without_a_path_nothing_is_measured(bench):
+def test_what_is_measured_is_where_the_arm_stands(bench):
     one = bench()
     one.process._measure()
-    assert one.process.controller.start_offset_mm == math.inf
+    assert one.process.controller.measured_u == (0, 72_500_000, 250_000_000, 0, 55_000_000)
 
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):

@@ -15,6 +15,7 @@ from tests.firmware_sim.controllers import (
     ASKED,
     CUTTING,
     CYCLED,
+    ENDS,
     KEY,
     LOADED,
     NOW,
@@ -38,9 +39,27 @@ OTHER_BYTES = OTHER_LIMITS.body()
 FLIPPED_PATH = PATH.body()[:-1] + bytes([PATH.body()[-1] ^ 1])
 
 
-def _joints(joint: int, by: int) -> tuple[int, ...]:
-    return tuple(count + by * (index == joint) for index, count in enumerate(START_JOINTS))
+def _moved(joints_u: tuple[int, ...], joint: int, by: int) -> tuple[int, ...]:
+    return tuple(count + by * (index == joint) for index, count in enumerate(joints_u))
 
+
+def _joints(joint: int, by: int) -> tuple[int, ...]:
+    return _moved(START_JOINTS, joint, by)
+
+
+JUST_OUTSIDE = (31_832, 63_663, 500_001, 200_001, 200_001)
+"""0.5 mm at the wrist centre is 0.031831 deg of the shoulder with both links, 0.063662 deg of the elbow."""
+JUST_INSIDE = (31_830, 63_661, 500_000, 200_000, 200_000)
+
+OFF_START = [
+    ("controller.measured_u", None, Refusal.START_JOINTS),
+    *(
+        ("controller.measured_u", _joints(joint, sign * off), Refusal.START_JOINTS)
+        for joint, off in enumerate(JUST_OUTSIDE)
+        for sign in (1, -1)
+    ),
+    ("controller.measured_u", _joints(3, 360_000_000), Refusal.START_JOINTS),
+]
 
 HELD = [
     ("controller.holdings.limits", OTHER_BYTES, Refusal.LIMITS_DIGEST),
@@ -74,7 +93,7 @@ PERMIT_CASES = [
     ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
     ("request.serial", "SIM-2", Refusal.WRONG_SERIAL),
     ("controller.identity.serial", "SIM-2", Refusal.WRONG_SERIAL),
-    ("request.protocol_version", 2, Refusal.PROTOCOL_VERSION),
+    ("request.protocol_version", 1, Refusal.PROTOCOL_VERSION),
     ("controller.state", ControllerState.FAULT, Refusal.LATCHED_FAULT),
     ("controller.cause", StopCause.BONE_MOVED, Refusal.UNACKNOWLEDGED_STOP),
     *(
@@ -98,17 +117,36 @@ PERMIT_CASES = [
     ("request.branch.elbow", "left", Refusal.BRANCH),
     ("request.branch.q0_turns", 1, Refusal.BRANCH),
     ("request.branch.roll_turns", 0, Refusal.BRANCH),
-    ("controller.holdings.start_joints_u", None, Refusal.START_JOINTS),
-    ("controller.holdings.start_joints_u", START_JOINTS[:4], Refusal.START_JOINTS),
+    *OFF_START,
     *(
-        (
-            "request.start_joints_u",
-            _joints(joint, sign * (501_000 if joint == 2 else 201_000)),
-            Refusal.START_JOINTS,
-        )
-        for joint in range(5)
+        ("request.start_joints_u", _joints(joint, sign * off), Refusal.START_JOINTS)
+        for joint, off in enumerate(JUST_OUTSIDE)
         for sign in (1, -1)
     ),
+    # measured and bound alike, but beyond the controller's own limits
+    ("both.start_joints", _joints(2, -50_000_001), Refusal.START_JOINTS),
+    ("controller.holdings.ends", None, Refusal.APPROACH),
+    ("request.approach.entry_um", ENDS.entry_um + 2, Refusal.APPROACH),
+    ("request.approach.entry_um", ENDS.entry_um - 2, Refusal.APPROACH),
+    ("request.approach.exit_um", ENDS.exit_um + 2, Refusal.APPROACH),
+    ("request.approach.exit_um", ENDS.exit_um - 2, Refusal.APPROACH),
+    *(
+        (
+            f"request.approach.{end}_joints_u",
+            _moved(getattr(ENDS, f"{end}_joints_u"), joint, by),
+            Refusal.APPROACH,
+        )
+        for end in ("entry", "exit")
+        for joint in range(5)
+        for by in (10_001, -10_001, 360_000_000)
+    ),
+    *(
+        (f"both.{end}", _moved(getattr(ENDS, f"{end}_joints_u"), 3, 360_000_000), Refusal.APPROACH)
+        for end in ("entry", "exit")
+    ),
+    ("request.approach.speed_percent", 26, Refusal.APPROACH_SPEED),
+    ("request.approach.speed_percent", 24, Refusal.APPROACH_SPEED),
+    ("controller.session.approach_speed_percent", 100, Refusal.APPROACH_SPEED),
 ]
 
 START_CASES = [
@@ -131,11 +169,7 @@ START_CASES = [
     ("request.start_joints_u", _joints(0, 1), Refusal.START_JOINTS),
     ("controller.device", DeviceCycle.UNSEEN, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
     ("controller.device", DeviceCycle.RELEASED, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
-    *(
-        (f"controller.{field}", value, Refusal.NOT_AT_START)
-        for field, bound in (("start_offset_mm", 0.5), ("start_offset_deg", 0.2))
-        for value in (bound + 1e-9, -0.1, math.nan, math.inf)
-    ),
+    *((field, value, Refusal.NOT_AT_START) for field, value, _ in OFF_START),
 ]
 
 RESET_CASES = [
@@ -150,6 +184,18 @@ RESET_CASES = [
     ("now_s", NOW + 2.1, Refusal.NONCE_EXPIRED),
     ("request.epoch", 3, Refusal.EPOCH),
 ]
+
+
+def _twin(case, field, value):
+    """``both`` alters what is bound and what the controller holds alike: only its limits are left to refuse."""
+    whose, _, end = field.partition(".")
+    if whose != "both":
+        return changed(case, field, value)
+    if end == "start_joints":
+        return changed(changed(case, "request.start_joints_u", value), "controller.measured_u", value)
+    held = changed(case, f"controller.holdings.ends.{end}_joints_u", value)
+    return changed(held, f"request.approach.{end}_joints_u", value)
+
 
 ALL = [
     *((PERMIT_CASE, PERMIT_RULES, *one) for one in PERMIT_CASES),
@@ -177,7 +223,7 @@ def test_the_unaltered_case_passes(case, rules):
     ],
 )
 def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, value, refusal):
-    twin = changed(case, field, value)
+    twin = _twin(case, field, value)
 
     assert first_refusal(rules, twin) is refusal
 
@@ -212,9 +258,22 @@ def test_what_the_controller_cannot_compare_is_bound_by_the_code(field, refusal)
 
 
 @pytest.mark.parametrize("joint", range(5))
-def test_start_joints_agree_within_the_tolerance(joint):
-    case = changed(PERMIT_CASE, "request.start_joints_u", _joints(joint, 500_000 if joint == 2 else 200_000))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_arm_stands_at_the_bound_start_joints_within_the_tolerance(joint, sign):
+    measured = _joints(joint, sign * JUST_INSIDE[joint])
+    for case, rules in ((PERMIT_CASE, PERMIT_RULES), (START_CASE, START_RULES)):
+        assert first_refusal(rules, changed(case, "controller.measured_u", measured)) is Refusal.ACCEPTED
+
+
+@pytest.mark.parametrize("by", [1, -1])
+@pytest.mark.parametrize("end", ["entry", "exit"])
+def test_entry_and_exit_agree_within_the_rounding_of_either_side(end, by):
+    case = changed(PERMIT_CASE, f"request.approach.{end}_um", getattr(ENDS, f"{end}_um") + by)
     assert first_refusal(PERMIT_RULES, case) is Refusal.ACCEPTED
+    for joint in range(5):
+        joints = _moved(getattr(ENDS, f"{end}_joints_u"), joint, by * 10_000)
+        case = changed(PERMIT_CASE, f"request.approach.{end}_joints_u", joints)
+        assert first_refusal(PERMIT_RULES, case) is Refusal.ACCEPTED
 
 
 @pytest.mark.parametrize(
@@ -223,8 +282,6 @@ def test_start_joints_agree_within_the_tolerance(joint):
         (PERMIT_CASE, PERMIT_RULES, "now_s", NOW + 120.0),
         (START_CASE, START_RULES, "now_s", NOW + 2.0),
         (START_CASE, START_RULES, "controller.permit_issued_at_s", NOW - 120.0),
-        (START_CASE, START_RULES, "controller.start_offset_mm", 0.5),
-        (START_CASE, START_RULES, "controller.start_offset_deg", 0.2),
     ],
 )
 def test_the_bound_itself_is_inside(case, rules, field, value):

@@ -1,7 +1,5 @@
 """What the controller's state says about itself."""
 
-import math
-
 import pytest
 
 from firmware_sim.state import Inputs
@@ -19,7 +17,7 @@ def test_power_up_is_inhibited():
 
 
 def test_never_measured_is_not_at_the_start():
-    assert (POWERED_UP.start_offset_mm, POWERED_UP.start_offset_deg) == (math.inf, math.inf)
+    assert POWERED_UP.measured_u is None
 
 
 @pytest.mark.parametrize(

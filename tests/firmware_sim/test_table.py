@@ -22,6 +22,7 @@ from firmware_sim.state import (
     HeartbeatReceived,
     Inputs,
     InputsChanged,
+    JointsMeasured,
     LimitsChanged,
     NonceRequested,
     OpenLink,
@@ -30,7 +31,6 @@ from firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
-    PoseMeasured,
     ResetReceived,
     Send,
     SendFault,
@@ -62,6 +62,7 @@ from tests.firmware_sim.controllers import (
     CYCLED,
     DONE,
     EMERGENCY_STOP,
+    ENDS,
     EVERY_STATE,
     HELD,
     HOLD,
@@ -84,6 +85,7 @@ from tests.firmware_sim.controllers import (
     SIGNED_PERMIT,
     SIGNED_RESET,
     SIGNED_START,
+    STANDING,
     START_JOINTS,
     STARTED,
     STOPPING_EVENTS,
@@ -164,7 +166,7 @@ def test_a_permit_of_the_session_before_the_stop_does_not_serve_the_next():
         alive(epoch=3),
         AcknowledgeReceived(StopCause.OPERATOR_STOP, 2),
         ACCEPTED_PATH,
-        PoseMeasured(0.1, 0.05),
+        STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
     )
     assert state.state is C.LOADED
@@ -319,7 +321,7 @@ def test_the_list_grows_and_only_another_registration_is_permitted():
         OpenReceived(OPEN, 1),
         alive(),
         ACCEPTED_PATH,
-        PoseMeasured(0.1, 0.05),
+        STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
     )
     _, effects = step(asked, PermitReceived(SIGNED_PERMIT, 4), NOW)
@@ -331,7 +333,7 @@ def test_the_list_grows_and_only_another_registration_is_permitted():
         OpenReceived(replace(OPEN, registration_digest=other), 1),
         alive(),
         ACCEPTED_PATH,
-        PoseMeasured(0.1, 0.05),
+        STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
     )
     signed = permits.sign(KEY, replace(PERMIT, registration_digest=other))
@@ -370,7 +372,7 @@ def test_a_session_is_opened_with_what_both_sides_said():
 
 
 OPEN_REFUSED = [
-    ("protocol_version", 2, Refusal.PROTOCOL_VERSION),
+    ("protocol_version", 1, Refusal.PROTOCOL_VERSION),
     ("boot_nonce", bytes(16), Refusal.WRONG_BOOT),
     ("timing.heartbeat_ms", 4, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.heartbeat_ms", 101, Refusal.TIMING_OUT_OF_BOUNDS),
@@ -406,6 +408,8 @@ def test_the_bounds_are_those_of_the_table_of_constants():
         "start_lifetime_ms",
         "start_tolerance_mm",
         "start_tolerance_deg",
+        "approach_clearance_mm",
+        "approach_speed_percent",
     }
 
 
@@ -532,10 +536,10 @@ def test_nothing_is_collected_or_stored_in_any_other_state(name):
 @pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])
 def test_an_accepted_path_is_stored_and_answered_with_its_digest(state):
     after, effects = step(state, ACCEPTED_PATH, NOW)
-    assert (after.state, after.holdings.path, after.holdings.start_joints_u) == (
+    assert (after.state, after.holdings.path, after.holdings.ends) == (
         C.LOADED,
         PATH.body(),
-        START_JOINTS,
+        ENDS,
     )
     (send,) = effects
     assert send == Send(
@@ -545,17 +549,15 @@ def test_an_accepted_path_is_stored_and_answered_with_its_digest(state):
 
 @pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])
 def test_a_refused_path_is_not_stored_and_displaces_the_one_before(state):
-    refused = PathChecked(PATH.body(), Refusal.POSE_OUTSIDE_LIMITS, 2, START_JOINTS)
+    refused = PathChecked(PATH.body(), Refusal.POSE_OUTSIDE_LIMITS, 2, ENDS)
     after, effects = step(state, refused, NOW)
-    assert (after.state, after.holdings.path, after.holdings.start_joints_u) == (C.OPEN, None, None)
+    assert (after.state, after.holdings.path, after.holdings.ends) == (C.OPEN, None, None)
     assert effects[0].record.refusal is Refusal.POSE_OUTSIDE_LIMITS
 
 
-@pytest.mark.parametrize("event", [ACCEPTED_PATH, Fault(StopCause.BUS_FAILED)], ids=["path", "stop"])
-def test_a_measurement_does_not_outlive_the_path_it_was_made_against(event):
-    after = fed(LOADED, event)
-    assert (LOADED.start_offset_mm, LOADED.start_offset_deg) == (0.1, 0.05)
-    assert (after.start_offset_mm, after.start_offset_deg) == (math.inf, math.inf)
+def test_a_measurement_does_not_outlive_a_stop():
+    assert LOADED.measured_u == START_JOINTS
+    assert fed(LOADED, Fault(StopCause.BUS_FAILED)).measured_u is None
 
 
 @pytest.mark.parametrize("purpose", Purpose, ids=str)
@@ -711,8 +713,7 @@ def test_the_end_of_the_path_means_nothing_where_the_arm_was_not_free_to_move(na
 
 
 def test_measurements_are_kept():
-    after = fed(LOADED, PoseMeasured(0.3, 0.02))
-    assert (after.start_offset_mm, after.start_offset_deg) == (0.3, 0.02)
+    assert fed(LOADED, JointsMeasured((1, 2, 3, 4, 5))).measured_u == (1, 2, 3, 4, 5)
 
 
 # ---------------------------------------------------------------- whole stories
@@ -731,7 +732,7 @@ def test_a_reset_controller_can_be_loaded_and_permitted():
         NonceRequested(Purpose.RESET, SIGNED_RESET.nonce),
         ResetReceived(SIGNED_RESET, 3),
         ACCEPTED_PATH,
-        PoseMeasured(0.1, 0.05),
+        STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
         PermitReceived(permits.sign(KEY, replace(PERMIT, epoch=2)), 4),
     )
@@ -823,7 +824,7 @@ def _onward(state: Controller) -> list[Event]:
             return [alive(epoch=state.epoch), tempting[AcknowledgeReceived], ACCEPTED_PATH]
         case C.LOADED:
             return [
-                PoseMeasured(0.0, 0.0),
+                STANDING,
                 NonceRequested(Purpose.PERMIT, b"1" * 16),
                 tempting[PermitReceived],
             ]

@@ -1,0 +1,95 @@
+"""Entry and exit by the controller's own kinematics, and how far an arm may stand off its start joints."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.approach import Approach, own_ends, start_offset
+from firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
+from firmware_sim.path_check import PathCheck
+from protocol.records import joints_to_counts, joints_to_memory
+from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, WIDE, line_path
+from tests.firmware_sim.controllers import PERMIT
+
+
+def ends_of(path, *, limits=LIMITS, calibration=NOMINAL, clearance_um=10_000):
+    check = PathCheck(path, limits, calibration, TOOL)
+    check.run()
+    arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow="right")
+    return own_ends(path, arm, limits, check.first_joints, check.last_joints, clearance_um=clearance_um)
+
+
+@pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED])
+def test_entry_and_exit_lie_along_the_tool_beyond_every_tip(calibration):
+    ends = ends_of(PATH, calibration=calibration)
+    arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow="right")
+    for index, distance_um, joints_u in (
+        (0, ends.entry_um, ends.entry_joints_u),
+        (-1, ends.exit_um, ends.exit_joints_u),
+    ):
+        axis = PATH.axes[index]
+        pose = forward(arm, as_joints(joints_to_memory(joints_u)))
+        np.testing.assert_allclose(pose.tip, PATH.tips_mm[index] + distance_um / 1000 * axis, atol=1e-4)
+        np.testing.assert_allclose(pose.axis, axis, atol=1e-7)
+        beyond = (np.array(pose.tip) - PATH.tips_mm) @ axis
+        assert 10.0 - 1e-4 <= beyond.min() <= 10.001 + 1e-4
+
+
+def test_entry_and_exit_stay_on_the_turns_of_the_path():
+    """A path once round the column: its exit is a turn further than its entry."""
+    s = np.linspace(0.0, math.tau, 60)
+    tips = np.column_stack((400 * np.cos(s), 400 * np.sin(s), np.full(60, 100.0)))
+    axes = np.column_stack((0.5 * np.cos(s), 0.5 * np.sin(s), np.full(60, math.sqrt(0.75))))
+    path = type(PATH).quantised(
+        tips, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right", q0_turns=2, roll_turns=-1
+    )
+    ends = ends_of(path, limits=WIDE)
+    around = np.subtract(ends.exit_joints_u, ends.entry_joints_u) / 1e6
+    np.testing.assert_allclose(around, (360, 0, 0, 0, 0), atol=0.01)
+    assert 540 < ends.entry_joints_u[0] / 1e6 < 900
+
+
+def test_an_exit_outside_the_limits_is_named():
+    path = line_path((500.0, 0.0, 100.0), (500.0, 20.0, 290.0), polar=(30, 30), azimuth=(0, 0))
+    with pytest.raises(KinematicsError, match=r"exit pose, 50.000 mm along the tool: q2 = .* outside"):
+        ends_of(path, clearance_um=50_000)
+
+
+joint = st.floats(-1.0, 1.0)
+
+
+@given(
+    st.tuples(joint, joint, joint),
+    st.tuples(*[st.floats(-0.01, 0.01)] * 3),
+    st.floats(0.0, 1.0),
+    st.tuples(*[st.floats(-3, 3)] * 2),
+)
+def test_the_offset_bounds_the_wrist_centre_anywhere_on_the_joint_line(start, off, fraction, other):
+    """The executed line begins at the measured joints, the bound one at the start joints; both end alike."""
+    measured_u = joints_to_counts((start[0] + off[0], start[1] + off[1], start[2] + off[2], 0.0, 1.0))
+    bound_u = joints_to_counts((*start, 0.0, 1.0))
+    mm, _ = start_offset(CALIBRATED, measured_u, bound_u)
+    arm = calibrated_arm(CALIBRATED, tool_mm=0.0, elbow="right")
+    arm = replace(arm, tilt=(0.0, 0.0))
+    end = np.array((*other, 100.0, 0.0, 1.0))
+    places = [
+        forward(arm, as_joints((1 - fraction) * joints_to_memory(counts) + fraction * end)).tip
+        for counts in (measured_u, bound_u)
+    ]
+    assert math.dist(*places) <= mm + 1e-9
+
+
+def test_the_offset_of_a_wrist_joint_is_its_turn():
+    assert start_offset(NOMINAL, (0, 0, 0, 150_000, 0), (0, 0, 0, -50_000, 20_000)) == (0.0, 0.2)
+
+
+def test_what_is_executed_is_what_the_permit_binds():
+    bound = Approach.of(PERMIT)
+    assert joints_to_counts(bound.start) == PERMIT.start_joints_u
+    assert joints_to_counts(bound.entry) == PERMIT.approach.entry_joints_u
+    assert joints_to_counts(bound.exit) == PERMIT.approach.exit_joints_u
+    assert (bound.entry_um, bound.exit_um, bound.speed) == (12_000, 32_000, 0.25)

@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Final, Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict
 
+from protocol import records as wire
+
 NANOSECONDS: Final = 1_000_000_000
 
 Disposition = Literal["decided", "authorised", "sent", "acknowledged", "withheld"]
@@ -270,6 +272,66 @@ def _margin(boundary: Boundary) -> float:
     return -math.inf if boundary.certified is None else boundary.certified / boundary.deadband
 
 
+class Approach(AuditRecord):
+    """The verdict on approach and retract, and what a permit binds of them; only beside an admissible verdict."""
+
+    TOPIC: ClassVar[str] = "/audit/approach"
+
+    document: str
+    """``cutgate.approach/1`` as JSON text."""
+    verdict: Literal["admissible", "inadmissible"]
+    start_joints_u: tuple[int, ...]
+    """Measured joints it was verified from, 1e-6 deg | mm."""
+    entry_um: int
+    exit_um: int
+    entry_joints_u: tuple[int, ...] = ()
+    exit_joints_u: tuple[int, ...] = ()
+    speed_percent: int | None = None
+    """Empty and absent where it is inadmissible: nothing is bound."""
+    worst_leg: str | None = None
+    worst_boundary: str | None = None
+    """The boundary whose certified clearance exceeds its deadband least, in deadbands, and its leg."""
+    worst_certified: float | None = None
+    reason: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        document: Mapping[str, Any],
+        *,
+        start_joints_u: tuple[int, ...],
+        bound: wire.Approach | None,
+        reason: str = "",
+    ) -> Self:
+        """From the document, and what the permit binds where it is admissible."""
+        entries = [
+            (leg, name, entry)
+            for leg, boundaries in document["legs"].items()
+            for name, entry in boundaries.items()
+        ]
+        worst = min(entries, key=lambda entry: _ratio(entry[2]), default=None)
+        return cls(
+            document=json.dumps(document, allow_nan=False, separators=(",", ":")),
+            verdict=document["verdict"],
+            start_joints_u=start_joints_u,
+            entry_um=document["entry_um"],
+            exit_um=document["exit_um"],
+            entry_joints_u=bound.entry_joints_u if bound else (),
+            exit_joints_u=bound.exit_joints_u if bound else (),
+            speed_percent=bound.speed_percent if bound else None,
+            worst_leg=worst[0] if worst else None,
+            worst_boundary=worst[1] if worst else None,
+            worst_certified=worst[2]["certified"] if worst else None,
+            reason=reason or None,
+        )
+
+
+def _ratio(entry: Mapping[str, Any]) -> float:
+    """Certified clearance in deadbands; an undefined one is the worst."""
+    certified = entry["certified"]
+    return -math.inf if certified is None else float(certified / entry["deadband"])
+
+
 class Permit(AuditRecord):
     """A permit, start or reset on its way. ``authorised`` alone never means that it left."""
 
@@ -392,7 +454,7 @@ class CanTransfer(Record):
 
 
 MODELS: Final[tuple[type[Record], ...]] = (
-    Open, Decision, Collected, Verdict, Boundary, Permit, Controller, Fault, Operator, Process, Attachment, Close,
+    Open, Decision, Collected, Verdict, Boundary, Approach, Permit, Controller, Fault, Operator, Process, Attachment, Close,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

@@ -101,7 +101,7 @@ def _session(
     clean = False
     session = Session(
         state,
-        request=Request(0, state.job.path, b"", b"", b"", state.job.registration, files.robot.value),
+        request=Request(0, state.job.path, b"", b"", b"", state.job.registration, files.robot.value, timing),
         key=key,
         port=Port(bus, endpoint, journal.frame),
         journal=journal,

@@ -19,6 +19,7 @@ from runtime.interlock.state import (
     Refused,
 )
 from runtime.session.worker import Answer
+from runtime.verification.approach import Approach, summary
 
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10
@@ -35,7 +36,7 @@ SAYS: Final = {
     Phase.PERMITTED: "permitted: cutting mode is on. Release the enabling device, hold it, then say start",
     Phase.AUTHORISING_START: "start authorised, its record is being made durable",
     Phase.STARTING: "record durable, start sent",
-    Phase.CUTTING: "cutting",
+    Phase.CUTTING: "moving: approach, then cutting",
     Phase.STOPPING: "STOP sent",
 }
 """What a person is told on entering a phase."""
@@ -117,6 +118,8 @@ class SessionView:
         """The worker's verdict, with every boundary and, if it is no, where to move the bone."""
         self._output.print(headline(answer.proved))
         self._output.print(boundaries_table(answer.proved))
+        if answer.approach is not None:
+            self._output.print(approach_line(answer.approach), soft_wrap=True)
         if answer.guidance is not None:
             self._output.print()
             self._output.print(guidance_lines(answer.guidance))
@@ -127,6 +130,13 @@ class SessionView:
         if percent >= self._percent + PERCENT_STEP:
             self._percent = percent - percent % PERCENT_STEP
             self.note(f"cutting: {self._percent} %, segment {segment} of {segments}")
+
+
+def approach_line(approach: Approach) -> Text:
+    """Approach and retract: the answer in one line, and what decided it."""
+    word, style = ("ADMISSIBLE", GOOD) if approach.admissible else ("INADMISSIBLE", BAD)
+    lengths = f", entry {approach.entry_um / 1000:.3f} mm, exit {approach.exit_um / 1000:.3f} mm"
+    return Text.assemble("approach and retract ", (word, style), f"{lengths}: {summary(approach)}")
 
 
 def print_outcome(state: Interlock, paths: Paths) -> None:
@@ -159,6 +169,7 @@ def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[
         "controller": view and {"state": view.state.name, "cause": view.cause.name, "epoch": view.epoch},
         "session": state.session.digest.hex() if state.session else None,
         "verdict": answer.document if answer else None,
+        "approach": answer.approach_document if answer else None,
         "log": {
             "mcap": str(paths.log),
             "candump": str(paths.candump),

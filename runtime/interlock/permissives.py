@@ -4,6 +4,7 @@ A permissive is a function of the interlock's state and the time; all are evalua
 reason at once. Comparisons ask "inside?": anything unknown or undefined does not hold.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -162,6 +163,17 @@ def verdict_current(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
+def approach_admissible(state: Interlock, _now_s: float) -> Permissive:
+    verdict = state.verdict
+    return _fact(
+        "approach and retract",
+        verdict is not None and verdict.approach is not None,
+        verdict.approach_reason if verdict else "not verified",
+        "every deadband kept between start joints and cut",
+        "let the arm start from elsewhere, lower approach_clearance_mm or move the bone; start a new session",
+    )
+
+
 # ---------------------------------------------------------------- registration
 
 
@@ -260,6 +272,58 @@ def epoch_current(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
+# ---------------------------------------------------------------- where the arm stands
+
+
+def start_offset(
+    calibration: records.Calibration, measured_u: tuple[int, ...], bound_u: tuple[int, ...]
+) -> tuple[float, float]:
+    """How far an arm that begins at the measured joints can be off the verified joint line, wherever on it.
+
+    Returns:
+        Wrist centre, mm (a0 |d0| + a1 |d0 + d1| bounds it at every elbow angle), and the turning joint furthest
+        off, deg.
+    """
+    d0, d1, d2, d3, d4 = ((a - b) / records.UNIT for a, b in zip(measured_u, bound_u, strict=True))
+    upper_mm = calibration.upper_mm + calibration.upper_link_error_mm
+    forearm_mm = calibration.forearm_mm + calibration.forearm_link_error_mm
+    swept_mm = upper_mm * math.radians(abs(d0)) + forearm_mm * math.radians(abs(d0 + d1))
+    return math.hypot(swept_mm, d2), max(map(abs, (d0, d1, d3, d4)))
+
+
+def measured_now(state: Interlock, now_s: float) -> tuple[int, ...] | None:
+    """The measured joints, unless they are older than the heartbeat's time-out."""
+    young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_ms / 1000
+    return state.joints_u if young else None
+
+
+def _off_start(state: Interlock, now_s: float) -> tuple[float, float] | tuple[None, None]:
+    joints_u, calibration = measured_now(state, now_s), state.collected.calibration
+    if joints_u is None or calibration is None or state.verdict is None:
+        return None, None
+    return start_offset(records.Calibration.parse(calibration), joints_u, state.verdict.start_joints_u)
+
+
+def start_distance(state: Interlock, now_s: float) -> Permissive:
+    return _at_most(
+        "measured wrist centre to the verified start",
+        _off_start(state, now_s)[0],
+        state.job.timing.start_tolerance_mm,
+        "mm",
+        "move the arm back to where it stood at verification, or start a new session",
+    )
+
+
+def start_angle(state: Interlock, now_s: float) -> Permissive:
+    return _at_most(
+        "measured joints to the verified start",
+        _off_start(state, now_s)[1],
+        state.job.timing.start_tolerance_deg,
+        "deg",
+        "move the arm back to where it stood at verification, or start a new session",
+    )
+
+
 # ---------------------------------------------------------------- only for the start
 
 
@@ -301,32 +365,6 @@ def device_cycled(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
-def _measured_now(state: Interlock, value: float | None, now_s: float) -> float | None:
-    """The value, unless it is older than the heartbeat's time-out."""
-    young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_ms / 1000
-    return value if young else None
-
-
-def start_distance(state: Interlock, now_s: float) -> Permissive:
-    return _at_most(
-        "measured tip to the path's first pose",
-        _measured_now(state, state.offset_mm, now_s),
-        state.job.timing.start_tolerance_mm,
-        "mm",
-        "move the arm to the start pose",
-    )
-
-
-def start_angle(state: Interlock, now_s: float) -> Permissive:
-    return _at_most(
-        "measured joints to the path's first pose",
-        _measured_now(state, state.offset_deg, now_s),
-        state.job.timing.start_tolerance_deg,
-        "deg",
-        "move the arm to the start pose, on the proved elbow and turn",
-    )
-
-
 IDENTITY: tuple[Evaluate, ...] = (protocol_version, serial_number)
 """Judged as soon as a controller has announced itself."""
 
@@ -354,6 +392,7 @@ FOR_PERMIT: tuple[Evaluate, ...] = (
     path_digest,
     verdict_admissible,
     verdict_current,
+    approach_admissible,
     registration_age,
     registration_stands,
     log_writable,
@@ -363,6 +402,8 @@ FOR_PERMIT: tuple[Evaluate, ...] = (
     not_latched,
     emergency_stop,
     epoch_current,
+    start_distance,
+    start_angle,
 )
 
 FOR_START: tuple[Evaluate, ...] = (
@@ -370,8 +411,6 @@ FOR_START: tuple[Evaluate, ...] = (
     cutting_mode,
     permit_alive,
     device_cycled,
-    start_distance,
-    start_angle,
 )
 
 FINAL: tuple[Evaluate, ...] = (
@@ -380,6 +419,7 @@ FINAL: tuple[Evaluate, ...] = (
     path_digest,
     verdict_admissible,
     verdict_current,
+    approach_admissible,
     registration_age,
     registration_stands,
     log_writable,

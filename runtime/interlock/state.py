@@ -82,6 +82,8 @@ class Timing:
     start_lifetime_ms: int
     start_tolerance_mm: float
     start_tolerance_deg: float
+    approach_clearance_mm: float
+    approach_speed_percent: int
     announce_wait_s: float
     reply_timeout_s: float
     transfer_timeout_s: float
@@ -171,7 +173,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A verdict and the digests it was made for."""
+    """A verdict on cut, approach and retract, and what it was made for."""
 
     request: int
     admissible: bool
@@ -180,8 +182,11 @@ class Verdict:
     calibration: bytes
     tool: bytes
     start_joints_u: tuple[int, ...]
-    """Reported joints at the first pose, 1e-6 deg | mm."""
+    """Measured joints from which the approach was verified, 1e-6 deg | mm."""
     reason: str
+    approach: records.Approach | None
+    """What the permit binds; None unless approach and retract are admissible."""
+    approach_reason: str
 
 
 @dataclass(frozen=True)
@@ -219,10 +224,10 @@ class Interlock:
     token: int = 0
     """Names the record whose durability is awaited; each is used once."""
     device: DeviceCycle = DeviceCycle.UNSEEN
-    offset_mm: float | None = None
-    offset_deg: float | None = None
+    joints_u: tuple[int, ...] | None = None
+    """Measured joints, 1e-6 deg | mm."""
     measured_s: float = 0.0
-    """When the offsets were measured."""
+    """When they were measured."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     cause: StopCause = StopCause.NONE
@@ -324,11 +329,10 @@ class FaultReceived:
 
 
 @dataclass(frozen=True)
-class PoseMeasured:
-    """Measured joints against the path's first pose."""
+class JointsMeasured:
+    """Where the arm stands: reported joints, 1e-6 deg | mm."""
 
-    offset_mm: float
-    offset_deg: float
+    joints_u: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -377,7 +381,7 @@ Event = (
     | HeartbeatReceived
     | HeartbeatLost
     | FaultReceived
-    | PoseMeasured
+    | JointsMeasured
     | RecordDurable
     | LogChanged
     | Failed
@@ -427,9 +431,10 @@ class OpenLink:
 
 @dataclass(frozen=True)
 class Verify:
-    """Prove the uploaded path against the collected records."""
+    """Prove the uploaded path, and the approach from the measured joints, against the collected records."""
 
     request: int
+    start_joints_u: tuple[int, ...]
 
 
 @dataclass(frozen=True)

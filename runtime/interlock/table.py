@@ -25,6 +25,7 @@ from runtime.interlock.permissives import (
     all_hold,
     failing,
     hopeless,
+    measured_now,
 )
 from runtime.interlock.state import (
     ENDED,
@@ -42,13 +43,13 @@ from runtime.interlock.state import (
     HeartbeatReceived,
     Interlock,
     Job,
+    JointsMeasured,
     LogChanged,
     NonceReceived,
     OpenLink,
     ParameterReceived,
     PathStored,
     Phase,
-    PoseMeasured,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -202,6 +203,8 @@ def _open(job: Job, session: Session) -> records.Open:
             start_lifetime_ms=timing.start_lifetime_ms,
             start_tolerance_um=round(timing.start_tolerance_mm * 1000),
             start_tolerance_mdeg=round(timing.start_tolerance_deg * 1000),
+            approach_clearance_um=round(timing.approach_clearance_mm * 1000),
+            approach_speed_percent=timing.approach_speed_percent,
         ),
     )
 
@@ -343,9 +346,21 @@ def block_stored(state: Interlock, event: BlockStored, _now_s: float) -> Outcome
 
 def path_stored(state: Interlock, event: PathStored, now_s: float) -> Outcome:
     """Verify even what the controller refused: the operator wants to know where to move the bone."""
+    return verify_if_measured(replace(state, stored=event.stored), now_s)
+
+
+def verify_if_measured(state: Interlock, now_s: float) -> Outcome:
+    """The approach begins where the arm stands: without young measured joints there is nothing to verify yet."""
+    joints_u = measured_now(state, now_s)
+    if state.stored is None or joints_u is None:
+        return state, ()
     request = state.token + 1
-    verifying = _enter(state, Phase.VERIFYING, now_s, stored=event.stored, token=request)
-    return verifying, (Verify(request),)
+    return _enter(state, Phase.VERIFYING, now_s, token=request), (Verify(request, joints_u),)
+
+
+def measured_while_uploading(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
+    seen, _ = measured(state, event, now_s)
+    return verify_if_measured(seen, now_s)
 
 
 def verdict_ready(state: Interlock, event: VerdictReady, now_s: float) -> Outcome:
@@ -385,6 +400,7 @@ def permit_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcom
 def _permit(state: Interlock, nonce: bytes) -> records.Permit:
     job, session, verdict = state.job, state.session, state.verdict
     assert session is not None and verdict is not None  # noqa: S101, PT018 - permissives of this phase
+    assert verdict.approach is not None  # noqa: S101 - likewise
     return records.Permit(
         nonce=nonce,
         boot_nonce=session.boot_nonce,
@@ -401,6 +417,7 @@ def _permit(state: Interlock, nonce: bytes) -> records.Permit:
         verifier_version=job.verifier,
         start_joints_u=verdict.start_joints_u,
         branch=job.branch,
+        approach=verdict.approach,
         lifetime_s=job.timing.permit_lifetime_s,
     )
 
@@ -542,8 +559,8 @@ def said_while_stopping(state: Interlock, event: Said, now_s: float) -> Outcome:
     return state, (Refused(event.word, "the session is being stopped"),)
 
 
-def measured(state: Interlock, event: PoseMeasured, now_s: float) -> Outcome:
-    return replace(state, offset_mm=event.offset_mm, offset_deg=event.offset_deg, measured_s=now_s), ()
+def measured(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
+    return replace(state, joints_u=event.joints_u, measured_s=now_s), ()
 
 
 # ---------------------------------------------------------------- time
@@ -629,6 +646,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.COLLECTING, ParameterReceived): parameter,
     (P.UPLOADING, BlockStored): block_stored,
     (P.UPLOADING, PathStored): path_stored,
+    (P.UPLOADING, JointsMeasured): measured_while_uploading,
     (P.VERIFYING, VerdictReady): verdict_ready,
     (P.ADMITTED, HeartbeatReceived): heartbeat_while_admitted,
     (P.NONCE_PERMIT, NonceReceived): permit_nonce,
@@ -661,7 +679,7 @@ EVERYWHERE: dict[type, Handler] = {
     HeartbeatReceived: heartbeat,
     HeartbeatLost: heartbeat_lost,
     FaultReceived: fault_received,
-    PoseMeasured: measured,
+    JointsMeasured: measured,
     RecordDurable: dropped,
     LogChanged: log_changed,
     Failed: failed,
@@ -718,7 +736,7 @@ MISSED: dict[Phase, tuple[StopCause, str]] = {
     P.AUTHORISING_RESET: (StopCause.AUDIT_FAILED, "the reset's record did not reach the disk"),
     P.RESETTING: (StopCause.TRANSFER_FAILED, "no answer to the reset"),
     P.COLLECTING: (StopCause.TRANSFER_FAILED, "limits, calibration and tool did not arrive"),
-    P.UPLOADING: (StopCause.TRANSFER_FAILED, "the path was not stored"),
+    P.UPLOADING: (StopCause.TRANSFER_FAILED, "the path was not stored, or no measured joints came"),
     P.VERIFYING: (StopCause.NOT_ADMITTED, "no verdict"),
     P.ADMITTED: (StopCause.NOT_ADMITTED, "the permissives for the permit did not all hold"),
     P.NONCE_PERMIT: (StopCause.TRANSFER_FAILED, "no nonce for the permit"),

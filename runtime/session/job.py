@@ -96,6 +96,8 @@ def _timing(site: Site) -> Timing:
         start_lifetime_ms=site.start.start_lifetime_ms,
         start_tolerance_mm=site.start.start_tolerance_mm,
         start_tolerance_deg=site.start.start_tolerance_deg,
+        approach_clearance_mm=site.approach.approach_clearance_mm,
+        approach_speed_percent=site.approach.approach_speed_percent,
         announce_wait_s=float(timing.announce_wait_s),
         reply_timeout_s=timing.reply_timeout_ms / 1000,
         transfer_timeout_s=float(timing.transfer_timeout_s),

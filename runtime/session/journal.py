@@ -26,12 +26,12 @@ from runtime.interlock.state import (
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
+    JointsMeasured,
     LogChanged,
     NonceReceived,
     ParameterReceived,
     PathStored,
     Phase,
-    PoseMeasured,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -48,7 +48,7 @@ from runtime.session.job import VERIFIER
 
 Kind = Literal["permit", "start", "reset"]
 
-QUIET = (HeartbeatReceived, PoseMeasured, Tick)
+QUIET = (HeartbeatReceived, JointsMeasured, Tick)
 """Events that are recorded only when they change the phase or order something."""
 
 TRANSFER_FRAMES = range(0x600, 0x650)
@@ -92,7 +92,7 @@ NAMES: dict[type, Callable[[Any], str]] = {
     HeartbeatReceived: lambda _: "heartbeat",
     HeartbeatLost: lambda _: "heartbeat lost",
     FaultReceived: lambda _: "controller's fault",
-    PoseMeasured: lambda _: "joints measured",
+    JointsMeasured: lambda _: "joints measured",
     RecordDurable: lambda _: "record durable",
     LogChanged: lambda _: "log's health",
     Failed: lambda e: f"failed {e.cause.name}",
@@ -245,6 +245,16 @@ class Journal:
         )
         for boundary in audit.boundaries_of(document):
             self.log.write(boundary)
+
+    def approach(
+        self,
+        document: dict[str, Any],
+        start_joints_u: tuple[int, ...],
+        bound: records.Approach | None,
+        reason: str,
+    ) -> None:
+        """The verdict on approach and retract, and what a permit binds of them."""
+        self.log.write(audit.Approach.of(document, start_joints_u=start_joints_u, bound=bound, reason=reason))
 
     def close(self, state: Interlock, verdict: str | None, *, clean: bool) -> Paths:
         """End the log with the session's last state; waits for the disk for a bounded time.

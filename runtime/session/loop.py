@@ -4,7 +4,6 @@ One turn: look at the clocks, read the bus, the disk, the worker and the termina
 heartbeat, flush. The heartbeat is the last act of a turn in which the table was evaluated; nothing else sends it.
 """
 
-import math
 import os
 import select
 import time
@@ -48,6 +47,8 @@ from runtime.interlock.state import (
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
+    Job,
+    JointsMeasured,
     LogChanged,
     LogHealth,
     NonceReceived,
@@ -55,7 +56,6 @@ from runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
-    PoseMeasured,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -73,8 +73,8 @@ from runtime.interlock.state import (
     Word,
 )
 from runtime.interlock.table import step
+from runtime.kinematics.arm import TURN
 from runtime.session.journal import Journal
-from runtime.session.start import StartPose
 from runtime.session.worker import Answer, Broken, Request, Worker
 
 LOG_BYTES_FIXED = 4_000_000
@@ -147,7 +147,6 @@ class Session:
         self.state = state
         self.answer: Answer | None = None
         self._request = request
-        self._start: StartPose | None = None
         self._key = key
         self._port = port
         self._journal = journal
@@ -283,12 +282,12 @@ class Session:
         return EVENTS[type(record)](record)
 
     def _measure(self) -> None:
-        """A sample whose last part has just come, against the first pose: tip distance and largest joint angle."""
+        """A sample of joints whose last part has just come."""
         sample = self._port.endpoint.link.sample
-        if sample is None or self._start is None or sample.received_s == self._sample_s:
+        if sample is None or sample.received_s == self._sample_s:
             return
         self._sample_s = sample.received_s
-        self._feed(PoseMeasured(*self._start.distance(sample.joints)))
+        self._feed(JointsMeasured(records.joints_to_counts(sample.joints)))
 
     def _read_disk(self, now_s: float) -> None:
         log = self._journal.log
@@ -318,15 +317,17 @@ class Session:
                 self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
 
     def _keep(self, answer: Answer) -> None:
-        """The verdict on what was asked: recorded, shown, and the start pose it gives."""
+        """The verdict on what was asked: recorded and shown."""
         self.answer = answer
         self._journal.verdict(answer.document, self._request.tool, answer.verdict.reason)
+        if answer.approach_document is not None:
+            self._journal.approach(
+                answer.approach_document,
+                self._request.start_joints_u,
+                answer.verdict.approach,
+                answer.verdict.approach_reason,
+            )
         self._view.verdict(answer)
-        if answer.verdict.admissible:
-            calibration = records.Calibration.parse(self._request.calibration)
-            hold = self._request.robot.wrist
-            hold_rad = math.radians(hold.hold_roll_deg) if hold.hold_roll_when_vertical else None
-            self._start = StartPose.of(records.Path.parse(self._request.path), calibration, hold_rad)
 
     def _read_words(self, ready: set[int]) -> None:
         if self._interrupted:
@@ -345,10 +346,11 @@ class Session:
             self._poller.unregister(descriptor)
 
     def _reserve(self) -> None:
-        """Space for the whole cut, twice over; the permissive asks for it."""
-        path = records.Path.parse(self.state.job.path)
+        """Space for the whole cut with approach and retract, twice over; the permissive asks for it."""
+        job = self.state.job
+        path = records.Path.parse(job.path)
         lengths = np.linalg.norm(np.diff(path.tips_mm, axis=0), axis=1)
-        seconds = float(np.sum(lengths)) / path.feed_mm_s
+        seconds = float(np.sum(lengths)) / path.feed_mm_s + _approach_s(job, path)
         needed = LOG_BYTES_FIXED + int(LOG_BYTES_PER_SECOND * seconds) + 3 * len(self.state.job.path)
         self.state = replace(self.state, log=LogHealth(writable=True, reserved_bytes=0, needed_bytes=needed))
         self._journal.log.reserve(2 * needed)
@@ -380,8 +382,8 @@ class Session:
             case OpenLink(session=session):
                 endpoint.link.open(session.tag, now_s)
                 self._next_heartbeat_s = now_s
-            case Verify(request=number):
-                self._verify(number)
+            case Verify():
+                self._verify(effect)
             case Commit() | Withheld() | Refused() | Dropped():
                 pass  # the journal's business
             case _:
@@ -405,13 +407,14 @@ class Session:
         _, payload = self._port.endpoint.send_record(record, self._clock(), session=session)
         self._journal.record_sent(record, payload)
 
-    def _verify(self, number: int) -> None:
+    def _verify(self, wanted: Verify) -> None:
         """What is proved is what the controller reported and what was uploaded."""
         held = self.state.collected
         assert held.limits is not None and held.calibration is not None and held.tool is not None  # noqa: S101, PT018
         self._request = replace(
             self._request,
-            number=number,
+            number=wanted.request,
+            start_joints_u=wanted.start_joints_u,
             limits=held.limits,
             calibration=held.calibration,
             tool=held.tool,
@@ -434,6 +437,15 @@ class Session:
         if endpoint.link.is_open:
             code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
             endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
+
+
+def _approach_s(job: Job, path: records.Path) -> float:
+    """About how long approach and retract take: joints through their limits, at most a turn; the path's extent."""
+    limits = records.Limits.parse(job.limits)
+    travel = np.minimum(limits.q_max - limits.q_min, [TURN, TURN, np.inf, TURN, TURN])
+    slowest_s = float(np.max(travel / limits.speed)) * 100.0 / job.timing.approach_speed_percent
+    extent_mm = float(np.linalg.norm(np.ptp(path.tips_mm, axis=0))) + job.timing.approach_clearance_mm
+    return 2.0 * (slowest_s + extent_mm / path.feed_mm_s)
 
 
 def _view_of(beat: ControllerHeartbeat) -> ControllerView:

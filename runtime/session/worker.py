@@ -16,10 +16,9 @@ from typing import Any
 
 from config.model import Robot
 from protocol import records
-from runtime.interlock.state import Verdict
+from runtime.interlock.state import Timing, Verdict
 from runtime.plan.prepare import Quantise
-from runtime.session.start import StartPose
-from runtime.verification import certified
+from runtime.verification import approach, certified
 from runtime.verification import verdict as verdicts
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.guidance import Guidance, guide
@@ -29,12 +28,12 @@ from runtime.verification.summary import summary
 
 JOIN_S = 2.0
 NOWHERE = (0, 0, 0, 0, 0)
-"""Start joints of a path that was not admitted; no permit is ever made of them."""
+"""Stands in a request until the arm's joints have been measured."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be proved: the bytes the controller stored and reported."""
+    """What is to be proved: the bytes the controller stored and reported, and where its arm stands."""
 
     number: int
     path: bytes
@@ -43,17 +42,34 @@ class Request:
     tool: bytes
     registration: bytes
     robot: Robot
+    timing: Timing
+    start_joints_u: tuple[int, ...] = NOWHERE
+
+    @property
+    def start(self) -> approach.Start:
+        """Where approach and retract begin and end."""
+        return approach.Start.of(
+            self.start_joints_u,
+            clearance_um=round(self.timing.approach_clearance_mm * 1000),
+            tolerance_mm=self.timing.start_tolerance_mm,
+            tolerance_deg=self.timing.start_tolerance_deg,
+        )
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The verdict for the interlock; what was proved, for people; and the contract's document, for the log."""
+    """The verdict for the interlock; what was proved, for people; and the documents, for the log.
+
+    ``approach`` and its document are None where the cut itself is not admissible.
+    """
 
     verdict: Verdict
     proved: verdicts.Verdict
     guidance: Guidance | None
     digests: Digests
     document: dict[str, Any]
+    approach: approach.Approach | None
+    approach_document: dict[str, Any] | None
 
 
 @dataclass(frozen=True)
@@ -65,7 +81,7 @@ class Broken:
 
 
 def prove(request: Request) -> Answer:
-    """Verify the uploaded path; the only place where a session's verdict comes from.
+    """Verify the uploaded path, its approach and retract; the only place where a session's verdict comes from.
 
     Raises:
         protocol.records.RecordError: the records pose no problem that can be verified.
@@ -84,6 +100,7 @@ def prove(request: Request) -> Answer:
     document = verdict_document(
         verdict, poses=len(path), guidance=guidance, digests=digests, elapsed_ms=elapsed_ms
     )
+    ways = approach.verify(problem, request.start) if verdict.admissible else None
     answer = Verdict(
         request=request.number,
         admissible=verdict.admissible,
@@ -91,14 +108,13 @@ def prove(request: Request) -> Answer:
         limits=digests.limits,
         calibration=digests.calibration,
         tool=records.digest(request.tool),
-        start_joints_u=_start(request, path, problem.hold_roll).counts if verdict.admissible else NOWHERE,
+        start_joints_u=request.start_joints_u,
         reason=summary(verdict),
+        approach=approach.bound(ways, request.timing.approach_speed_percent) if ways else None,
+        approach_reason=approach.summary(ways) if ways else "not verified: the cut is not admissible",
     )
-    return Answer(answer, verdict, guidance, digests, document)
-
-
-def _start(request: Request, path: records.Path, hold_roll_rad: float | None) -> StartPose:
-    return StartPose.of(path, records.Calibration.parse(request.calibration), hold_roll_rad)
+    told = approach.document(ways, request.start) if ways else None
+    return Answer(answer, verdict, guidance, digests, document, ways, told)
 
 
 def _quantiser(path: records.Path) -> Quantise:

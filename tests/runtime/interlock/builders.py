@@ -24,13 +24,13 @@ from runtime.interlock.state import (
     HeartbeatReceived,
     Interlock,
     Job,
+    JointsMeasured,
     LogChanged,
     LogHealth,
     NonceReceived,
     ParameterReceived,
     PathStored,
     Phase,
-    PoseMeasured,
     RecordDurable,
     ReplyReceived,
     Said,
@@ -61,6 +61,8 @@ TIMING = Timing(
     start_lifetime_ms=2000,
     start_tolerance_mm=0.5,
     start_tolerance_deg=0.2,
+    approach_clearance_mm=10.0,
+    approach_speed_percent=25,
     announce_wait_s=30.0,
     reply_timeout_s=2.0,
     transfer_timeout_s=20.0,
@@ -118,6 +120,9 @@ VIEW = ControllerView(
     cutting_mode=True,
 )
 
+START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
+STANDING = JointsMeasured(START_JOINTS)
+
 VERDICT = Verdict(
     request=REQUEST,
     admissible=True,
@@ -125,8 +130,16 @@ VERDICT = Verdict(
     limits=records.digest(LIMITS.body()),
     calibration=records.digest(CALIBRATION.body()),
     tool=records.digest(TOOL.body()),
-    start_joints_u=(10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000),
+    start_joints_u=START_JOINTS,
     reason="admissible",
+    approach=records.Approach(
+        entry_um=30_000,
+        exit_um=10_000,
+        entry_joints_u=(11_000_000, 21_000_000, 110_000_000, 31_000_000, 36_869_898),
+        exit_joints_u=(12_000_000, 22_000_000, 110_000_000, 32_000_000, 36_869_898),
+        speed_percent=25,
+    ),
+    approach_reason="every leg keeps every deadband",
 )
 
 PERMIT = records.Permit(
@@ -145,6 +158,7 @@ PERMIT = records.Permit(
     verifier_version=JOB.verifier,
     start_joints_u=VERDICT.start_joints_u,
     branch=JOB.branch,
+    approach=VERDICT.approach,
     lifetime_s=120,
 )
 
@@ -166,8 +180,7 @@ READY = Interlock(
     nonce_at_s=NOW - 5.0,
     token=TOKEN,
     device=DeviceCycle.PRESSED,
-    offset_mm=0.1,
-    offset_deg=0.05,
+    joints_u=START_JOINTS,
     measured_s=NOW - 0.01,
     log=LogHealth(writable=True, reserved_bytes=2000, needed_bytes=1000),
 )
@@ -263,7 +276,7 @@ def events(state: Interlock) -> list[Event]:
         *(beat(kind, epoch=epoch, cause=StopCause.DEVICE_RELEASED) for kind in ControllerState),
         beat(epoch=epoch + 1),
         beat(ControllerState.PERMITTED, epoch=epoch, fresh=False),
-        PoseMeasured(0.0, 0.0),
+        STANDING,
         *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
         LogChanged(state.log),
         *(Said(word) for word in Word),
@@ -344,6 +357,7 @@ def _opened(_state: Interlock) -> tuple[Event, ...]:
 def _verdict(state: Interlock) -> tuple[Event, ...]:
     return (
         beat(ControllerState.LOADED, device_pressed=False),
+        STANDING,
         VerdictReady(replace(VERDICT, request=state.token)),
     )
 
@@ -352,7 +366,7 @@ def _go(_state: Interlock) -> tuple[Event, ...]:
     return (
         beat(ControllerState.PERMITTED, device_pressed=False),
         beat(ControllerState.PERMITTED),
-        PoseMeasured(0.1, 0.05),
+        STANDING,
         Said(Word.START),
     )
 
@@ -363,10 +377,11 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.COLLECTING: lambda _s: tuple(ParameterReceived(kind) for kind in (LIMITS, CALIBRATION, TOOL)),
     Phase.UPLOADING: lambda _s: (
         *(BlockStored(index) for index in range(PATH_BLOCKS)),
+        STANDING,
         PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)),
     ),
     Phase.VERIFYING: _verdict,
-    Phase.ADMITTED: lambda _s: (beat(),),
+    Phase.ADMITTED: lambda _s: (STANDING, beat()),
     Phase.NONCE_PERMIT: lambda _s: (NonceReceived(Purpose.PERMIT, NONCE, EPOCH),),
     Phase.AUTHORISING_PERMIT: lambda s: (RecordDurable(s.token),),
     Phase.PERMITTING: lambda _s: (reply(records.Permit),),

@@ -10,11 +10,16 @@ from protocol.states import ControllerState, Refusal, StopCause
 from runtime.interlock import permissives as p
 from runtime.interlock.state import DeviceCycle
 from tests.altering import altered
-from tests.runtime.interlock.builders import JOB, NOW, READY, VERDICT
+from tests.runtime.interlock.builders import JOB, NOW, READY, START_JOINTS, VERDICT
+
+
+def _off(joint: int, by: int) -> tuple[int, ...]:
+    return tuple(count + by * (index == joint) for index, count in enumerate(START_JOINTS))
+
 
 ALONE = [
     # one field, another value, the permissive that alone fails, what it shows, its bound
-    ("session.protocol_version", 2, p.protocol_version, "2", "1"),
+    ("session.protocol_version", 1, p.protocol_version, "1", "2"),
     ("session.serial", "SIM-2", p.serial_number, "SIM-2", "SIM-1"),
     ("job.limits", b"other", p.limits_approved, None, None),
     ("job.calibration", b"other", p.calibration_approved, None, None),
@@ -59,14 +64,15 @@ ALONE = [
     ),
     ("device", DeviceCycle.RELEASED, p.device_cycled, "released", "released, then pressed, after the permit"),
     ("device", DeviceCycle.UNSEEN, p.device_cycled, "held since before the permit, or not seen", None),
-    ("offset_mm", 0.5001, p.start_distance, 0.5001, "<= 0.5 mm"),
-    ("offset_mm", math.nan, p.start_distance, math.nan, "<= 0.5 mm"),
-    ("offset_mm", math.inf, p.start_distance, math.inf, "<= 0.5 mm"),
-    ("offset_mm", -0.1, p.start_distance, -0.1, "<= 0.5 mm"),
-    ("offset_mm", None, p.start_distance, "not known", "<= 0.5 mm"),
-    ("offset_deg", 0.2001, p.start_angle, 0.2001, "<= 0.2 deg"),
-    ("offset_deg", math.nan, p.start_angle, math.nan, "<= 0.2 deg"),
-    ("offset_deg", None, p.start_angle, "not known", "<= 0.2 deg"),
+    ("joints_u", _off(0, 31_832), p.start_distance, 0.5000160, "<= 0.5 mm"),
+    ("joints_u", _off(0, -31_832), p.start_distance, 0.5000160, "<= 0.5 mm"),
+    ("joints_u", _off(1, 63_663), p.start_distance, 0.5000081, "<= 0.5 mm"),
+    ("joints_u", _off(2, 500_001), p.start_distance, 0.500001, "<= 0.5 mm"),
+    ("joints_u", _off(2, -500_001), p.start_distance, 0.500001, "<= 0.5 mm"),
+    ("joints_u", _off(3, 200_001), p.start_angle, 0.200001, "<= 0.2 deg"),
+    ("joints_u", _off(3, 360_000_000), p.start_angle, 360.0, "<= 0.2 deg"),
+    ("joints_u", _off(4, -200_001), p.start_angle, 0.200001, "<= 0.2 deg"),
+    ("verdict.approach", None, p.approach_admissible, "every leg keeps every deadband", None),
 ]
 
 
@@ -84,7 +90,7 @@ def test_all_hold_in_the_baseline_state(which):
 @pytest.mark.parametrize(
     ("field", "value", "evaluate", "shown", "bound"),
     ALONE,
-    ids=[f"{field}={value!r:.30}" for field, value, *_ in ALONE],
+    ids=[f"{number}-{field}={value!r:.30}" for number, (field, value, *_) in enumerate(ALONE)],
 )
 def test_each_permissive_fails_alone(field, value, evaluate, shown, bound):
     state = altered(READY, field, value)
@@ -124,7 +130,14 @@ def test_the_table_above_leaves_no_permissive_out():
         ("collected.calibration", [p.calibration_approved]),
         ("collected.tool", [p.tool_approved]),
         ("stored", [p.path_accepted, p.path_digest]),
-        ("verdict", [p.verdict_admissible, p.verdict_current]),
+        (
+            "verdict",
+            [
+                p.verdict_admissible,
+                p.verdict_current,
+                p.approach_admissible,
+            ],
+        ),
         (
             "controller",
             [
@@ -182,19 +195,34 @@ def test_any_controller_will_do_where_no_serial_number_is_configured():
     assert not p.serial_number(replace(state, session=None), NOW).holds
 
 
+@pytest.mark.parametrize("field", ["verdict", "joints_u", "collected.calibration"])
+def test_an_arm_of_which_nothing_is_known_stands_nowhere(field):
+    state = altered(READY, field, None)
+    for evaluate in (p.start_distance, p.start_angle):
+        one = evaluate(state, NOW)
+        assert (one.holds, one.value, one.text) == (False, None, "not known")
+
+
+@pytest.mark.parametrize(
+    "value", [np.float64("nan"), math.nan, math.inf, -0.1], ids=["numpy", "nan", "inf", "less"]
+)
+def test_a_value_that_is_undefined_or_none_is_not_at_most_its_bound(value):
+    assert p._at_most("some", value, 0.5, "mm", "none").holds is False
+
+
 def test_numpy_numbers_hold_as_python_numbers_do():
     """A comparison of numpy floats is not the object True; taken literally it would never hold."""
-    state = replace(READY, offset_mm=np.float64(0.5), offset_deg=np.float64(0.2))
-    assert p.all_hold(p.FOR_START, state, NOW)
-    assert not p.all_hold(p.FOR_START, replace(state, offset_mm=np.float64("nan")), NOW)
+    assert p._at_most("some", np.float64(0.5), 0.5, "mm", "none").holds is True
 
 
 @pytest.mark.parametrize(
     ("field", "value", "holds"),
     [
-        ("offset_mm", 0.5, True),
-        ("offset_deg", 0.2, True),
-        ("offset_mm", 0.0, True),
+        ("joints_u", _off(2, 500_000), True),
+        ("joints_u", _off(0, 31_830), True),
+        ("joints_u", _off(1, -63_661), True),
+        ("joints_u", _off(3, 200_000), True),
+        ("joints_u", _off(4, -200_000), True),
         ("nonce_at_s", NOW - 120.0, True),
         ("log.reserved_bytes", 2000, True),
     ],
@@ -229,7 +257,7 @@ HOPELESS = [
     for field, value, evaluate, *_ in ALONE
     if evaluate
     in set(p.COLLECTED)
-    | {p.path_accepted, p.path_digest, p.verdict_admissible, p.verdict_current}
+    | {p.path_accepted, p.path_digest, p.verdict_admissible, p.verdict_current, p.approach_admissible}
     | {p.registration_age, p.registration_stands, p.log_writable}
 ]
 
@@ -262,7 +290,7 @@ def test_space_is_hopeless_only_after_the_file_system_has_answered():
 
 def test_what_holds_is_shown_without_a_remedy():
     one = p.start_distance(READY, NOW)
-    assert str(one) == "measured tip to the path's first pose: 0.1 (required: <= 0.5 mm)"
+    assert str(one) == "measured wrist centre to the verified start: 0 (required: <= 0.5 mm)"
 
 
 def test_every_list_is_part_of_the_next():

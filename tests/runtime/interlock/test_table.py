@@ -21,6 +21,7 @@ from runtime.interlock.state import (
     FaultReceived,
     HeartbeatLost,
     HeartbeatReceived,
+    JointsMeasured,
     LogChanged,
     LogHealth,
     NonceReceived,
@@ -28,7 +29,6 @@ from runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
-    PoseMeasured,
     RecordDurable,
     Refused,
     Said,
@@ -62,6 +62,8 @@ from tests.runtime.interlock.builders import (
     READY,
     RUNTIME_NONCE,
     SESSION,
+    STANDING,
+    START_JOINTS,
     TIMING,
     TOKEN,
     TOOL,
@@ -87,6 +89,8 @@ ENABLING_PHASES = {
     Phase.AUTHORISING_RESET: (records.Reset, Phase.RESETTING, Phase.HELD, p.FOR_RESET),
 }
 PENDING = RecordDurable(TOKEN)
+ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 2_000_000, *START_JOINTS[3:])
+"""2 mm off the start joints."""
 each_phase = pytest.mark.parametrize("phase", LIVE, ids=str)
 each_authorising = pytest.mark.parametrize("phase", ENABLING_PHASES, ids=str)
 
@@ -133,7 +137,7 @@ def test_every_permissive_is_judged_again_when_the_record_is_durable(phase):
         ("controller.emergency_stop_clear", False),
         ("controller.epoch", EPOCH + 1),
         ("controller.device_pressed", False),
-        ("offset_mm", 3.0),
+        ("joints_u", ELSEWHERE),
         ("registration_withdrawn", True),
         ("controller", None),
     ]
@@ -526,11 +530,11 @@ def test_start_acknowledge_and_reset_mean_something_in_one_phase_only(phase, wor
 
 
 def test_start_is_refused_with_every_missing_permissive():
-    state = replace(READY, offset_mm=2.0, device=DeviceCycle.UNSEEN)
+    state = replace(READY, joints_u=ELSEWHERE, device=DeviceCycle.UNSEEN)
     after, effects = step(state, Said(Word.START), NOW)
     assert after == state
     (refused,) = effects
-    assert "first pose: 2 (required: <= 0.5 mm)" in refused.reason
+    assert "verified start: 2 (required: <= 0.5 mm)" in refused.reason
     assert "release the enabling device" in refused.reason
 
 
@@ -622,7 +626,7 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
         boot_nonce=BOOT_NONCE,
         runtime_nonce=RUNTIME_NONCE,
         registration_digest=JOB.registration,
-        timing=records.Timing(20, 100, 120, 2000, 500, 200),
+        timing=records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25),
     )
 
 
@@ -663,7 +667,7 @@ def test_a_controller_that_reboots_before_it_opened_is_asked_anew():
 
 @pytest.mark.parametrize(
     ("field", "value", "said"),
-    [("protocol_version", 2, "protocol version"), ("serial", "SIM-2", "serial number")],
+    [("protocol_version", 1, "protocol version"), ("serial", "SIM-2", "serial number")],
 )
 def test_another_version_or_controller_is_refused_before_a_session(field, value, said):
     run = Run(FRESH).feed(Announced(replace(ANNOUNCE, **{field: value}), RUNTIME_NONCE))
@@ -836,8 +840,22 @@ def test_blocks_go_one_after_the_other():
     assert run.feed(BlockStored(0)).effects == (SendBlock(1),)
     assert run.feed(BlockStored(1)).effects == (SendBlock(2),)
     assert run.feed(BlockStored(2)).effects == ()
+    run.feed(STANDING, PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
+    assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token, START_JOINTS),))
+
+
+@pytest.mark.parametrize("old", [None, 0.2])
+def test_what_is_verified_begins_where_the_arm_stands_now(old):
+    """Neither unknown nor old joints are where it stands: the next sample is waited for, within the deadline."""
+    run = Run(FRESH).until(Phase.UPLOADING)
+    if old is not None:
+        run.feed(JointsMeasured(ELSEWHERE)).feed(Tick(), after_s=old)
     run.feed(PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
-    assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token),))
+    assert (run.phase, run.effects) == (Phase.UPLOADING, ())
+    late = Run(run.state, run.now_s).feed(Tick(), after_s=TIMING.transfer_timeout_s)
+    assert "no measured joints" in late.state.reason
+    run.feed(STANDING)
+    assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token, START_JOINTS),))
 
 
 @pytest.mark.parametrize(
@@ -848,7 +866,7 @@ def test_blocks_go_one_after_the_other():
     ],
 )
 def test_what_the_controller_did_not_accept_is_verified_for_guidance_and_then_refused(stored, why):
-    run = Run(FRESH).until(Phase.UPLOADING).feed(PathStored(stored))
+    run = Run(FRESH).until(Phase.UPLOADING).feed(STANDING, PathStored(stored))
     assert run.phase is Phase.VERIFYING
     run.until(Phase.REFUSED)
     assert why in run.state.reason
@@ -916,8 +934,28 @@ def test_a_refused_permit_ends_and_a_refused_start_may_be_tried_again(refusal):
 
 
 def test_a_measurement_is_kept_with_its_time():
-    after, effects = step(READY, PoseMeasured(0.3, 0.02), NOW + 3.0)
-    assert (after.offset_mm, after.offset_deg, after.measured_s, effects) == (0.3, 0.02, NOW + 3.0, ())
+    after, effects = step(READY, JointsMeasured(ELSEWHERE), NOW + 3.0)
+    assert (after.joints_u, after.measured_s, effects) == (ELSEWHERE, NOW + 3.0, ())
+
+
+def test_an_arm_that_moves_after_its_approach_was_verified_is_not_permitted():
+    run = Run(FRESH).until(Phase.VERIFYING).feed(beat(device_pressed=False), JointsMeasured(ELSEWHERE))
+    run.feed(VerdictReady(replace(VERDICT, request=run.state.token)), beat())
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(STANDING, beat())
+    assert run.phase is Phase.NONCE_PERMIT
+    run.until(Phase.AUTHORISING_PERMIT).feed(JointsMeasured(ELSEWHERE)).durable()
+    assert (run.phase, run.effects) == (Phase.ADMITTED, (Withheld(run.state.token),))
+
+
+def test_an_approach_that_is_not_admissible_ends_the_session():
+    run = Run(FRESH).until(Phase.VERIFYING).feed(beat(device_pressed=False), STANDING)
+    bad = replace(VERDICT, request=run.state.token, approach=None, approach_reason="inner: 3 mm, needs 5 mm")
+    run.feed(VerdictReady(bad))
+    assert run.phase is Phase.REFUSED
+    assert stops(run.effects, StopCode.END) == [StopCause.NOT_ADMITTED]
+    assert "approach and retract: inner: 3 mm, needs 5 mm" in run.state.reason
+    assert "approach_clearance_mm" in run.state.reason
 
 
 def test_the_happy_path_from_announcement_to_done():
@@ -957,7 +995,7 @@ def test_the_happy_path_from_announcement_to_done():
 def test_withheld_permits_and_starts_can_be_asked_for_again():
     run = Run(FRESH).until(Phase.AUTHORISING_PERMIT).feed(beat(emergency_stop_clear=False)).durable()
     assert (run.phase, run.effects) == (Phase.ADMITTED, (Withheld(run.state.token),))
-    run.until(Phase.AUTHORISING_START).feed(PoseMeasured(9.0, 0.0)).durable()
+    run.until(Phase.AUTHORISING_START).feed(JointsMeasured(ELSEWHERE)).durable()
     assert (run.phase, run.effects) == (Phase.PERMITTED, (Withheld(run.state.token),))
     run.until(Phase.DONE)
 

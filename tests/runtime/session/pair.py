@@ -22,6 +22,7 @@ from config.terminal import WordReader
 from firmware_sim import memory
 from firmware_sim import process as controller_side
 from firmware_sim.faults import FaultSpec
+from firmware_sim.kinematics import as_joints
 from firmware_sim.process import Options, Process
 from firmware_sim.state import Controller, Holdings, Identity
 from protocol import records
@@ -50,6 +51,8 @@ KEY = bytes(range(32))
 TURN_S = 0.005
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
+STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
+"""Where the arm stands at power-up, 1e-6 deg | mm: a few degrees from the entry, so that nobody waits for it."""
 
 
 # ---------------------------------------------------------------- disk
@@ -274,7 +277,7 @@ class Pair:
         self.boots = 0
         self.sessions = 0
         self.closing: list[Callable[[], None]] = [node.shutdown for node in self.wire.nodes.values()]
-        self.options = Options(time_scale=4.0)
+        self.options = Options(time_scale=4.0, joints=as_joints(records.joints_to_memory(STANDS)))
         self.runtime_turns = self.controller_turns = True
         self.strangers: list[Stranger] = []
         self.turn_s = TURN_S
@@ -331,7 +334,16 @@ class Pair:
         self.wire.nodes[RUNTIME].inbox.clear()
         self.session = Session(
             Interlock(self.job),
-            request=Request(0, self.job.path, b"", b"", b"", self.job.registration, self.files.robot.value),
+            request=Request(
+                0,
+                self.job.path,
+                b"",
+                b"",
+                b"",
+                self.job.registration,
+                self.files.robot.value,
+                self.job.timing,
+            ),
             key=KEY,
             port=Port(self.wire.nodes[RUNTIME], self._endpoint(Side.RUNTIME), self.journal.frame),  # type: ignore[arg-type]
             journal=self.journal,

@@ -49,8 +49,8 @@ def test_a_bit_that_flips_while_cutting_stops_the_arm(pair):
 def test_an_arm_off_its_start_is_seen_by_the_runtime(pair):
     pair.power_up("off-start@permitted")
     pair.begin().until(lambda: bool(refusals(pair)), act=pair._lead)
-    assert "measured tip to the path's first pose: 17.5" in refusals(pair)[0]
-    assert "measured joints to the path's first pose: 1.99" in refusals(pair)[0]
+    assert "measured wrist centre to the verified start: 31.4159" in refusals(pair)[0]
+    assert "measured joints to the verified start: 2 " in refusals(pair)[0]
     assert not first_frames(pair, records.Start)
 
 
@@ -122,7 +122,7 @@ def test_an_unknown_word_at_the_controller_is_answered(pair):
 
 def open_request(pair, **changes):
     """An OPEN as the session would send it."""
-    timing = records.Timing(20, 100, 120, 2000, 500, 200)
+    timing = records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25)
     values = {
         "protocol_version": records.PROTOCOL_VERSION,
         "boot_nonce": pair.controller.identity.boot_nonce,

@@ -7,8 +7,8 @@ import pytest
 
 from protocol import records
 from runtime.session import worker as workers
-from runtime.session.worker import NOWHERE, Answer, Broken, Request, Worker, prove
-from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, job_of
+from runtime.session.worker import Answer, Broken, Request, Worker, prove
+from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, STANDS, job_of
 
 PATIENCE_S = 60.0
 
@@ -16,7 +16,15 @@ PATIENCE_S = 60.0
 def request(tmp_path_factory, bone_x_mm=ADMISSIBLE_MM, number=5):
     files, job = job_of(tmp_path_factory, bone_x_mm)
     return Request(
-        number, job.path, job.limits, job.calibration, job.tool, job.registration, files.robot.value
+        number,
+        job.path,
+        job.limits,
+        job.calibration,
+        job.tool,
+        job.registration,
+        files.robot.value,
+        job.timing,
+        STANDS,
     )
 
 
@@ -28,7 +36,12 @@ def test_an_admissible_path_is_proved_for_exactly_what_was_asked(tmp_path_factor
     assert (verdict.path, verdict.limits, verdict.calibration, verdict.tool) == tuple(
         records.digest(data) for data in (asked.path, asked.limits, asked.calibration, asked.tool)
     )
-    assert verdict.start_joints_u != NOWHERE
+    assert verdict.start_joints_u == STANDS
+    assert verdict.approach is not None
+    assert (verdict.approach.entry_um, verdict.approach.exit_um) == (10_670, 10_000)
+    assert verdict.approach.speed_percent == asked.timing.approach_speed_percent == 25
+    assert answer.approach is not None
+    assert answer.approach_document["verdict"] == "admissible"
     assert answer.guidance is None
     assert answer.document["verdict"] == "admissible"
 
@@ -36,9 +49,28 @@ def test_an_admissible_path_is_proved_for_exactly_what_was_asked(tmp_path_factor
 def test_an_inadmissible_path_comes_with_guidance_and_no_start(tmp_path_factory):
     answer = prove(request(tmp_path_factory, INADMISSIBLE_MM))
     assert not answer.verdict.admissible
-    assert answer.verdict.start_joints_u == NOWHERE
+    assert (answer.verdict.approach, answer.approach, answer.approach_document) == (None, None, None)
+    assert "not verified" in answer.verdict.approach_reason
     assert answer.guidance is not None
     assert answer.document["guidance"]["verified"] is True
+
+
+def test_an_approach_that_is_not_admissible_binds_nothing(tmp_path_factory):
+    """The arm stands 2.05 mm above its lower limit."""
+    low = (*STANDS[:2], 52_050_000, *STANDS[3:])
+    answer = prove(replace(request(tmp_path_factory), start_joints_u=low))
+    assert answer.verdict.admissible
+    assert answer.verdict.approach is None
+    assert "bottom: clearance 2.050000 mm, needs 5.5 mm" in answer.verdict.approach_reason
+    assert answer.approach_document["verdict"] == "inadmissible"
+
+
+def test_the_start_tolerance_and_the_clearance_are_the_sites(tmp_path_factory):
+    asked = request(tmp_path_factory)
+    timing = replace(asked.timing, start_tolerance_mm=1.5, approach_clearance_mm=20.0)
+    answer = prove(replace(asked, timing=timing))
+    assert answer.approach.legs[0].boundaries["bottom"].deadband == 6.5
+    assert (answer.approach.entry_um, answer.approach.exit_um) == (20_670, 20_000)
 
 
 def answer_of(worker):

@@ -17,9 +17,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from config.load import InputError, Loaded, robot_from_bytes
-from config.model import Robot
+from config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
+from config.model import Robot, Site
 from config.records import calibration_record, limits_record, tool_record
+from protocol import records as wire
 from protocol.records import Path, RecordError
 from runtime.audit import names, records
 from runtime.audit.inspect import Log, Status
@@ -27,6 +28,7 @@ from runtime.audit.log import cpu_dispatch
 from runtime.plan.load import plan_from_bytes, registration_from_bytes
 from runtime.plan.model import Registration
 from runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
+from runtime.verification import approach
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.problem import Problem
 from runtime.verification.recorded import problem_from_records
@@ -35,8 +37,11 @@ from runtime.verification.verdict import Verdict
 TOLERANCE: Final = 1e-9
 """mm, deg; relative for lengths above one."""
 NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance")
-BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm")
+BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "reasons")
 """Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
+
+ABSOLUTE: Final = ("boundaries", "legs")
+"""Clearances are compared absolutely, whatever their size."""
 
 Verify = Callable[[Problem], Verdict]
 R = TypeVar("R", bound=records.Record)
@@ -76,6 +81,8 @@ class _Findings:
     differences: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     documents: list[dict[str, Any]] = field(default_factory=list)
+    approaches: list[str] = field(default_factory=list)
+    """The words recomputed for the approach records, in their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +94,7 @@ class _Inputs:
     calibration: bytes
     tool: bytes
     robot: Robot
+    site: Site
     registration_sha256: bytes
 
 
@@ -127,11 +135,15 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
             found.documents.append(document)
             found.differences += _compare(recorded, document, inputs, comparable=comparable)
         found.differences += _boundary_records(log, verdicts)
+        for way in _typed(log, records.Approach):
+            found.differences += _approach(way, inputs, found, comparable=comparable)
         if any(document["verdict"] == "inadmissible" for document in found.documents):
             found.notes.append("the guidance was not computed again")
     else:
         found.notes.append("the session ended before a verdict: there is nothing to compute again")
-    found.differences += _permits(log, [document["verdict"] for document in found.documents])
+    found.differences += _permits(
+        log, [document["verdict"] for document in found.documents], found.approaches
+    )
 
 
 # ---------------------------------------------------------------- what was decided on
@@ -146,6 +158,8 @@ def _inputs(log: Log) -> _Inputs:
 
     try:
         robot = robot_from_bytes(names.ROBOT, needed(names.ROBOT))
+        settings = log.scan.attachment(names.SITE)
+        site = Site() if settings is None else site_from_bytes(names.SITE, settings)
     except InputError as error:
         raise ReplayError(f"attachment {error}") from None
     registration = _by_stem(log, names.REGISTRATION)
@@ -155,6 +169,7 @@ def _inputs(log: Log) -> _Inputs:
         calibration=needed(names.CALIBRATION),
         tool=needed(names.TOOL),
         robot=robot,
+        site=site,
         registration_sha256=sha256(registration[1] if registration else IDENTITY_REGISTRATION).digest(),
     )
 
@@ -203,13 +218,18 @@ def _comparable(opened: records.Open, verifier: str, found: _Findings) -> bool:
 # ---------------------------------------------------------------- the verdict
 
 
-def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> dict[str, Any]:
+def _problem(inputs: _Inputs) -> Problem:
     try:
-        problem = problem_from_records(
-            inputs.path, inputs.limits, inputs.calibration, inputs.tool, inputs.robot
-        )
-        verdict = verify(problem)
+        return problem_from_records(inputs.path, inputs.limits, inputs.calibration, inputs.tool, inputs.robot)
     except (RecordError, ValueError) as error:
+        raise ReplayError(f"the attachments pose no problem that can be verified: {error}") from None
+
+
+def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> dict[str, Any]:
+    problem = _problem(inputs)
+    try:
+        verdict = verify(problem)
+    except ValueError as error:
         raise ReplayError(f"the attachments pose no problem that can be verified: {error}") from None
     digests = Digests(
         path=sha256(inputs.path).digest(),
@@ -234,16 +254,21 @@ def _compare(
     if theirs is None:
         yield "verdict: the recorded document is not a JSON object"
         return
-    before, after = _leaves(theirs), _leaves(document)
+    yield from _documents("verdict", theirs, document, comparable=comparable)
+    yield from _flat(recorded, theirs, inputs)
+
+
+def _documents(what: str, theirs: dict[str, Any], ours: dict[str, Any], *, comparable: bool) -> Iterator[str]:
+    """Two documents, value by value."""
+    before, after = _leaves(theirs), _leaves(ours)
     for key in sorted(before.keys() | after.keys()):
         parts = key.split(".")
         if parts[0] in NOT_RECOMPUTED or (not comparable and not {*parts}.isdisjoint(BIT_DEPENDENT)):
             continue
         if key not in before or key not in after:
-            yield f"verdict {key}: {'recorded' if key in before else 'recomputed'} only"
-        elif not _same(before[key], after[key], absolute=parts[0] == "boundaries"):
-            yield f"verdict {key}: recorded {before[key]}, recomputed {after[key]}"
-    yield from _flat(recorded, theirs, inputs)
+            yield f"{what} {key}: {'recorded' if key in before else 'recomputed'} only"
+        elif not _same(before[key], after[key], absolute=parts[0] in ABSOLUTE):
+            yield f"{what} {key}: recorded {before[key]}, recomputed {after[key]}"
 
 
 def _flat(recorded: records.Verdict, theirs: dict[str, Any], inputs: _Inputs) -> Iterator[str]:
@@ -281,7 +306,7 @@ def _boundary_records(log: Log, verdicts: list[records.Verdict]) -> Iterator[str
             yield f"boundary {one.name}: the record is not what the verdict's document says"
 
 
-def _document(recorded: records.Verdict) -> dict[str, Any] | None:
+def _document(recorded: records.Verdict | records.Approach) -> dict[str, Any] | None:
     try:
         document = json.loads(recorded.document)
     except (ValueError, RecursionError):
@@ -312,17 +337,80 @@ def _same(one: Any, other: Any, *, absolute: bool) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
+# ---------------------------------------------------------------- approach and retract
+
+
+def _approach(
+    recorded: records.Approach, inputs: _Inputs, found: _Findings, *, comparable: bool
+) -> Iterator[str]:
+    """Approach and retract again, from the recorded start joints and the site's settings."""
+    settings = inputs.site
+    try:
+        start = approach.Start.of(
+            recorded.start_joints_u,
+            clearance_um=round(settings.approach.approach_clearance_mm * 1000),
+            tolerance_mm=settings.start.start_tolerance_mm,
+            tolerance_deg=settings.start.start_tolerance_deg,
+        )
+        verdict = approach.verify(_problem(inputs), start)
+    except (IndexError, ValueError) as error:
+        raise ReplayError(f"the approach's start joints cannot be read: {error}") from None
+    document = approach.document(verdict, start)
+    found.approaches.append(document["verdict"])
+    theirs = _document(recorded)
+    if theirs is None:
+        yield "approach: the recorded document is not a JSON object"
+        return
+    yield from _documents("approach", theirs, document, comparable=comparable)
+    again = records.Approach.of(
+        document,
+        start_joints_u=recorded.start_joints_u,
+        bound=approach.bound(verdict, settings.approach.approach_speed_percent),
+        reason=approach.summary(verdict),
+    )
+    last_bits = set() if comparable else {"worst_leg", "worst_boundary", "reason"}
+    fields = records.Approach.model_fields.keys() - records.AuditRecord.model_fields.keys()
+    for name in sorted(fields - {"document"}):
+        one, other = getattr(recorded, name), getattr(again, name)
+        same = _same(one, other, absolute=True) if name == "worst_certified" else one == other
+        if not same and name not in last_bits:
+            yield f"approach {name}: recorded {one}, recomputed {other}"
+
+
+def _bound(permit: records.Permit, way: records.Approach) -> Iterator[str]:
+    """The permit's start joints and approach are those that were verified."""
+    prefix = wire.Permit.DOMAIN + b"\0"
+    try:
+        signed = bytes.fromhex(permit.record or "")
+        left = wire.Permit.parse(signed.removeprefix(prefix) + wire.NO_MAC)
+    except ValueError as error:
+        yield f"the permit's record cannot be read: {error}"
+        return
+    bound = left.approach
+    pairs = {
+        "start joints": (left.start_joints_u, way.start_joints_u),
+        "entry": ((bound.entry_um, bound.entry_joints_u), (way.entry_um, way.entry_joints_u)),
+        "exit": ((bound.exit_um, bound.exit_joints_u), (way.exit_um, way.exit_joints_u)),
+        "approach speed": (bound.speed_percent, way.speed_percent),
+    }
+    for name, (one, other) in pairs.items():
+        if one != other:
+            yield f"the permit's {name} are not the verified: {one}, verified {other}"
+
+
 # ---------------------------------------------------------------- what was enabled
 
 
-def _permits(log: Log, recomputed: list[str]) -> Iterator[str]:
+def _permits(log: Log, recomputed: list[str], ways: list[str]) -> Iterator[str]:
     """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
-    verdicts = iter(recomputed)
+    verdicts, approaches = iter(recomputed), iter(ways)
     ledger = _Ledger()
     for message in log.scan.messages:
         data = message.link.data
         if message.topic == records.Verdict.TOPIC:
-            ledger.verdict = (_model(records.Verdict, data), next(verdicts))
+            ledger.verdict, ledger.approach = (_model(records.Verdict, data), next(verdicts)), None
+        elif message.topic == records.Approach.TOPIC:
+            ledger.approach = (_model(records.Approach, data), next(approaches, "not computed again"))
         elif message.topic == records.Decision.TOPIC:
             yield from _decision(_model(records.Decision, data))
         elif message.topic == records.Permit.TOPIC:
@@ -337,6 +425,8 @@ class _Ledger:
 
     verdict: tuple[records.Verdict, str] | None = None
     """The latest recorded verdict, and the word that was recomputed for it."""
+    approach: tuple[records.Approach, str] | None = None
+    """The same for the approach recorded after it."""
     authorised: set[tuple[str, int | None]] = field(default_factory=set)
     permitted: bool = False
 
@@ -354,6 +444,7 @@ class _Ledger:
             yield f"a {permit.kind} left without a record that authorised it"
         if permit.kind != "reset":
             yield from _enabled(permit, self.verdict)
+            yield from _enabled_approach(permit, self.approach)
         if permit.kind == "start" and not self.permitted:
             yield "a start left without an acknowledged permit"
 
@@ -378,6 +469,17 @@ def _enabled(permit: records.Permit, current: tuple[records.Verdict, str] | None
         for name in ("path", "limits", "calibration", "tool", "registration"):
             if getattr(permit, f"{name}_sha256") != getattr(verdict, f"{name}_sha256"):
                 yield f"the permit's {name} digest is not the verdict's"
+
+
+def _enabled_approach(permit: records.Permit, current: tuple[records.Approach, str] | None) -> Iterator[str]:
+    if current is None:
+        yield f"a {permit.kind} left without a verified approach"
+        return
+    way, recomputed = current
+    if not (way.verdict == "admissible" and recomputed == "admissible"):
+        yield f"a {permit.kind} left; the approach is recorded as {way.verdict} and recomputed as {recomputed}"
+    if permit.kind == "permit":
+        yield from _bound(permit, way)
 
 
 def _approved(log: Log) -> Iterator[str]:

@@ -21,6 +21,8 @@ def print_story(console: Console, story: Mapping[str, Any]) -> None:
     _head(console, story)
     for verdict in story["verdicts"]:
         _verdict(console, verdict)
+    for approach in story["approaches"]:
+        _approach(console, approach)
     print_time_line(console, story["decisions"])
     _facts(console, story)
     _files(console, story)
@@ -88,6 +90,21 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
     console.print(table)
     if verdict["guidance"]:
         console.print(escape(_guidance(verdict["guidance"])))
+
+
+def _approach(console: Console, approach: Mapping[str, Any]) -> None:
+    """Approach and retract in one line."""
+    word = _text(approach, "verdict")
+    style = GOOD if word == "admissible" else BAD
+    console.print(
+        f"Approach and retract: [{style}]{escape(word.upper())}[/], entry {_um(approach, 'entry_um')} mm, "
+        f"exit {_um(approach, 'exit_um')} mm; {escape(_text(approach, 'reason'))}"
+    )
+
+
+def _um(record: Mapping[str, Any], key: str) -> str:
+    value = record.get(key)
+    return _number(value / 1000 if isinstance(value, int) else None)
 
 
 def _guidance(guidance: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from runtime.audit.inspect import Log
 from runtime.audit.records import (
+    Approach,
     Attachment,
     AuditRecord,
     Boundary,
@@ -37,7 +38,18 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
     start_ns = _nanoseconds(opened.get("monotonic"))
     timed = {
         model: [_entry(record, start_ns) for record in log.of(model.TOPIC)]
-        for model in (Decision, Collected, Verdict, Boundary, Permit, Fault, Operator, Process, Attachment)
+        for model in (
+            Decision,
+            Collected,
+            Verdict,
+            Boundary,
+            Approach,
+            Permit,
+            Fault,
+            Operator,
+            Process,
+            Attachment,
+        )
     }
     return {
         "schema": SCHEMA,
@@ -50,6 +62,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         "head": log.report.head,
         "opened": _entry(opened, start_ns) | {"utc_ns": _nanoseconds(opened.get("utc"))},
         "verdicts": _verdicts(timed[Verdict], timed[Boundary]),
+        "approaches": timed[Approach],
         "decisions": timed[Decision],
         "collected": timed[Collected],
         "permits": timed[Permit],

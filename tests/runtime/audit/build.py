@@ -16,6 +16,7 @@ from typing import Any
 from config.load import Loaded, robot_from_bytes
 from config.model import Robot
 from config.records import calibration_record, limits_record, tool_record
+from protocol import records as wire
 from runtime.audit import names, records
 from runtime.audit.disk import Reservation, SystemDisk
 from runtime.audit.inspect import read_log
@@ -24,7 +25,7 @@ from runtime.audit.scan import scan
 from runtime.audit.writer import LogWriter
 from runtime.plan.load import plan_from_bytes, registration_from_bytes
 from runtime.plan.prepare import prepare, with_branch
-from runtime.verification import certified
+from runtime.verification import approach, certified
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.recorded import problem_from_records
 
@@ -213,6 +214,51 @@ def verdict_of(given: float = 500.0) -> str:
     return json.dumps(document)
 
 
+STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
+"""Where the arm stood when it was verified, 1e-6 deg | mm."""
+
+
+@cache
+def approach_of(given: float = 500.0) -> records.Approach:
+    """The approach record of these inputs, at the default site's settings."""
+    i = inputs(given)
+    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    start = approach.Start.of(STANDS, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2)
+    verdict = approach.verify(problem, start)
+    return records.Approach.of(
+        approach.document(verdict, start),
+        start_joints_u=STANDS,
+        bound=approach.bound(verdict, 25),
+        reason=approach.summary(verdict),
+    )
+
+
+def wire_permit(given: float = 500.0) -> wire.Permit:
+    """A permit for these inputs."""
+    way, path = approach_of(given), wire.Path.parse(inputs(given).path)
+    return wire.Permit(
+        nonce=bytes(16),
+        boot_nonce=bytes(16),
+        session_digest=bytes(32),
+        serial="SIM-1",
+        protocol_version=wire.PROTOCOL_VERSION,
+        epoch=1,
+        limits_digest=bytes(32),
+        calibration_digest=bytes(32),
+        tool_digest=bytes(32),
+        path_digest=bytes(32),
+        registration_digest=bytes(32),
+        configuration_digest=bytes(32),
+        verifier_version=VERIFIER,
+        start_joints_u=STANDS,
+        branch=wire.Branch(path.elbow, path.q0_turns, path.roll_turns),
+        approach=wire.Approach(
+            way.entry_um, way.exit_um, way.entry_joints_u, way.exit_joints_u, way.speed_percent or 25
+        ),
+        lifetime_s=120,
+    )
+
+
 def permit_record(given: float, kind: str, stage: str, **changes: Any) -> records.Permit:
     i = inputs(given)
     digests = {
@@ -220,10 +266,13 @@ def permit_record(given: float, kind: str, stage: str, **changes: Any) -> record
         for name in ("path", "limits", "calibration", "tool", "registration")
     }
     values = {"kind": kind, "stage": stage, "token": 1 if kind == "permit" else 2}
-    return records.Permit(**(values | (digests if kind == "permit" else {}) | changes))
+    bound = digests | {"record": wire_permit(given).canonical().hex()} if kind == "permit" else {}
+    return records.Permit(**(values | bound | changes))
 
 
-def session_log(directory: Path, bone_x_mm: float = 500.0, *, disk: SystemDisk | None = None) -> Paths:
+def session_log(
+    directory: Path, bone_x_mm: float = 500.0, *, disk: SystemDisk | None = None, site: bytes | None = None
+) -> Paths:
     """A log as a session writes it: admitted, cut and closed, or refused."""
     i = inputs(bone_x_mm)
     log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock(), disk=disk)
@@ -237,6 +286,8 @@ def session_log(directory: Path, bone_x_mm: float = 500.0, *, disk: SystemDisk |
         (names.TOOL, i.tool),
     ):
         log.attach(name, "application/octet-stream", data)
+    if site is not None:
+        log.attach(names.SITE, "application/toml", site)
     document = json.loads(verdict_of(bone_x_mm))
     log.write(
         records.Verdict.of(document, verifier=VERIFIER, tool_sha256=sha256(i.tool).hexdigest(), reason="")
@@ -244,6 +295,8 @@ def session_log(directory: Path, bone_x_mm: float = 500.0, *, disk: SystemDisk |
     for boundary in records.boundaries_of(document):
         log.write(boundary)
     admitted = document["verdict"] == "admissible"
+    if admitted:
+        log.write(approach_of(bone_x_mm))
     log.write(decision(1, event=f"verdict {document['verdict']}", from_state="verifying"))
     if admitted:
         _enable(log, bone_x_mm)

@@ -143,6 +143,7 @@ def test_show_tells_the_story(capsys, admitted):
         "time scale 20",
         "ADMISSIBLE",
         "wrist_singularity",
+        "Approach and retract: ADMISSIBLE, entry 10.670 mm, exit 10.000 mm",
         "a -> b",
         "AUTHORISED",
         "SENT",

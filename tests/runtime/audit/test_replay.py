@@ -11,7 +11,8 @@ from runtime.audit.inspect import Status, read_log, verify_log
 from runtime.audit.replay import Outcome, replay
 from runtime.plan.load import registration_from_bytes
 from runtime.verification import certified
-from tests.runtime.audit.build import VERIFIER, forge, inputs, session_log, small_log
+from tests.altering import altered
+from tests.runtime.audit.build import STANDS, VERIFIER, forge, inputs, session_log, small_log, wire_permit
 
 ADMITTED, REFUSED = 500.0, 850.0
 
@@ -210,6 +211,119 @@ def test_a_boundary_record_that_is_missing_differs(admitted):
     differs(forge(admitted, drop), "boundaries: 10 recorded")
 
 
+# ---------------------------------------------------------------- forged approaches
+
+
+def in_approach(change):
+    """An edit of the approach's document and of the flat fields that follow from it."""
+
+    def edit(record):
+        if not isinstance(record, records.Approach):
+            return record
+        document = json.loads(record.document)
+        change(document)
+        bound = wire_permit().approach if document["verdict"] == "admissible" else None
+        return records.Approach.of(
+            document, start_joints_u=record.start_joints_u, bound=bound, reason=record.reason or ""
+        )
+
+    return edit
+
+
+def leg(name, side, **changes):
+    return lambda document: document["legs"][name][side].update(changes)
+
+
+APPROACHES = {
+    "approach entry_um": lambda document: document.update(entry_um=document["entry_um"] + 1),
+    "approach exit_um": lambda document: document.update(exit_um=0),
+    "approach entry_joints.0": lambda document: document["entry_joints"].__setitem__(0, 0.0),
+    "approach start_joints.3": lambda document: document["start_joints"].__setitem__(3, 0.0),
+    "approach clearance_um": lambda document: document.update(clearance_um=9_000),
+    "approach start_tolerance_mm": lambda document: document.update(start_tolerance_mm=0.0),
+    "approach legs.approach.inner.clearance": leg("approach", "inner", clearance=50.0),
+    "approach legs.entry.top.certified": leg("entry", "top", certified=50.0),
+    "approach legs.exit.left.deadband": leg("exit", "left", deadband=1.0),
+    "approach legs.retract.right.violated": leg("retract", "right", violated=True),
+    "approach legs.retract.outer.certified: recomputed only": lambda document: document["legs"]["retract"].pop("outer"),
+    "approach reasons": lambda document: document.update(reasons=["none"]),
+    "approach verdict": lambda document: document.update(verdict="inadmissible"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("word", "change"), APPROACHES.items(), ids=APPROACHES)
+def test_every_part_of_the_approach_is_compared(admitted, word, change):
+    differs(forge(admitted, in_approach(change)), word)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("entry_um", 10_671),
+        ("exit_um", 9_999),
+        ("entry_joints_u", (0, 0, 0, 0, 0)),
+        ("exit_joints_u", ()),
+        ("speed_percent", 26),
+        ("speed_percent", None),
+        ("worst_leg", "exit"),
+        ("worst_boundary", "top"),
+        ("worst_certified", 99.0),
+        ("reason", "all is well"),
+    ],
+)
+def test_what_is_bound_and_said_of_the_approach_is_recomputed(admitted, field, value):
+    differs(forge(admitted, changed(records.Approach, **{field: value})), f"approach {field}: recorded")
+
+
+def test_an_approach_from_elsewhere_is_computed_from_there(admitted):
+    elsewhere = (*STANDS[:2], 52_000_000, *STANDS[3:])
+    forged = forge(admitted, changed(records.Approach, start_joints_u=elsewhere))
+    differs(forged, "approach verdict: recorded admissible, recomputed inadmissible")
+    differs(forged, "a permit left; the approach is recorded as admissible and recomputed as inadmissible")
+    differs(forged, "a start left; the approach is recorded as admissible and recomputed as inadmissible")
+    differs(forged, "the permit's start joints are not the verified")
+
+
+@pytest.mark.parametrize(
+    ("setting", "word"),
+    [
+        (
+            "[approach]\napproach_clearance_mm = 12.5",
+            "approach clearance_um: recorded 10000, recomputed 12500",
+        ),
+        ("[approach]\napproach_speed_percent = 30", "approach speed_percent: recorded 25, recomputed 30"),
+        ("[start]\nstart_tolerance_mm = 1.0", "approach start_tolerance_mm: recorded 0.5, recomputed 1.0"),
+        ("[start]\nstart_tolerance_deg = 0.5", "approach start_tolerance_deg"),
+    ],
+)
+def test_the_approach_is_computed_with_the_sites_settings(tmp_path, setting, word):
+    site = f'schema = "cutgate.site/1"\n{setting}\n'.encode()
+    differs(session_log(tmp_path, site=site).log.read_bytes(), word)
+
+
+def test_a_site_that_is_damaged_is_bad_input(tmp_path):
+    bad(session_log(tmp_path, site=b"schema = 7").log.read_bytes(), "site.toml")
+
+
+@pytest.mark.parametrize("joints", [(1, 2, 3), ()])
+def test_start_joints_that_are_none_are_bad_input(admitted, joints):
+    bad(forge(admitted, changed(records.Approach, start_joints_u=joints)), "start joints")
+
+
+def test_an_approach_document_that_is_none_differs(admitted):
+    differs(
+        forge(admitted, changed(records.Approach, document="7")),
+        "approach: the recorded document is not a JSON object",
+    )
+
+
+def test_on_another_cpu_the_words_about_an_approach_are_not_comparable(admitted):
+    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
+    data = forge(data, changed(records.Approach, reason="another last digit"))
+    assert replayed(data).outcome is Outcome.IDENTICAL
+    differs(forge(data, changed(records.Approach, worst_certified=99.0)), "approach worst_certified")
+
+
 # ---------------------------------------------------------------- forged inputs
 
 
@@ -351,6 +465,43 @@ def test_nothing_leaves_without_a_verdict(admitted):
         return None if isinstance(record, records.Verdict | records.Boundary) else record
 
     differs(forge(admitted, drop), "a permit left without a verdict")
+
+
+def test_nothing_leaves_without_a_verified_approach(admitted):
+    forged = forge(admitted, lambda record: None if isinstance(record, records.Approach) else record)
+    for kind in ("permit", "start"):
+        differs(forged, f"a {kind} left without a verified approach")
+
+
+def test_nothing_leaves_on_an_inadmissible_approach(admitted):
+    forged = forge(admitted, in_approach(lambda document: document.update(verdict="inadmissible")))
+    for kind in ("permit", "start"):
+        differs(
+            forged, f"a {kind} left; the approach is recorded as inadmissible and recomputed as admissible"
+        )
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "name"),
+    [
+        ("start_joints_u", (0, *STANDS[1:]), "start joints"),
+        ("approach.entry_um", 0, "entry"),
+        ("approach.entry_joints_u", STANDS, "entry"),
+        ("approach.exit_um", 1, "exit"),
+        ("approach.exit_joints_u", STANDS, "exit"),
+        ("approach.speed_percent", 100, "approach speed"),
+    ],
+)
+def test_the_permit_binds_the_approach_that_was_verified(admitted, field, value, name):
+    record = altered(wire_permit(), field, value).canonical().hex()
+    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=record))
+    differs(forged, f"the permit's {name} are not the verified")
+
+
+@pytest.mark.parametrize("record", [None, "00", "xyz"])
+def test_a_permit_that_cannot_be_read_differs(admitted, record):
+    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=record))
+    differs(forged, "the permit's record cannot be read")
 
 
 @pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration"])

@@ -39,8 +39,12 @@ SITE = """schema = "cutgate.site/1"
 [timing]
 heartbeat_ms = 50
 timeout_ms = 500
+[approach]
+approach_clearance_mm = 0.5
 """
 HEARTBEAT_S, TIMEOUT_S = 0.05, 0.5
+STANDS = "-35.5,79.5,340,-4,30.5"
+"""Where the arm stands at power-up: half a degree from the entry pose, so that no test waits for the approach."""
 POSES = 300
 FEED_MM_S = 2.0
 FAST = 30
@@ -346,11 +350,13 @@ class Rig:
         scale: float = 1,
         key: str = "site.key",
         robot: Path = ROBOT,
+        joints: str | None = STANDS,
         fresh: bool = False,
         ready: bool = True,
     ) -> Child:
         """The simulated controller, ready for a session unless told otherwise."""
         options = ["--robot", str(robot), "--key", str(self.folder / key), "--time-scale", str(scale)]
+        options += [f"--joints={joints}"] if joints is not None else []
         options += [word for fault in faults for word in ("--fault", fault)]
         child = self._start("controller", "firmware_sim", ["sim", *options, *self._where], fresh=fresh)
         if ready:
@@ -481,7 +487,7 @@ def plan() -> dict[str, object]:
         part = number / (POSES - 1)
         lean, toward = math.radians(30 + 10 * part), math.radians(40 + 20 * part)
         axis = (math.sin(lean) * math.cos(toward), math.sin(lean) * math.sin(toward), math.cos(lean))
-        tip = (600 + 30 * part, 5 * math.sin(6 * part), 200.0)
+        tip = (630 - 30 * part, -5 * math.sin(6 * part), 200.0)
         poses.append([round(value, 6) for value in (*tip, *axis)])
     return {
         "schema": "cutgate.plan/1",

@@ -60,9 +60,9 @@ def until_refused(run, reason):
 def test_an_arm_off_the_start_pose_is_seen_by_the_runtime(rig):
     sim, run = rig.permitted("off-start@permitted")
     sim.say("hold")
-    run.line("not ready to start: measured tip to the path's first pose")
+    run.line("not ready to start: measured wrist centre to the verified start")
     run.say("start")
-    run.line("start refused: measured tip to the path's first pose")
+    run.line("start refused: measured wrist centre to the verified start")
     ended(rig, sim, run)
 
 
@@ -70,7 +70,7 @@ def test_an_arm_off_the_start_pose_is_refused_by_the_controller_too(rig):
     blind = Script(blind=("start_distance", "start_angle"))
     sim, run = rig.permitted("off-start@permitted", script=blind)
     sim.say("hold")
-    run.line("not ready to start: measured tip")  # the view is not blind
+    run.line("not ready to start: measured wrist centre")  # the view is not blind
     until_refused(run, "NOT_AT_START")
     ended(rig, sim, run)
 

@@ -7,14 +7,14 @@ import pytest
 from mcap.reader import make_reader
 
 from protocol import records
-from protocol.frames import CONTROL_IDS, RuntimeStop
+from protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
 from protocol.states import StopCode
 from runtime.audit.inspect import Status
 from runtime.audit.replay import Outcome, replay
 from runtime.cli import execute
 from runtime.session.job import VERIFIER
 from runtime.verification import certified
-from tests.system.harness import FAST, POSES, ROOT, judged, registration
+from tests.system.harness import FAST, POSES, ROOT, is_kind, judged, registration
 
 REAL = ROOT.parent / "shared" / "paths"
 real_paths = pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
@@ -52,6 +52,29 @@ def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
         attached = {attachment.name for attachment in reader.iter_attachments()}
     assert decisions[-1]["to_state"] == "done"
     assert {"robot.toml", "site.toml", "registration.json", "path.bin", "cutgate.dbc"} <= attached
+
+
+@pytest.mark.parametrize("joints", [None, "40,30,400,-120,80"])
+def test_the_arm_comes_from_wherever_it_stands_and_goes_back_there(rig, joints):
+    sim, run = rig.sim(scale=4 * FAST, joints=joints), rig.run(json=True)
+    run.line("permitted:")
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    first, last = ([bytes(m.data[3:]) for m in rig.bus.frames if is_kind(m, Joints01)][i] for i in (0, -1))
+    assert first == last
+    assert json.loads(run.document)["approach"]["verdict"] == "admissible"
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+
+
+def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
+    run, sim = rig.run(), rig.sim(joints="0,70,52,0,55")
+    assert run.exit() == 1
+    assert "approach and retract INADMISSIBLE" in run.document
+    assert "bottom: clearance 2.000000 mm, needs 5.5 mm" in run.document.partition("NOT ADMITTED")[2]
+    assert rig.at_rest(sim) == "INHIBITED"
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert "state PERMITTED" not in sim.told
 
 
 def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):

@@ -77,6 +77,11 @@ class PathCheck:
         self.verdict: PathVerdict | None = self._check_header(tool)
 
     @property
+    def path(self) -> Path:
+        """What is checked."""
+        return self._path
+
+    @property
     def first_joints(self) -> Joints | None:
         """Reported joints at the first pose, on the path's branch; None until found inside the limits."""
         return self._first

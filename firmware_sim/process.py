@@ -324,7 +324,7 @@ class Process:
         first, last = check.first_joints, check.last_joints
         if session is None or first is None or last is None:
             return None
-        path = records.Path.parse(self._checked_path)
+        path = check.path
         arm = calibrated_arm(
             records.Calibration.parse(held.calibration),
             tool_mm=path.tool_length_mm,

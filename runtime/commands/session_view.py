@@ -9,7 +9,7 @@ from protocol.states import ControllerState, StopCause
 from runtime.audit.log import Paths
 from runtime.commands.screen import messages, output
 from runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
-from runtime.interlock.permissives import FOR_START, failing
+from runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
 from runtime.interlock.state import (
     Announced,
     Effect,
@@ -79,15 +79,17 @@ class SessionView:
             announce = event.announce
             self.note(f"controller {announce.serial}, firmware {announce.firmware_version}")
         if after.phase is not before.phase:
-            self._entered(after)
+            self._entered(after, now_s)
         self._watch_hold(after)
         self._watch_device(after, now_s)
 
-    def _entered(self, state: Interlock) -> None:
+    def _entered(self, state: Interlock, now_s: float) -> None:
         if state.phase is Phase.STOPPING:
             self.note(f"{SAYS[state.phase]}: {state.reason}", BAD)
         elif state.phase is Phase.ADMITTED:
             self.note("admitted; waiting for the permissives of the permit", GOOD)
+            for permissive in failing(FOR_PERMIT, state, now_s):
+                self.note(f"  {permissive}", "yellow")
         elif state.phase in SAYS:
             self.note(SAYS[state.phase])
 

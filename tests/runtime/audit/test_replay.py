@@ -473,6 +473,17 @@ def test_nothing_leaves_without_a_verified_approach(admitted):
         differs(forged, f"a {kind} left without a verified approach")
 
 
+def test_an_approach_belongs_to_the_verdict_before_it(admitted):
+    """A later verdict needs an approach of its own."""
+    found = read_log(admitted).of(records.Verdict.TOPIC)[0]
+    queue = [records.Verdict.model_validate_json(json.dumps(found))]
+    forged = forge(
+        admitted,
+        lambda record: queue.pop() if queue and isinstance(record, records.Decision) else record,
+    )
+    differs(forged, "a permit left without a verified approach")
+
+
 def test_nothing_leaves_on_an_inadmissible_approach(admitted):
     forged = forge(admitted, in_approach(lambda document: document.update(verdict="inadmissible")))
     for kind in ("permit", "start"):

@@ -17,7 +17,7 @@ from runtime.verification import approach, certified
 from runtime.verification.approach import Start
 from runtime.verification.geometry import canonical
 from runtime.verification.problem import Arm, Calibration, Deadband
-from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, line_path
+from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import Dense
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 
@@ -429,24 +429,28 @@ def test_a_straight_leg_that_leaves_the_slides_travel_is_refused_with_its_senten
 
 def test_a_straight_leg_keeps_the_joint_speeds():
     slow = replace(cut(), feed_mm_s=5_000.0)
-    reasons = approach.verify(slow, Start(MIDDLE, 10_000)).reasons
+    verdict = approach.verify(slow, Start(MIDDLE, 10_000))
+    reasons = verdict.reasons
+    assert not verdict.admissible
+    assert not any(b.violated for leg in verdict.legs for b in leg.boundaries.values())
     assert any("straight line" in reason and "joint 2: needs up to" in reason for reason in reasons)
     assert not any("joint line" in reason for reason in reasons)
 
 
-@pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED])
-@pytest.mark.parametrize("clearance_um", [0, 10_000, 25_000])
-def test_the_controller_comes_to_the_same_entry_and_exit(calibration, clearance_um):
-    path = line_path((500.0, 0.0, 100.0), (450.0, 120.0, 60.0))
-    check = PathCheck(path, LIMITS, calibration, TOOL)
-    check.run()
-    arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow="right")
-    theirs = own_ends(path, arm, LIMITS, check.first_joints, check.last_joints, clearance_um=clearance_um)
+def of_both(path, calibration, limits, clearance_um, hold_roll=None):
+    """What the runtime binds, and what the controller comes to by itself."""
+    check = PathCheck(path, limits, calibration, TOOL, hold_roll)
+    assert check.run().detail == ""
+    arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow=path.elbow, hold_roll_rad=hold_roll)
+    theirs = own_ends(path, arm, limits, check.first_joints, check.last_joints, clearance_um=clearance_um)
     mine = problem(
         path.tips_mm,
         path.axes,
-        branch=(0, 0),
-        arm=Arm(calibration.upper_mm, calibration.forearm_mm, "right"),
+        branch=(path.q0_turns, path.roll_turns),
+        arm=Arm(calibration.upper_mm, calibration.forearm_mm, path.elbow),
+        lower=limits.q_min,
+        upper=limits.q_max,
+        hold_roll=hold_roll,
         calibration=Calibration(
             calibration.upper_link_error_mm,
             calibration.forearm_link_error_mm,
@@ -454,9 +458,38 @@ def test_the_controller_comes_to_the_same_entry_and_exit(calibration, clearance_
             calibration.slide_tilt,
         ),
     )
-    bound = approach.bound(approach.verify(mine, Start(MIDDLE, clearance_um)), 25)
+    middle = (limits.q_min + limits.q_max) / 2
+    return approach.bound(approach.verify(mine, Start(middle, clearance_um)), 25), theirs
+
+
+@pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED], ids=["nominal", "calibrated"])
+@pytest.mark.parametrize("elbow", ["right", "left"])
+@pytest.mark.parametrize(("q0_turns", "roll_turns"), [(0, 0), (1, -2), (-3, 1)])
+@pytest.mark.parametrize("clearance_um", [0, 25_000])
+def test_the_controller_comes_to_the_same_entry_and_exit(
+    calibration, elbow, q0_turns, roll_turns, clearance_um
+):
+    sides = {
+        "right": WIDE,
+        "left": replace(WIDE, q_min_u=_elbow(WIDE.q_min_u, -180), q_max_u=_elbow(WIDE.q_max_u, 0)),
+    }
+    turns = {"q0_turns": q0_turns, "roll_turns": roll_turns}
+    path = line_path((500.0, 40.0, 100.0), (450.0, 120.0, 60.0), elbow=elbow, **turns)
+    bound, theirs = of_both(path, calibration, sides[elbow], clearance_um)
     assert (bound.entry_um, bound.exit_um) == (theirs.entry_um, theirs.exit_um)
     np.testing.assert_allclose(bound.entry_joints_u, theirs.entry_joints_u, atol=2)
+    np.testing.assert_allclose(bound.exit_joints_u, theirs.exit_joints_u, atol=2)
+
+
+def _elbow(joints_u, deg):
+    return (joints_u[0], deg * records.UNIT, *joints_u[2:])
+
+
+def test_the_controller_holds_the_roll_of_a_vertical_tool_on_the_way_as_well():
+    path = line_path((500.0, 0.0, 100.0), (520.0, 0.0, 100.0), polar=(0, 0), azimuth=(0, 0))
+    bound, theirs = of_both(path, NOMINAL, LIMITS, 10_000, hold_roll=0.4)
+    assert (theirs.entry_um, theirs.exit_um) == (bound.entry_um, bound.exit_um) == (10_000, 10_000)
+    assert theirs.entry_joints_u[3] == bound.exit_joints_u[3] == round(math.degrees(0.4) * 1e6)
     np.testing.assert_allclose(bound.exit_joints_u, theirs.exit_joints_u, atol=2)
 
 

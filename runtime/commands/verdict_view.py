@@ -125,25 +125,46 @@ def guidance_lines(guidance: Guidance) -> RenderableType:
     """How to move the bone: the combined move first, then each boundary's own hint."""
     lines: list[RenderableType] = [Text("How to move the bone (robot frame, z up)", style="bold")]
     if guidance.translation_mm is None:
-        lines.append(Text("  No translation of the bone cures this path.", style=BAD))
-        lines.append(Text(f"  {guidance.text[:1].upper()}{guidance.text[1:]}"))
+        proved = "No translation of the bone cures this path" + (
+            ": proved." if guidance.none_possible else ", none was found."
+        )
+        lines.append(Text(f"  {proved}", style=BAD))
     else:
-        distance = math.hypot(*guidance.translation_mm)
-        x, y, z = guidance.translation_mm
-        turn = f" and turn it by {guidance.yaw_deg:+.2f} deg about the vertical" if guidance.yaw_deg else ""
-        lines.append(
-            Text.assemble(
-                "  Move it ", (f"x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm", "bold"), f" ({distance:.1f} mm){turn}: ",
-                ("verified", GOOD) if guidance.verified else ("not verified", BAD),
-                "" if guidance.predicted_clearance_mm is None
-                else f", smallest clearance then {guidance.predicted_clearance_mm:.2f} mm",
-            )
-        )  # fmt: skip
-        lines.append(Text("  A moved bone needs a new registration; a permit given before is void."))
+        lines += _combined_move(guidance, guidance.translation_mm)
+    sentences = Table.grid(padding=(0, 1, 0, 0))
+    for part in guidance.text.split("; "):
+        sentences.add_row("  -", f"{part[:1].upper()}{part[1:]}.")
+    lines.append(sentences)
     if guidance.moves:
         lines.append(Text("  For each violated boundary's worst place alone (a hint, not verified):"))
         lines += [Text(f"    {_move(move)}") for move in guidance.moves]
     return Group(*lines)
+
+
+def _combined_move(guidance: Guidance, translation_mm: tuple[float, float, float]) -> list[RenderableType]:
+    """What to do with the bone, in the order in which it is to be done."""
+    x, y, z = translation_mm
+    move = (f"x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm", "bold")
+    lines: list[RenderableType] = []
+    if guidance.yaw_deg:
+        sense = "counter-clockwise" if guidance.yaw_deg > 0.0 else "clockwise"
+        px, py, _ = guidance.pivot_mm
+        turn = (f"{guidance.yaw_deg:+.1f} deg", "bold")
+        lines.append(
+            Text.assemble(
+                "  First turn it by ", turn, f" ({sense} seen from above) about the vertical through "
+                f"x {px:.1f}  y {py:.1f} mm, without tilting it."
+            )
+        )  # fmt: skip
+    clearance = guidance.predicted_clearance_mm
+    lines.append(
+        Text.assemble(
+            "  Then move it " if guidance.yaw_deg else "  Move it ", move, f" ({math.hypot(x, y, z):.1f} mm): ",
+            ("verified", GOOD) if guidance.verified else ("not verified", BAD),
+            "" if clearance is None else f", smallest clearance then {clearance:.2f} mm",
+        )
+    )  # fmt: skip
+    return lines
 
 
 def _move(move: Move) -> str:

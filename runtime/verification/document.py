@@ -113,7 +113,8 @@ def _rate(line: SpeedLine) -> dict[str, Any]:
 
 
 def _guidance(guidance: Guidance) -> dict[str, Any]:
-    """The combined move and each boundary's own."""
+    """The combined move and each boundary's own; what is not known of other translations is absent."""
+    proved = {"none_possible": guidance.none_possible, "at_least_mm": guidance.at_least_mm}
     return {
         "translation_mm": None if guidance.translation_mm is None else _vector(guidance.translation_mm),
         "yaw_deg": _number(guidance.yaw_deg),
@@ -121,6 +122,7 @@ def _guidance(guidance: Guidance) -> dict[str, Any]:
         "moves": [_move(move) for move in guidance.moves],
         "predicted_clearance_mm": _number(guidance.predicted_clearance_mm),
         "verified": bool(guidance.verified),
+        **{key: value for key, value in proved.items() if value is not None},
     }
 
 

@@ -1,15 +1,17 @@
-"""Which way the bone must move: a hint for each boundary, and one combined, verified translation.
+"""Which way the bone must move: a hint for each boundary, and one combined, verified move.
 
-A hint cures the worst place of one boundary to first order; it says nothing of the rest of the path. The
-combined translation is searched on the poses alone, by arithmetic that proves nothing, and is then
-shown only with what the certified method says of the moved and re-quantised path.
+A hint cures the worst place of one boundary to first order; it says nothing of the rest of the path.
+The combined move is the smallest translation, or, where none is found, a turn about the vertical by the
+smallest angle found and the smallest translation with it. It is shown only with what the certified method
+says of the moved and re-quantised path. That no translation helps is said only where it is proved.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -18,10 +20,11 @@ from numpy.typing import NDArray
 from runtime.verification import certified
 from runtime.verification.defects import defects
 from runtime.verification.geometry import Geometry, canonical
+from runtime.verification.placing import Placing, Reserve
 from runtime.verification.points import Points, at
 from runtime.verification.problem import Problem
 from runtime.verification.search import smallest_translation
-from runtime.verification.verdict import Boundary, Verdict
+from runtime.verification.verdict import ARM_BOUNDARIES, Boundary, Verdict
 from runtime.workspace.planar import SIDES, nearest_on_arc
 
 Floats = NDArray[np.float64]
@@ -29,18 +32,40 @@ Vector = tuple[float, float, float]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 RESERVES_MM = (0.2, 0.5, 2.0)
-"""Beyond the deadband the moved path keeps this; the next is tried where the certified method says no."""
+"""Beyond the deadband the points of the moved path keep this; the next is tried where the certified method says no."""
 
 RESERVE_DEG = 0.1
-"""The same for turns."""
+"""The same for turns, with the first of the reserves; it grows as they do."""
 
 STEP_MM = 0.1
-"""Translations are shown, and verified, in whole steps of this."""
+"""Translations are shown, and verified, in whole steps of this; so is the pivot of a turn."""
+
+STEP_DEG = 0.1
+"""Turns about the vertical are shown, and verified, in whole steps of this."""
+
+COARSE_STEPS, FINE_STEPS = 50, 5
+"""Turns are tried every 5 deg, then narrowed down to 0.5 deg."""
+
+TURN_FINEST_MM, TURN_EVALUATIONS = 0.5, 4000
+"""How hard it is tried at each turn whether any translation fits with it."""
+
+TURNS_VERIFIED = 6
+"""So many turns are given to the certified method; where it admits none of them, more are not tried."""
+
+SHOWN_MM = 0.01
+"""What is shown keeps this beyond the deadbands (mm, deg): a new registration's path is quantised otherwise."""
 
 ON_THE_ARC_MM = 1e-6
 """Nearer than this the difference to the arc has no direction."""
 
-_NOT_CURED = ("pitch_min", "pitch_max", "wrist_singularity")
+NEW_REGISTRATION = "a moved bone needs a new registration, which voids every permit given before"
+
+NOT_FOUND = "no translation found that makes the whole path admissible; that there is none is not proved"
+
+OTHERWISE = "tilt the bone, or part the path"
+
+_TILT = ("pitch_min", "pitch_max", "wrist_singularity")
+_ROLL = ("roll_min", "roll_max")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +83,19 @@ class Move:
 class Guidance:
     """One combined move of the bone, in the robot frame.
 
-    ``translation_mm`` is None when no translation was found; ``verified`` is True only if the
-    moved and re-quantised path was admitted by the certified method.
+    The new registration is ``Trans(translation) * Rz(yaw about pivot) * R_T_CT``.
+
+    Attributes:
+        translation_mm: None when no move was found.
+        yaw_deg: turn about the vertical through the pivot, before the translation.
+        pivot_mm: the mean tip.
+        moves: a hint for each violated boundary.
+        predicted_clearance_mm: smallest proven clearance of the arm after the move.
+        verified: whether the moved and re-quantised path was admitted by the certified method.
+        text: what was found and proved, in sentences.
+        none_possible: True if it is proved that no translation alone makes the path admissible, False
+            if one does, None if neither is known.
+        at_least_mm: with a translation alone: proved length of the shortest that keeps the same reserve.
     """
 
     translation_mm: Vector | None
@@ -69,6 +105,8 @@ class Guidance:
     predicted_clearance_mm: float | None
     verified: bool
     text: str
+    none_possible: bool | None = None
+    at_least_mm: float | None = None
 
 
 def guide(problem: Problem, verdict: Verdict, quantise: Quantise) -> Guidance | None:
@@ -90,49 +128,206 @@ def guide(problem: Problem, verdict: Verdict, quantise: Quantise) -> Guidance | 
         if b.violated and b.clearance is not None and b.segment is not None and b.fraction is not None:
             place = at(geometry, segments, np.array([b.segment]), np.array([b.fraction]))
             moves.append(_hint(geometry, b, place))
-    translation, clearance, text = _combined(problem, verdict, quantise)
-    x, y, z = (float(v) for v in problem.tips_mm.mean(axis=0))
-    return Guidance(
-        translation_mm=translation,
-        yaw_deg=0.0,
-        pivot_mm=(x, y, z),
-        moves=tuple(moves),
-        predicted_clearance_mm=clearance,
-        verified=translation is not None,
-        text=text,
-    )
+    found = _Combined(problem, verdict, quantise).guidance()
+    return replace(found, moves=tuple(moves))
 
 
-def _combined(
-    problem: Problem, verdict: Verdict, quantise: Quantise
-) -> tuple[Vector | None, float | None, str]:
-    """The smallest translation found that the certified method admits, its clearance, and a sentence."""
-    fixed = [name for name in _NOT_CURED if name in verdict.boundaries and verdict.boundaries[name].violated]
-    if fixed:
-        return None, None, f"no translation changes {', '.join(fixed)}: tilt the registration"
-    for reserve in RESERVES_MM:
-        found = smallest_translation(problem, reserve)
-        if found is None:
-            break
-        shift = np.round(np.round(found / STEP_MM) * STEP_MM, 3)
-        tips, axes = quantise(problem.tips_mm + shift, problem.axes)
-        moved = certified.verify(replace(problem, tips_mm=tips, axes=axes, branch=None))
-        if moved.admissible:
-            least = min(
-                b.certified for b in moved.boundaries.values() if b.unit == "mm" and b.certified is not None
+def moved(problem: Problem, yaw_deg: float, pivot_mm: Vector, translation_mm: Floats | Vector) -> Problem:
+    """The path on a bone turned about the vertical through the pivot, then translated; not quantised."""
+    if yaw_deg == 0.0:
+        return replace(problem, tips_mm=problem.tips_mm + np.asarray(translation_mm))
+    c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
+    turn = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    pivot = np.asarray(pivot_mm)
+    tips = (problem.tips_mm - pivot) @ turn.T + pivot + np.asarray(translation_mm)
+    axes = problem.axes @ turn.T
+    return replace(problem, tips_mm=tips, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+
+def pivot_of(problem: Problem) -> Vector:
+    """The mean tip, to whole steps."""
+    return _steps(problem.tips_mm.mean(axis=0))
+
+
+def _steps(vector: Floats) -> Vector:
+    x, y, z = (round(round(float(v) / STEP_MM) * STEP_MM, 3) + 0.0 for v in vector)
+    return (x, y, z)
+
+
+def _reserve(mm: float) -> Reserve:
+    return Reserve(mm, math.radians(RESERVE_DEG) * mm / RESERVES_MM[0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Proof:
+    """That no translation helps, in a sentence; ``for_turns``: nor with any turn about the vertical."""
+
+    text: str
+    for_turns: bool
+
+
+class _Combined:
+    """The search for one combined move; its methods are the steps of `guidance`, in order."""
+
+    def __init__(self, problem: Problem, verdict: Verdict, quantise: Quantise) -> None:
+        self.problem = problem
+        self.verdict = verdict
+        self.quantise = quantise
+        self.pivot = pivot_of(problem)
+        self.too_fast = False
+
+    def guidance(self) -> Guidance:
+        """The smallest translation, else the smallest turn with a translation, else why there is none."""
+        unchanged = self._unchanged()
+        if unchanged is not None:
+            return self._nothing(unchanged, none_possible=True)
+        if canonical(self.problem)[0].workspace.empty:
+            return self._nothing("the joint limits leave the arm no workspace", none_possible=True)
+        alone = self._translated(0.0)
+        if alone is not None:
+            return alone
+        if self.too_fast:
+            fast = "the joint speeds stay above their limits wherever it was tried: lower the feed"
+            return self._nothing(f"{NOT_FOUND}; {fast}", none_possible=None)
+        return self._not_by_translation()
+
+    def _not_by_translation(self) -> Guidance:
+        """What is proved of translations alone, and the smallest turn that helps."""
+        proof = self._proof()
+        if proof is not None and proof.for_turns:
+            return self._nothing(f"{proof.text}: {OTHERWISE}", none_possible=True)
+        turned = self._turned()
+        first, none_possible = (NOT_FOUND, None) if proof is None else (proof.text, True)
+        if turned is not None:
+            return replace(turned, text=f"{first}; {turned.text}", none_possible=none_possible)
+        both = f"no turn about the vertical with a translation was found either: {OTHERWISE}"
+        return self._nothing(f"{first}; {both}", none_possible=none_possible)
+
+    def _nothing(self, text: str, *, none_possible: bool | None) -> Guidance:
+        return Guidance(
+            None, 0.0, self.pivot, (), None, verified=False, text=text, none_possible=none_possible
+        )
+
+    def _unchanged(self) -> str | None:
+        """Why no move and no turn about the vertical helps: a violated boundary that they leave as it is."""
+        boundaries = self.verdict.boundaries
+        held = self.problem.hold_roll is not None and "wrist_singularity" not in boundaries
+        names = [
+            n for n in (*_TILT, *(_ROLL if held else ())) if n in boundaries and _attained(boundaries[n])
+        ]
+        if not names:
+            return None
+        remedy = (
+            "declare another hold_roll_deg" if held and set(names) <= set(_ROLL) else "tilt the registration"
+        )
+        return f"no translation and no turn about the vertical changes {', '.join(names)} (proved): {remedy}"
+
+    def _translated(self, yaw_deg: float) -> Guidance | None:
+        """The smallest translation, with a turn, that the certified method admits."""
+        turned = moved(self.problem, yaw_deg, self.pivot, (0.0, 0.0, 0.0))
+        for reserve in RESERVES_MM:
+            placing = Placing(turned, _reserve(reserve))
+            found = smallest_translation(placing)
+            if found.translation_mm is None:
+                return None
+            shift = _steps(found.translation_mm * (1.0, placing.geometry.side, 1.0))
+            clearance = self._verified(yaw_deg, shift)
+            if clearance is not None:
+                return self._shown(yaw_deg, shift, clearance, reserve, found.at_least_mm)
+        return None
+
+    def _verified(self, yaw_deg: float, shift: Vector) -> float | None:
+        """Smallest proven clearance of the arm on the moved path; None if it is not admitted."""
+        path = moved(self.problem, yaw_deg, self.pivot, shift)
+        tips, axes = self.quantise(path.tips_mm, path.axes)
+        verdict = certified.verify(replace(path, tips_mm=tips, axes=axes, branch=None))
+        cured = [b for b in verdict.boundaries.values() if b.name in (*ARM_BOUNDARIES, *_ROLL)]
+        self.too_fast = verdict.branch is not None and not any(
+            b.violated for b in verdict.boundaries.values()
+        )
+        if not (verdict.admissible and all((b.certified or 0.0) >= b.deadband + SHOWN_MM for b in cured)):
+            return None
+        return min(b.certified for b in cured if b.name in ARM_BOUNDARIES and b.certified is not None)
+
+    def _shown(
+        self, yaw_deg: float, shift: Vector, clearance: float, reserve: float, least: float
+    ) -> Guidance:
+        beyond = clearance - self.verdict.deadband_arm_mm
+        text = f"the whole moved path keeps at least {beyond:.2f} mm beyond the arm deadband (proved)"
+        if yaw_deg == 0.0:
+            text += f"; no translation shorter than {least:.1f} mm keeps {reserve:g} mm beyond it (proved)"
+        return Guidance(
+            translation_mm=shift,
+            yaw_deg=yaw_deg,
+            pivot_mm=self.pivot,
+            moves=(),
+            predicted_clearance_mm=clearance,
+            verified=True,
+            text=f"{text}; {NEW_REGISTRATION}",
+            none_possible=False if yaw_deg == 0.0 else None,
+            at_least_mm=least if yaw_deg == 0.0 else None,
+        )
+
+    def _proof(self) -> _Proof | None:
+        """A proof that no translation helps, or that none does with whatever turn about the vertical."""
+        tall = "the path is taller than the slide's range"
+        arm = "wherever it stands, a pose violates inner, outer, left or right"
+        roll = "wherever the arm reaches every pose, the roll leaves its limits"
+        if self._none_fits(shoulder=False):
+            low, high = Placing(self.problem, Reserve()).lift_mm
+            why = tall if low > high else arm if self._none_fits(roll=False, shoulder=False) else roll
+            return _Proof(
+                f"no translation helps, with or without a turn about the vertical (proved): {why}",
+                for_turns=True,
             )
-            x, y, z = (round(float(v), 3) for v in shift)
-            beyond = least - moved.deadband_arm_mm
-            return (
-                (x, y, z),
-                least,
-                f"the whole moved path keeps at least {beyond:.2f} mm beyond the arm deadband",
+        if self._none_fits():
+            return _Proof(
+                f"no translation helps (proved): {arm if self._none_fits(roll=False) else roll}",
+                for_turns=False,
             )
-    return (
-        None,
-        None,
-        "no translation found that makes the whole path admissible: turn the bone, or part the path",
-    )
+        return None
+
+    def _none_fits(self, *, roll: bool = True, shoulder: bool = True) -> bool:
+        placing = Placing(self.problem, Reserve(), roll=roll, shoulder=shoulder)
+        return smallest_translation(placing, any_will_do=True).none_fits
+
+    def _turned(self) -> Guidance | None:
+        """The smallest turn found, either way, for which the certified method admits a translation."""
+        for steps in islice(self._turns(), TURNS_VERIFIED):
+            found = self._translated(round(steps * STEP_DEG, 3))
+            if found is not None:
+                return found
+        return None
+
+    def _turns(self) -> Iterator[int]:
+        """Turns in steps of `STEP_DEG` for which a translation fits the poses, smallest first."""
+        for coarse in range(COARSE_STEPS, round(180.0 / STEP_DEG) + 1, COARSE_STEPS):
+            fitting = [sign * coarse for sign in (1, -1) if self._fits(sign * coarse)]
+            refined = [self._narrowed(steps) for steps in fitting]
+            yield from sorted({*refined, *fitting}, key=lambda steps: (abs(steps), steps))
+
+    def _narrowed(self, steps: int) -> int:
+        """The smallest turn that fits between the last coarse one, which does not, and this one."""
+        sign, high = (1 if steps > 0 else -1), abs(steps)
+        low = high - COARSE_STEPS
+        while high - low > FINE_STEPS:
+            middle = (low + high) // 2
+            low, high = (low, middle) if self._fits(sign * middle) else (middle, high)
+        return sign * high
+
+    def _fits(self, steps: int) -> bool:
+        placing = Placing(
+            moved(self.problem, steps * STEP_DEG, self.pivot, (0.0, 0.0, 0.0)), _reserve(RESERVES_MM[0])
+        )
+        found = smallest_translation(
+            placing, any_will_do=True, finest_mm=TURN_FINEST_MM, evaluations=TURN_EVALUATIONS
+        )
+        return found.translation_mm is not None
+
+
+def _attained(b: Boundary) -> bool:
+    """Whether a pose of the path itself, not only a bound, is nearer than the deadband."""
+    return b.violated and b.clearance is not None and b.clearance < b.deadband
 
 
 def _hint(geometry: Geometry, b: Boundary, place: Points) -> Move:

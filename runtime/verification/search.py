@@ -1,179 +1,192 @@
-"""Look for the smallest translation of the bone, on the poses alone.
+"""The smallest translation of the bone, with a proof of how small, by branch and bound.
 
-Height and plane part: the slide needs a height within an interval, the plane a shift of all wrist
-centres. Rings of growing radius find where a shift fits, a shrinking pattern then shortens it. Worst
-poses stand for all of them; those that turn out worse are taken in. Nothing here is proof.
+The length of the translation that belongs to a shift ``p`` is the distance of the origin from the straight
+segment ``(p + h tilt, h)`` over the lifts h that the slide allows, hence 1-Lipschitz in p. Squares of shifts
+are worked off by the least length in them; one is dropped when it is proved that no shift in it fits, or
+that none is shorter than the best found. Nothing left proves that no translation fits.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
-from runtime.verification.chain import BLOCK, sweep
-from runtime.verification.geometry import VERTICAL, Geometry, canonical
-from runtime.verification.points import Points, at_poses, join
-from runtime.verification.problem import Problem
-from runtime.workspace.distance import signed_sides
-from runtime.workspace.planar import distance_to_arc
+from runtime.verification.placing import Placing
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
-SAMPLE = 160
-DIRECTIONS = 48
-GROWTH = 1.2
-SMALLEST_RING_MM = 1.0
-FINEST_MM = 0.02
-ROUNDS = 6
+TOLERANCE_MM = 0.05
+"""The translation found is longer than the shortest by at most this, unless said otherwise."""
+
+FINEST_MM = 0.01
+"""A disc of this radius that can neither be excluded nor used stays open."""
+
+SQUARES = 12
+"""The domain is first cut into so many squares a side."""
+
+BATCH = 128
+"""Squares divided at once."""
+
+EVALUATIONS = 12_000
+"""Squares looked at before the search gives up; it then proves as much as it has seen."""
 
 
-def smallest_translation(problem: Problem, reserve_mm: float) -> Floats | None:
-    """Smallest translation after which all poses keep their deadbands and a reserve.
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a search found and what it proved.
+
+    Attributes:
+        translation_mm: shape (3,), canonical frame (right elbow); None if none was found.
+        at_least_mm: every translation after which all points fit is at least this long; infinite where
+            it is proved that there is none.
+    """
+
+    translation_mm: Floats | None
+    at_least_mm: float
+
+    @property
+    def none_fits(self) -> bool:
+        """Whether it is proved that no translation fits."""
+        return self.at_least_mm == math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class _Squares:
+    """Squares of shifts: centres (k, 2), half sides (k,), least length of a translation in each (k,)."""
+
+    centre: Floats
+    half: Floats
+    least: Floats
+
+    def __len__(self) -> int:
+        return len(self.half)
+
+    @property
+    def radius(self) -> Floats:
+        return math.sqrt(2.0) * self.half
+
+    def take(self, chosen: Bools | NDArray[np.intp]) -> _Squares:
+        return _Squares(self.centre[chosen], self.half[chosen], self.least[chosen])
+
+    def joined(self, other: _Squares) -> _Squares:
+        return _Squares(
+            np.concatenate((self.centre, other.centre)),
+            np.concatenate((self.half, other.half)),
+            np.concatenate((self.least, other.least)),
+        )
+
+
+def smallest_translation(
+    placing: Placing,
+    *,
+    any_will_do: bool = False,
+    finest_mm: float = FINEST_MM,
+    evaluations: int = EVALUATIONS,
+) -> Found:
+    """The smallest translation after which all points of a path keep their deadbands and the reserve.
 
     Args:
-        problem: an inadmissible path, with usable numbers.
-        reserve_mm: beyond the arm deadband.
-
-    Returns:
-        Shape (3,), robot frame, mm; None if none was found.
+        placing: the path's conditions.
+        any_will_do: stop at the first translation that fits.
+        finest_mm: radius down to which discs of shifts are divided.
+        evaluations: bound on the discs looked at.
     """
-    geometry, segments = canonical(problem)
-    if geometry.workspace.empty:
-        return None
-    n = len(segments.tip)
-    poses = join([at_poses(geometry, segments, slice(i, i + BLOCK)) for i in range(0, n, BLOCK)])
-    lift = _height(geometry, poses, reserve_mm)
-    if lift is None:
-        return None
-    centres = poses.centre - lift * geometry.tilt
-    steps = sweep(poses.axis_xy[:-1], poses.axis_xy[1:])
-    azimuth = poses.azimuth[0] + np.concatenate(([0.0], np.cumsum(steps)))
-    rolling = problem.hold_roll is None or bool((np.sin(poses.pitch) >= VERTICAL).any())
-    field = _Field(geometry, centres, azimuth if rolling else None, poses, reserve_mm)
-    shift = field.smallest()
-    if shift is None:
-        return None
-    return np.array((shift[0], geometry.side * shift[1], lift))
+    least, most = placing.lift_mm
+    if least > most + 2.0 * placing.pad_mm:
+        return Found(None, math.inf)
+    if not least <= most:  # within rounding: no lift is known to fit, none is proved not to
+        return Found(None, 0.0)
+    return _Search(placing, finest_mm).run(any_will_do=any_will_do, evaluations=evaluations)
 
 
-def _height(geometry: Geometry, poses: Points, reserve_mm: float) -> float | None:
-    """The smallest lift that brings all heights into the slide's range."""
-    keep = geometry.arm_mm + reserve_mm
-    least = float(geometry.lower[2]) + keep - float(poses.height.min())
-    most = float(geometry.upper[2]) - keep - float(poses.height.max())
-    if not least <= most:
-        return None
-    return min(max(0.0, least), most)
+class _Search:
+    """One run: the open squares, the best shift so far, and the least length among those given up."""
 
+    def __init__(self, placing: Placing, finest_mm: float) -> None:
+        self.placing = placing
+        self.finest_mm = finest_mm
+        self.best: Floats | None = None
+        self.length = math.inf
+        self.given_up = math.inf
+        self.looked_at = 0
 
-class _Field:
-    """How well a planar shift of all wrist centres fits, right elbow."""
+    def run(self, *, any_will_do: bool, evaluations: int) -> Found:
+        """Divide the square with the shortest translation first, until nothing can improve the best."""
+        shortest = min(max(0.0, self.placing.lift_mm[0]), self.placing.lift_mm[1])  # no shift of the tips
+        self._try(-shortest * self.placing.geometry.tilt[None, :])
+        squares = self._look(self._first())
+        while len(squares) and self.looked_at < evaluations and not (any_will_do and self.best is not None):
+            squares = squares.take(squares.least < self.length - TOLERANCE_MM)
+            order = np.argsort(squares.least, kind="stable")
+            near, rest = squares.take(order[:BATCH]), squares.take(order[BATCH:])
+            squares = rest.joined(self._look(self._divided(near)))
+        least = min(
+            self.given_up, float(squares.least.min(initial=math.inf)), max(self.length - TOLERANCE_MM, 0.0)
+        )
+        return Found(None if self.best is None else self._translation(self.best), least)
 
-    def __init__(
-        self, geometry: Geometry, centres: Floats, azimuth: Floats | None, poses: Points, reserve_mm: float
-    ) -> None:
-        self.geometry = geometry
-        self.centres = centres
-        self.azimuth = azimuth
-        self.widening = poses.widening
-        self.reserve_mm = reserve_mm
-        even = np.linspace(0, len(centres) - 1, min(SAMPLE, len(centres))).astype(np.int64)
-        angles = np.arange(16) * TURN / 16
-        extreme = np.argmax(centres @ np.stack((np.cos(angles), np.sin(angles))), axis=0)
-        self.sample: Ints = np.unique(np.concatenate((even, extreme)))
+    def _first(self) -> _Squares:
+        """Squares that cover the domain; none if it is empty."""
+        low, high = self.placing.domain
+        if not (low <= high).all():
+            nothing = np.empty(0)
+            return _Squares(np.empty((0, 2)), nothing, nothing)
+        half = max(float((high - low).max()) / (2.0 * SQUARES), self.finest_mm)
+        ticks = [np.arange(a + half, b + 2.0 * half, 2.0 * half) for a, b in zip(low, high, strict=True)]
+        centre = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
+        return self._bounded(centre, np.full(len(centre), half), np.zeros(len(centre)))
 
-    def smallest(self) -> Floats | None:
-        """The smallest shift that fits all poses; poses that object are taken into the sample."""
-        for _ in range(ROUNDS):
-            shift = self._smallest_for_sample()
-            if shift is None:
-                return None
-            margin, worst = self._margins(shift[None, :], np.arange(len(self.centres)))
-            if margin[0] >= 0.0:
-                return shift
-            self.sample = np.unique(np.concatenate((self.sample, worst)))
-        return None
+    def _divided(self, squares: _Squares) -> _Squares:
+        """Four of each."""
+        quarter = squares.half[:, None, None] / 2.0 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+        centre = (squares.centre[:, None, :] + quarter).reshape(-1, 2)
+        return self._bounded(centre, np.repeat(squares.half / 2.0, 4), np.repeat(squares.least, 4))
 
-    def _smallest_for_sample(self) -> Floats | None:
-        starts = self._rings()
-        if starts is None:
-            return None
-        found = [self._shorten(start) for start in starts]
-        return min(found, key=lambda shift: math.hypot(*shift))
+    def _bounded(self, centre: Floats, half: Floats, inherited: Floats) -> _Squares:
+        least = np.maximum(inherited, self._length(centre) - math.sqrt(2.0) * half)
+        return _Squares(centre, half, least)
 
-    def _rings(self) -> list[Floats] | None:
-        """The first ring on which shifts fit, and a few of them, well apart."""
-        zero = np.zeros((1, 2))
-        if self._fits(zero)[0]:
-            return [zero[0]]
-        angles = np.arange(DIRECTIONS) * TURN / DIRECTIONS
-        unit = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        away = float(np.hypot(*self.centres.mean(axis=0)))
-        radius = SMALLEST_RING_MM
-        while radius <= away + self.geometry.workspace.a0 + self.geometry.workspace.a1:
-            margin, _ = self._margins(radius * unit, self.sample)
-            if (margin >= 0.0).any():
-                order = np.argsort(-margin)[: DIRECTIONS // 8]
-                return [radius * unit[i] for i in order if margin[i] >= 0.0]
-            radius *= GROWTH
-        return None
+    def _look(self, squares: _Squares) -> _Squares:
+        """Use the centres that fit, drop what is excluded; the squares that remain to be divided."""
+        squares = squares.take(squares.least < self.length - TOLERANCE_MM)
+        if len(squares) == 0:
+            return squares
+        self.looked_at += len(squares)
+        excluded, margin = self.placing.excluded(squares.centre, squares.radius)
+        self._try(squares.centre[(margin >= 0.0) & ~excluded])
+        squares = squares.take(~excluded)
+        fine = squares.radius <= self.finest_mm
+        self.given_up = min(self.given_up, float(squares.least[fine].min(initial=math.inf)))
+        return squares.take(~fine)
 
-    def _shorten(self, shift: Floats) -> Floats:
-        """Shorten a shift that fits: toward zero, and sideways along the edge of what fits."""
-        step = max(math.hypot(*shift) / 4.0, FINEST_MM)
-        angles = np.arange(16) * TURN / 16
-        unit = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        while step >= FINEST_MM:
-            options = np.concatenate((shift + step * unit, shift + 0.5 * step * unit))
-            length = np.hypot(options[:, 0], options[:, 1])
-            shorter = options[length < math.hypot(*shift) - 1e-3 * step]
-            fitting = shorter[self._fits(shorter)] if len(shorter) else shorter
-            if len(fitting):
-                shift = fitting[np.argmin(np.hypot(fitting[:, 0], fitting[:, 1]))]
-            else:
-                step /= 2.0
-        return shift
+    def _try(self, shifts: Floats) -> None:
+        """Take the shortest of some shifts that fits all points, if it is shorter than the best."""
+        shifts = shifts[self._length(shifts) < self.length]
+        shifts = shifts[np.argsort(self._length(shifts), kind="stable")]
+        while len(shifts):
+            shifts = shifts[self.placing.promising(shifts)]  # the sample has grown since
+            if len(shifts) and self.placing.fits(shifts[0]):
+                self.best, self.length = shifts[0], float(self._length(shifts[:1])[0])
+                return
+            shifts = shifts[1:]
 
-    def _fits(self, shifts: Floats) -> NDArray[np.bool_]:
-        margin, _ = self._margins(shifts, self.sample)
-        return margin >= 0.0
-
-    def _margins(self, shifts: Floats, rows: Ints) -> tuple[Floats, Ints]:
-        """Worst margin beyond the deadband of each shift (k,), mm, and the worst poses of the first."""
-        space = self.geometry.workspace
-        points = (self.centres[rows][None, :, :] + shifts[:, None, :]).reshape(-1, 2)
-        distances = np.stack([distance_to_arc(points, arc) for arc in self.geometry.arcs], axis=1)
-        inside = space.inside(points)
-        signed = signed_sides(distances, inside, full_turn=space.full_turn)[:, : 2 if space.full_turn else 4]
-        arm = signed.min(axis=1).reshape(len(shifts), len(rows)) - self.geometry.arm_mm - self.reserve_mm
-        worst = [rows[np.argmin(arm[0])]]
-        margin = arm.min(axis=1)
-        if self.azimuth is not None:
-            roll = self._roll(points, rows, len(shifts))
-            worst += [rows[np.argmin(roll[0])], rows[np.argmax(roll[0])]]
-            margin = np.minimum(margin, self._roll_margin(roll))
-        return np.where(np.isnan(margin), -np.inf, margin), np.array(worst)
-
-    def _roll(self, points: Floats, rows: Ints, shifts: int) -> Floats:
-        """Continuous roll at each pose for each shift, shape (shifts, rows)."""
-        space = self.geometry.workspace
-        r = np.hypot(points[:, 0], points[:, 1])
-        elbow = elbow_angle(r, space.a0, space.a1)
-        heading = np.arctan2(points[:, 1], points[:, 0]) - shoulder_offset(elbow, space.a0, space.a1) + elbow
-        azimuth = self.azimuth[rows] if self.azimuth is not None else np.zeros(len(rows))
-        return azimuth - np.unwrap(heading.reshape(shifts, len(rows)), axis=1)
-
-    def _roll_margin(self, roll: Floats) -> Floats:
-        """Margin of the roll range in its best turn beyond the deadband, as an arc of the forearm, mm."""
-        g = self.geometry
-        lower, upper = float(g.lower[3]), float(g.upper[3])
-        spare = self.widening[np.isfinite(self.widening)].max(initial=0.0)
-        least, most = roll.min(axis=1) - spare, roll.max(axis=1) + spare
-        shift = TURN * np.rint(((lower + upper) - (least + most)) / (2.0 * TURN))
-        margin = np.minimum(least + shift - lower, upper - most - shift) - g.wrist_rad
-        out: Floats = margin * g.workspace.a1 - self.reserve_mm
+    def _lift(self, shift: Floats) -> Floats:
+        """The lift of the shortest translation that shifts the wrist centres by (k, 2)."""
+        tilt = self.placing.geometry.tilt
+        out: Floats = np.clip(-(shift @ tilt) / (1.0 + tilt @ tilt), *self.placing.lift_mm)
         return out
+
+    def _length(self, shift: Floats) -> Floats:
+        """Length of the shortest translation that shifts the wrist centres by (k, 2), mm."""
+        lift = self._lift(shift)
+        plane = shift + lift[:, None] * self.placing.geometry.tilt
+        out: Floats = np.sqrt((plane * plane).sum(axis=1) + lift * lift)
+        return out
+
+    def _translation(self, shift: Floats) -> Floats:
+        lift = self._lift(shift[None, :])[0]
+        return np.append(shift + lift * self.placing.geometry.tilt, lift)

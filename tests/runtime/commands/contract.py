@@ -81,6 +81,8 @@ class GuidancePart(Part):
     moves: list[MovePart]
     predicted_clearance_mm: Real | None
     verified: bool
+    none_possible: bool = False
+    at_least_mm: Annotated[Real, Field(ge=0)] = 0.0
 
 
 class DigestsPart(Part):

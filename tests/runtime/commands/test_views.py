@@ -65,15 +65,23 @@ def test_guidance_shows_the_combined_move_and_each_boundarys_own():
 
 
 def test_an_unverified_move_is_never_shown_as_verified():
-    text = printed(
-        guidance=replace(GUIDANCE, verified=False, yaw_deg=1.5, predicted_clearance_mm=None, moves=())
-    )
-    assert "turn it by +1.50 deg about the vertical: not verified" in " ".join(text.split())
+    text = printed(guidance=replace(GUIDANCE, verified=False, predicted_clearance_mm=None, moves=()))
+    assert "(3.5 mm): not verified" in text
     assert "smallest clearance" not in text
     assert "hint" not in text
 
 
-def test_no_translation_helps_is_an_answer():
+@pytest.mark.parametrize(("yaw", "sense"), [(6.5, "counter-clockwise"), (-6.5, "clockwise")])
+def test_a_turn_is_shown_with_its_pivot_and_sense_before_the_move(yaw, sense):
+    text = " ".join(printed(guidance=replace(GUIDANCE, yaw_deg=yaw)).split())
+    turn = (
+        f"First turn it by {yaw:+.1f} deg ({sense} seen from above) about the vertical through x 1.0 y 2.0 mm"
+    )
+    assert 0 < text.index(turn) < text.index("Then move it x -3.5 y +0.2 z +0.0 mm (3.5 mm): verified")
+
+
+@pytest.mark.parametrize(("proved", "said"), [(True, "path: proved."), (None, "path, none was found.")])
+def test_no_translation_helps_is_an_answer_and_says_whether_it_is_proved(proved, said):
     guidance = Guidance(
         None,
         0.0,
@@ -81,11 +89,13 @@ def test_no_translation_helps_is_an_answer():
         (Move("outer", "move", (1, 0, 0), distance_mm=1),),
         None,
         False,
-        "part the path",
+        "no place fits; part the path",
+        none_possible=proved,
     )
     text = printed(guidance=guidance)
-    assert "No translation of the bone cures this path." in text
-    assert "Part the path" in text
+    assert f"No translation of the bone cures this {said}" in text
+    assert "No place fits." in text
+    assert "Part the path." in text
     assert "verified" not in text.split("For each")[0]
 
 

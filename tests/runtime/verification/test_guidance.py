@@ -1,14 +1,18 @@
 """Guidance: hints per boundary, and a combined move that is proven before it is shown."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from runtime.verification import certified
+from protocol.path import Path
+from runtime.verification import certified, guidance
 from runtime.verification.guidance import guide
+from runtime.verification.placing import Placing, Reserve
 from runtime.verification.problem import Arm
-from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
+from runtime.verification.search import smallest_translation
+from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 
 LEAN = axis(60 * DEG, 0.2)
 
@@ -94,11 +98,26 @@ def test_left_and_right_hints_follow_the_elbow(elbow):
         assert moved(path, found.translation_mm).admissible
 
 
+def registered(path, found):
+    """The path after the contract's new registration, R' = Trans(translation) Rz(yaw about pivot) R."""
+    yaw, (px, py, pz) = math.radians(found.yaw_deg), found.pivot_mm
+    turn, there, back, shift = np.eye(4), np.eye(4), np.eye(4), np.eye(4)
+    turn[:2, :2] = ((math.cos(yaw), -math.sin(yaw)), (math.sin(yaw), math.cos(yaw)))
+    there[:3, 3], back[:3, 3], shift[:3, 3] = (-px, -py, -pz), (px, py, pz), found.translation_mm
+    matrix = shift @ back @ turn @ there
+    tips = np.column_stack((path.tips_mm, np.ones(len(path.tips_mm)))) @ matrix.T
+    wire = Path.quantised(
+        tips[:, :3], path.axes @ matrix[:3, :3].T, feed_mm_s=10.0, tool_length_mm=160.0, elbow=path.arm.elbow
+    )
+    return replace(path, tips_mm=wire.tips_mm, axes=wire.axes)
+
+
 def test_what_a_translation_cannot_cure_is_said():
     path = problem(*wrist_path([[600.0, 0.0, 200.0], [620.0, 0.0, 200.0]], axis(0.5 * DEG, 0.3)))
     _, found = advice(path)
     assert (found.translation_mm, found.verified, found.predicted_clearance_mm) == (None, False, None)
     assert "wrist_singularity" in found.text
+    assert found.none_possible is True
     hint = next(m for m in found.moves if m.boundary == "wrist_singularity")
     assert hint.kind == "turn"
     assert hint.angle_deg == pytest.approx(1.6)
@@ -118,8 +137,9 @@ def test_a_roll_that_no_place_cures_has_no_translation():
     azimuth = np.linspace(0, 400 * DEG, n)
     path = problem(*wrist_path(np.tile([600.0, 0.0, 200.0], (n, 1)), axis(60 * DEG, azimuth)))
     verdict, found = advice(path)
-    assert found.translation_mm is None
+    assert (found.translation_mm, found.none_possible) == (None, True)
     assert not found.verified
+    assert "the roll leaves its limits" in found.text
     assert {m.boundary for m in found.moves} == {n for n, b in verdict.boundaries.items() if b.violated}
     assert all(m.kind == "turn" and abs(m.direction[2]) == 1.0 for m in found.moves)
 
@@ -127,7 +147,8 @@ def test_a_roll_that_no_place_cures_has_no_translation():
 def test_a_path_taller_than_the_slide_has_no_translation():
     path = problem(*wrist_path([[600.0, 0.0, 40.0], [600.0, 0.0, 460.0]], LEAN))
     _, found = advice(path)
-    assert found.translation_mm is None
+    assert (found.translation_mm, found.none_possible) == (None, True)
+    assert "taller than the slide's range" in found.text
 
 
 def test_an_arm_without_workspace_has_no_translation():
@@ -137,7 +158,7 @@ def test_an_arm_without_workspace_has_no_translation():
     )
     verdict = certified.verify(broken)
     found = guide(broken, verdict, quantise)
-    assert found.translation_mm is None
+    assert (found.translation_mm, found.none_possible) == (None, True)
     assert found.moves == ()
 
 
@@ -165,5 +186,75 @@ def test_a_shoulder_of_more_than_a_turn_is_guided_by_its_circles():
 def test_a_move_that_the_certified_method_does_not_admit_is_not_shown():
     path = spot(930.0, 100.0, speed=np.full(5, 1e-6))
     _, found = advice(path)
-    assert (found.translation_mm, found.verified) == (None, False)
+    assert (found.translation_mm, found.verified, found.none_possible) == (None, False, None)
     assert "no translation found" in found.text
+    assert "not proved" in found.text
+    assert "lower the feed" in found.text
+
+
+THIN = {
+    "lower": np.array([-20, 0.6 / DEG, 50, -170, 0]) * (DEG, DEG, 1, DEG, DEG),
+    "upper": np.array([20, 0.9 / DEG, 450, 170, 110]) * (DEG, DEG, 1, DEG, DEG),
+}
+"""A ring sector 50 mm deep and too narrow for a stroke across it to lie along it anywhere."""
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_stroke_across_a_thin_ring_is_cured_by_the_smallest_turn_and_by_no_translation(sign):
+    turned = {1: 0.0, -1: 55.0}[sign] * DEG  # the sector lies about 20 deg: along it is 110 deg
+    stroke = [[780.0, 300.0, 200.0], [780.0 + 100 * math.cos(turned), 300.0 + 100 * math.sin(turned), 200.0]]
+    path = problem(*wrist_path(stroke, LEAN), **THIN)
+    _, found = advice(path)
+    assert found.verified
+    assert found.none_possible is True
+    assert "no translation helps (proved)" in found.text
+    assert "inner, outer, left or right" in found.text
+    assert found.yaw_deg * sign < 0.0
+    assert abs(found.yaw_deg) < 45.0
+    assert round(found.yaw_deg, 1) == found.yaw_deg
+    assert certified.verify(registered(path, found)).admissible
+    for yaw in (abs(found.yaw_deg) - 0.6, 0.6 - abs(found.yaw_deg)):
+        less = guidance.moved(path, yaw, found.pivot_mm, (0.0, 0.0, 0.0))
+        assert smallest_translation(Placing(less, Reserve(0.2))).translation_mm is None
+
+
+def test_a_turn_that_leaves_a_tilt_violated_is_not_tried(monkeypatch):
+    monkeypatch.setattr(guidance, "moved", None)
+    path = problem(*wrist_path([[600.0, 0.0, 200.0], [620.0, 0.0, 200.0]], axis(112 * DEG, 0.3)))
+    _, found = advice(path)
+    assert (found.none_possible, found.yaw_deg, found.translation_mm) == (True, 0.0, None)
+    assert "no turn about the vertical changes pitch_max" in found.text
+
+
+def test_a_held_roll_beyond_its_limit_is_changed_by_no_move():
+    path = problem(*wrist_path([[600.0, 0.0, 200.0], [600.0, 20.0, 200.0]], [0.0, 0.0, 1.0]), hold_roll=3.1)
+    _, found = advice(path)
+    assert (found.none_possible, found.translation_mm) == (True, None)
+    assert "declare another hold_roll_deg" in found.text
+
+
+def test_every_move_says_that_it_voids_the_registration_and_how_short_it_could_be():
+    _, found = advice(spot(890.0, 100.0))
+    assert (found.none_possible, found.yaw_deg) == (False, 0.0)
+    assert 0.0 < found.at_least_mm <= np.linalg.norm(found.translation_mm) + 0.1
+    assert f"no translation shorter than {found.at_least_mm:.1f} mm keeps 0.2 mm" in found.text
+    assert "needs a new registration, which voids every permit" in found.text
+
+
+@pytest.mark.parametrize("seed", range(14))
+def test_whatever_is_shown_as_verified_is_admitted_after_the_new_registration(seed):
+    rng = np.random.default_rng(1000 + seed)
+    path = replace(random_problem(rng, segments=4), speed=np.full(5, 1e3))
+    path = guidance.moved(path, 0.0, (0, 0, 0), rng.normal(0.0, 80.0, 3))
+    verdict = certified.verify(path)
+    found = guide(path, verdict, quantise)
+    if found is None:
+        assert verdict.admissible
+        return
+    assert found.verified is (found.translation_mm is not None)
+    assert not (found.none_possible is True and found.verified and found.yaw_deg == 0.0)
+    if found.verified:
+        again = certified.verify(registered(path, found))
+        assert again.admissible
+        least = min(b.certified for b in again.boundaries.values() if b.unit == "mm")
+        assert least == pytest.approx(found.predicted_clearance_mm, abs=0.003)

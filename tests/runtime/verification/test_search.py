@@ -1,0 +1,171 @@
+"""The search for the smallest translation: as short as it says, and never a wrong proof."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from runtime.verification import certified
+from runtime.verification.guidance import moved
+from runtime.verification.placing import Placing, Reserve
+from runtime.verification.problem import Arm, Calibration
+from runtime.verification.search import FINEST_MM, TOLERANCE_MM, smallest_translation
+from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
+from tests.runtime.verification.placements import admitted, grid
+
+RESERVE = Reserve(0.2, 0.1 * DEG)
+FAST = np.full(5, 1e9)
+
+
+def strokes(x, y, z=200.0, *, lean=60 * DEG, azimuth=(0.2, 0.23, 0.25, 0.28), **changes):
+    """Three short strokes about a place of the wrist centre: all points that count are poses."""
+    at = [[x, y, z], [x + 8, y, z], [x + 8, y + 6, z + 4], [x, y + 6, z + 4]]
+    return problem(*wrist_path(at, axis(lean, np.array(azimuth))), **changes)
+
+
+def searched(path, reserve=RESERVE, **options):
+    """The answer of the search in the robot frame."""
+    placing = Placing(path, reserve)
+    found = smallest_translation(placing, **options)
+    if found.translation_mm is None:
+        return found, None
+    return found, found.translation_mm * (1.0, placing.geometry.side, 1.0)
+
+
+LEFT_ELBOW = {
+    "arm": Arm(450.0, 450.0, "left"),
+    "lower": np.array([-80, -145, 50, -170, 0]) * (DEG, DEG, 1, DEG, DEG),
+    "upper": np.array([80, 0, 450, 170, 110]) * (DEG, DEG, 1, DEG, DEG),
+}
+NARROW_ROLL = {
+    "lower": np.array([-80, 0, 50, 20, 0]) * (DEG, DEG, 1, DEG, DEG),
+    "upper": np.array([80, 145, 450, 75, 110]) * (DEG, DEG, 1, DEG, DEG),
+}
+TILTED = {
+    "calibration": Calibration(
+        1.0, -1.0, slide_tilt=np.array((0.02, -0.015)), residual_mm=0.3, residual_rad=0.002
+    )
+}
+CASES = {
+    "beyond the outer arc": strokes(870.0, 130.0),
+    "in the hole": strokes(100.0, 20.0),
+    "beyond a side": strokes(-300.0, 700.0),
+    "left elbow": strokes(-300.0, 500.0, **LEFT_ELBOW),
+    "roll": strokes(600.0, -100.0, **NARROW_ROLL),
+    "too high on a leaning slide": strokes(880.0, 60.0, 520.0, **TILTED),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_translation_of_a_dense_grid_is_shorter_than_the_one_found(name):
+    path = CASES[name]
+    found, translation = searched(path)
+    length = float(np.linalg.norm(translation))
+    assert found.at_least_mm <= length <= found.at_least_mm + TOLERANCE_MM + FINEST_MM
+    kept = {"reserve_mm": RESERVE.arm_mm, "reserve_rad": RESERVE.roll_rad}
+    assert admitted(path, translation[None, :], reserve_mm=0.2 - 1e-6, reserve_rad=RESERVE.roll_rad - 1e-9)[0]
+    for half, step in ((length + 5.0, (length + 5.0) / 25), (2.0, 0.08)):
+        near = grid((0, 0, translation[2]) if half > 2.0 else translation, half, step)
+        shorter = near[np.linalg.norm(near, axis=1) < found.at_least_mm]
+        assert not admitted(path, shorter, **kept).any()
+
+
+def test_a_path_that_fits_where_it_stands_needs_no_translation():
+    found, translation = searched(strokes(600.0, 0.0))
+    assert np.linalg.norm(translation) == 0.0
+    assert found.at_least_mm == 0.0
+
+
+NOWHERE = {
+    "too wide": problem(*wrist_path([[-500.0, 0, 200], [500.0, 0, 200], [500.0, 700, 200]], axis(1.0, 0.2))),
+    "wider than the reach": problem(*wrist_path([[-950.0, 0, 200], [950.0, 0, 200]], axis(1.0, 0.2))),
+    "roll": strokes(600.0, 0.0, azimuth=np.linspace(0.0, 5.6, 4) % (2 * math.pi), **NARROW_ROLL),
+}
+
+
+@pytest.mark.parametrize("name", NOWHERE)
+def test_where_no_translation_fits_it_is_proved_and_a_grid_over_the_whole_reach_finds_none(name):
+    path = NOWHERE[name]
+    found, translation = searched(path, Reserve())
+    assert translation is None
+    assert found.none_fits
+    middle = (path.tips_mm + 160.0 * path.axes).mean(axis=0)
+    assert not admitted(path, grid((-middle[0], -middle[1], 0.0), 950.0, 25.0)).any()
+
+
+def test_a_path_taller_than_the_slide_is_proved_to_fit_nowhere():
+    path = problem(*wrist_path([[600.0, 0.0, 40.0], [600.0, 0.0, 460.0]], axis(1.0, 0.2)))
+    assert searched(path, Reserve())[0].none_fits
+
+
+def test_exactly_as_tall_as_the_slide_is_neither_found_nor_proved_impossible():
+    tall = problem(*wrist_path([[600.0, 0.0, 0.0], [600.0, 0.0, 390.001]], axis(1.0, 0.2)))
+    found, translation = searched(tall, Reserve())
+    assert (translation, found.none_fits) == (None, False)
+
+
+def test_a_search_that_is_cut_short_proves_nothing():
+    found, translation = searched(NOWHERE["roll"], Reserve(), evaluations=1)
+    assert (translation, found.none_fits) == (None, False)
+
+
+def displaced(seed):
+    """A random problem that is admitted with room for the reserve, and how far it is then moved away."""
+    rng = np.random.default_rng(seed)
+    while True:
+        path = replace(random_problem(rng, spinning=bool(rng.random() < 0.3)), speed=FAST)
+        wide = replace(
+            path,
+            deadband=replace(
+                path.deadband,
+                arm_mm=path.deadband.arm_mm + 0.25,
+                wrist_rad=path.deadband.wrist_rad + 0.15 * DEG,
+            ),
+        )
+        if certified.verify(wide).admissible:
+            break
+    move = rng.normal(0.0, rng.choice([3.0, 60.0, 400.0]), 3)
+    return moved(path, 0.0, (0, 0, 0), move), move
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_a_displaced_path_is_never_proved_hopeless_and_comes_back_no_longer_way(seed):
+    path, move = displaced(seed)
+    assert not searched(path, Reserve(), any_will_do=True)[0].none_fits
+    found, translation = searched(path)
+    assert found.at_least_mm <= np.linalg.norm(move)
+    assert np.linalg.norm(translation) <= np.linalg.norm(move) + TOLERANCE_MM
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_disc_is_excluded_that_holds_a_shift_that_fits(seed):
+    """Discs about a known shift, of every size and off centre: the proof must never cover it."""
+    path, move = displaced(seed)
+    rng = np.random.default_rng(seed)
+    placing = Placing(path, RESERVE)
+    tilt = placing.geometry.tilt
+    back = -move * (1.0, placing.geometry.side, 1.0)
+    known = back[:2] - back[2] * tilt
+    radii = 10.0 ** rng.uniform(-4, 3, 400)
+    off = rng.normal(size=(400, 2))
+    centres = known + off / np.linalg.norm(off, axis=1)[:, None] * (radii * rng.uniform(0, 1, 400))[:, None]
+    assert not placing.excluded(centres, radii)[0].any()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_turned_and_displaced_path_is_never_proved_hopeless_for_every_turn(seed):
+    path, _ = displaced(seed)
+    turned = moved(
+        path, float(np.random.default_rng(seed).uniform(-180, 180)), (100.0, -50.0, 0.0), (0, 0, 0)
+    )
+    placing = Placing(turned, Reserve(), shoulder=False)
+    assert not smallest_translation(placing, any_will_do=True).none_fits
+
+
+def test_what_is_proved_for_every_turn_holds_for_each():
+    path = NOWHERE["roll"]
+    assert smallest_translation(Placing(path, Reserve(), shoulder=False)).none_fits
+    for yaw in (-150.0, -40.0, 35.0, 110.0):
+        turned = moved(path, yaw, (500.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        assert searched(turned, Reserve())[0].none_fits

@@ -149,6 +149,16 @@ def pivot_of(problem: Problem) -> Vector:
     return _steps(problem.tips_mm.mean(axis=0))
 
 
+def unchanged_by_moves(problem: Problem, verdict: Verdict) -> tuple[str, ...]:
+    """Violated boundaries that no translation and no turn about the vertical changes.
+
+    The tool's tilt is one; so is the roll of a vertical tool that is held.
+    """
+    held = problem.hold_roll is not None and "wrist_singularity" not in verdict.boundaries
+    names = (*_TILT, *(_ROLL if held else ()))
+    return tuple(n for n in names if n in verdict.boundaries and _attained(verdict.boundaries[n]))
+
+
 def _steps(vector: Floats) -> Vector:
     x, y, z = (round(round(float(v) / STEP_MM) * STEP_MM, 3) + 0.0 for v in vector)
     return (x, y, z)
@@ -210,16 +220,10 @@ class _Combined:
 
     def _unchanged(self) -> str | None:
         """Why no move and no turn about the vertical helps: a violated boundary that they leave as it is."""
-        boundaries = self.verdict.boundaries
-        held = self.problem.hold_roll is not None and "wrist_singularity" not in boundaries
-        names = [
-            n for n in (*_TILT, *(_ROLL if held else ())) if n in boundaries and _attained(boundaries[n])
-        ]
+        names = unchanged_by_moves(self.problem, self.verdict)
         if not names:
             return None
-        remedy = (
-            "declare another hold_roll_deg" if held and set(names) <= set(_ROLL) else "tilt the registration"
-        )
+        remedy = "declare another hold_roll_deg" if set(names) <= set(_ROLL) else "tilt the registration"
         return f"no translation and no turn about the vertical changes {', '.join(names)} (proved): {remedy}"
 
     def _translated(self, yaw_deg: float) -> Guidance | None:

@@ -23,7 +23,7 @@ from runtime.verification.closed_form import extremes
 from runtime.verification.geometry import VERTICAL, Geometry, Ints, Segments, canonical
 from runtime.verification.points import Points, at_poses, join, roll_widening
 from runtime.verification.problem import Problem
-from runtime.workspace.distance import signed_distance
+from runtime.workspace.distance import side_distances, signed_distance
 from runtime.workspace.planar import distance_to_arc
 
 Floats = NDArray[np.float64]
@@ -143,6 +143,19 @@ class Placing:
                 open_ = np.flatnonzero(~out)
                 out[open_] = self._turns_exclude(joint, shifts[open_], radii[open_] + self.pad_mm, rows)
         return out, margin
+
+    def nearest_sides(self, shifts: Floats) -> tuple[Floats, Ints]:
+        """The sample's smallest signed distance to the planar boundary after shifts (k, 2), mm, and whose it is.
+
+        Returns:
+            Distances, shape (k,), and the arc's number in `SIDES`, (k,), as for the right elbow.
+        """
+        margins = self.arm_margins(shifts, self.sample)
+        worst = np.argmin(margins, axis=1)
+        points = self.centres[self.sample[worst]] + shifts
+        bounding = 2 if self.geometry.workspace.full_turn else 4
+        nearest = np.argmin(side_distances(points, self.geometry.workspace)[:, :bounding], axis=1)
+        return margins[np.arange(len(shifts)), worst] + self.keep_mm, nearest
 
     def promising(self, shifts: Floats) -> Bools:
         """Whether the points of the sample keep their deadbands and the reserve after shifts (k, 2)."""

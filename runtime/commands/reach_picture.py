@@ -1,0 +1,210 @@
+"""The map of bone positions as one picture, and what map and page have in common."""
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.verification.reach import Position
+
+Floats = NDArray[np.float64]
+Arcs = Sequence[tuple[str, Floats]]
+
+PANELS_MAX: Final = 12
+LETTERS: Final = 9
+"""About so many letters across a panel say what limits, for readers who cannot tell the tints apart."""
+COLOUR_MAP: Final = "cividis"
+RATIO_MAX: Final = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What keeps a position from being admissible: a letter, a pale tint, and words."""
+
+    letter: str
+    tint: str
+    words: str
+
+
+KINDS: Final = {
+    "inner": Kind("I", "#f7d3bd", "I: too near the column (inner)"),
+    "outer": Kind("O", "#d2e6f7", "O: too far out (outer)"),
+    "left": Kind("L", "#ddd0ef", "L: q0 at its upper limit (left)"),
+    "right": Kind("R", "#d9cba3", "R: q0 at its lower limit (right)"),
+    "top": Kind("T", "#dddddd", "T: slide at its upper end (top)"),
+    "bottom": Kind("B", "#c6c6c6", "B: slide at its lower end (bottom)"),
+    "roll": Kind("W", "#f4c6dd", "W: roll of the wrist (q3)"),
+    "pitch": Kind("P", "#c3e6d8", "P: pitch of the tool (q4)"),
+    "speed": Kind("S", "#fbc4c4", "S: joint too fast at this feed"),
+}
+
+
+def kind_of(limiting: str) -> str:
+    """The kind of a boundary or speed."""
+    if limiting.startswith(("roll", "speed")):
+        return limiting.partition("_")[0]
+    return "pitch" if limiting.startswith(("pitch", "wrist")) else limiting
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """All displacements at one yaw and lift, rows of y and in them x."""
+
+    yaw_deg: float
+    lift_mm: float
+    positions: tuple[Position, ...]
+    shape: tuple[int, int]
+
+    @property
+    def ratio(self) -> Floats:
+        """Clearance per deadband where admissible, else NaN."""
+        values = [p.ratio if p.admissible and p.ratio is not None else math.nan for p in self.positions]
+        return np.array(values, dtype=np.float64).reshape(self.shape)
+
+    @property
+    def kind(self) -> Floats:
+        """Number of the kind that limits where inadmissible, else NaN."""
+        order = list(KINDS)
+        values = [
+            math.nan if p.admissible else float(order.index(kind_of(p.limiting))) for p in self.positions
+        ]
+        return np.array(values, dtype=np.float64).reshape(self.shape)
+
+    @property
+    def title(self) -> str:
+        """Yaw, and lift where there is one."""
+        lift = f", lift {self.lift_mm:+g} mm" if self.lift_mm else ""
+        return f"yaw {self.yaw_deg:+g}°{lift}"
+
+
+def layers(document: dict[str, Any], positions: Sequence[Position]) -> list[Layer]:
+    """The positions, cut into layers in the order yaw, lift."""
+    grid = document["grid"]
+    shape = (len(grid["y_mm"]), len(grid["x_mm"]))
+    size = shape[0] * shape[1]
+    pairs = [(yaw, lift) for yaw in grid["yaw_deg"] for lift in grid["lift_mm"]]
+    return [
+        Layer(yaw, lift, tuple(positions[k * size : (k + 1) * size]), shape)
+        for k, (yaw, lift) in enumerate(pairs)
+    ]
+
+
+def letters(layer: Layer) -> list[tuple[int, int, str]]:
+    """Row, column and letter of a few inadmissible cells, evenly spread."""
+    kind, order = layer.kind, list(KINDS.values())
+    step = max(1, max(layer.shape) // LETTERS)
+    return [
+        (i, j, order[int(kind[i, j])].letter)
+        for i in range(step // 2, layer.shape[0], step)
+        for j in range(step // 2, layer.shape[1], step)
+        if math.isfinite(kind[i, j])
+    ]
+
+
+def ratio_top(drawn: Sequence[Layer]) -> float:
+    """Upper end of the colour scale: the best ratio of all, rounded up, at least 2."""
+    best = max((float(np.nanmax(one.ratio)) for one in drawn if np.isfinite(one.ratio).any()), default=2.0)
+    return min(max(math.ceil(best), 2.0), RATIO_MAX)
+
+
+def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) -> bytes:
+    """The map as PNG: one panel for each yaw and lift, at most `PANELS_MAX`.
+
+    Args:
+        document: ``cutgate.reach/1``.
+        positions: all of them.
+        arcs: the workspace of the wrist centre.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second, here only
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    drawn = layers(document, positions)
+    shown = drawn[:PANELS_MAX]
+    columns = min(len(shown), 3 if len(shown) != 4 else 2)
+    rows = math.ceil(len(shown) / columns)
+    figure = Figure(
+        figsize=(max(4.6 * columns + 1.2, 9.0), max(4.7 * rows, 5.5 if columns == 1 else 0.0) + 1.6),
+        layout="constrained",
+    )
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    top = ratio_top(shown)
+    scale = None
+    for axis, layer in zip(axes.flat, shown, strict=False):
+        scale = _panel(axis, document, layer, arcs, top)
+    for axis in axes.flat[len(shown) :]:
+        axis.set_visible(False)
+    for axis in axes[-1, :]:
+        axis.set_xlabel("x of the bone's reference point, mm")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("y, mm (robot frame)")
+    if scale is not None:
+        bar = figure.colorbar(scale, ax=axes, shrink=0.8, extend="max" if top == RATIO_MAX else "neither")
+        bar.set_label("admissible: smallest clearance, in deadbands (1 = just kept)")
+    _legend(figure, drawn, document)
+    title = f"Where the bone could stand: {document['plan']} on {document['robot']}"
+    if len(shown) < len(drawn):
+        title += f" (the first {len(shown)} of {len(drawn)} turns and lifts)"
+    figure.suptitle(title, fontweight="bold")
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
+    return out.getvalue()
+
+
+def _panel(axis: Any, document: dict[str, Any], layer: Layer, arcs: Arcs, top: float) -> Any:
+    """One yaw and lift; returns what the colour scale is for."""
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415
+
+    grid, (px, py, _) = document["grid"], document["pivot_mm"]
+    x, y = np.array(grid["x_mm"]) + px, np.array(grid["y_mm"]) + py
+    tints = ListedColormap([kind.tint for kind in KINDS.values()])
+    axis.pcolormesh(x, y, layer.kind, cmap=tints, vmin=-0.5, vmax=len(KINDS) - 0.5, shading="nearest")
+    scale = axis.pcolormesh(x, y, layer.ratio, cmap=COLOUR_MAP, vmin=1.0, vmax=top, shading="nearest")
+    for i, j, letter in letters(layer):
+        axis.text(x[j], y[i], letter, ha="center", va="center", fontsize=7, color="#404040")
+    for _, points in arcs:
+        axis.plot(points[:, 0], points[:, 1], color="black", linewidth=1.1)
+    axis.plot(0.0, 0.0, marker="o", markersize=9, color="white", markeredgecolor="black", markeredgewidth=1.5)
+    axis.plot(px, py, marker="X", markersize=10, color="white", markeredgecolor="black", markeredgewidth=1.5)
+    good = sum(p.admissible for p in layer.positions)
+    axis.set_title(f"{layer.title}: {good} of {len(layer.positions)} admissible", fontsize=10)
+    axis.set_aspect("equal")
+    half = grid["step_mm"] / 2.0
+    drawn = np.concatenate([points for _, points in arcs])
+    low, high = np.minimum(drawn.min(axis=0), (x[0], y[0])), np.maximum(drawn.max(axis=0), (x[-1], y[-1]))
+    axis.set_xlim(low[0] - half, high[0] + half)
+    axis.set_ylim(low[1] - half, high[1] + half)
+    return scale
+
+
+def _legend(figure: Any, drawn: Sequence[Layer], document: dict[str, Any]) -> None:
+    """Signs and tints that occur, below the panels."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+    from matplotlib.patches import Patch  # noqa: PLC0415
+
+    marks: dict[str, Any] = {"color": "white", "markeredgecolor": "black", "linestyle": "none"}
+    step = document["grid"]["step_mm"]
+    handles: list[Any] = [
+        Line2D([], [], marker="X", markersize=9, label="where the bone stands now", **marks),
+        Line2D([], [], marker="o", markersize=8, label="column (axis of q0)", **marks),
+        Line2D([], [], color="black", label="workspace of the wrist centre"),
+    ]
+    found = {kind_of(p.limiting) for layer in drawn for p in layer.positions if not p.admissible}
+    handles += [
+        Patch(facecolor=kind.tint, edgecolor="#808080", label=kind.words)
+        for name, kind in KINDS.items()
+        if name in found
+    ]
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=3,
+        fontsize=8,
+        title=f"Reference point: mean cutter tip, which is also the pivot of a turn. One cell: {step:g} mm. "
+        "Tints: inadmissible, and what limits.",
+        title_fontsize=8,
+    )

@@ -164,7 +164,7 @@ def _said(p: Position) -> str:
 
 
 def _layout(document: dict[str, Any], drawn: Sequence[Layer], fixed: int, first: int) -> dict[str, Any]:
-    """Axes, legend, and a slider over turns and lifts where there is more than one."""
+    """Axes, legend, and a slider over turns and lifts."""
     steps = [
         {
             "label": layer.title,
@@ -176,13 +176,14 @@ def _layout(document: dict[str, Any], drawn: Sequence[Layer], fixed: int, first:
     step = document["grid"]["step_mm"]
     return {
         "xaxis": {
+            "constrain": "domain",
             "title": {
                 "text": f"x of the bone's reference point (mean cutter tip), mm; one cell is {step:g} mm"
-            }
+            },
         },
-        "yaxis": {"title": {"text": "y, mm (robot frame)"}, "scaleanchor": "x"},
+        "yaxis": {"title": {"text": "y, mm (robot frame)"}, "scaleanchor": "x", "constrain": "domain"},
         "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
         "margin": {"t": 60, "r": 20},
         "plot_bgcolor": "white",
-        "sliders": [{"active": first, "steps": steps, "pad": {"t": 50}}] if len(drawn) > 1 else [],
+        "sliders": [{"active": first, "steps": steps, "pad": {"t": 50}}],
     }

@@ -65,7 +65,7 @@ def test_no_translation_of_a_dense_grid_is_shorter_than_the_one_found(name):
     assert found.at_least_mm <= length <= found.at_least_mm + TOLERANCE_MM + FINEST_MM
     kept = {"reserve_mm": RESERVE.arm_mm, "reserve_rad": RESERVE.roll_rad}
     assert admitted(path, translation[None, :], reserve_mm=0.2 - 1e-6, reserve_rad=RESERVE.roll_rad - 1e-9)[0]
-    for half, step in ((length + 5.0, (length + 5.0) / 25), (2.0, 0.08)):
+    for half, step in ((length + 5.0, (length + 5.0) / 18), (2.0, 0.11)):
         near = grid((0, 0, translation[2]) if half > 2.0 else translation, half, step)
         shorter = near[np.linalg.norm(near, axis=1) < found.at_least_mm]
         assert not admitted(path, shorter, **kept).any()
@@ -91,7 +91,7 @@ def test_where_no_translation_fits_it_is_proved_and_a_grid_over_the_whole_reach_
     assert translation is None
     assert found.none_fits
     middle = (path.tips_mm + 160.0 * path.axes).mean(axis=0)
-    assert not admitted(path, grid((-middle[0], -middle[1], 0.0), 950.0, 25.0)).any()
+    assert not admitted(path, grid((-middle[0], -middle[1], 0.0), 950.0, 38.0)).any()
 
 
 def test_a_path_taller_than_the_slide_is_proved_to_fit_nowhere():

@@ -121,9 +121,10 @@ def _judged(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(cores, len(chunks)), context, _begin, (work,))
     try:
-        waiting: dict[Future[list[Position]], list[int]] = {
-            pool.submit(_judge, yaw, places): numbers for numbers, yaw, places in chunks
-        }
+        with _held_back(signal.SIGINT):  # the workers inherit it: Ctrl-C is this process's to handle
+            waiting: dict[Future[list[Position]], list[int]] = {
+                pool.submit(_judge, yaw, places): numbers for numbers, yaw, places in chunks
+            }
         for future in as_completed(waiting):
             yield waiting[future], future.result()
     finally:
@@ -134,9 +135,18 @@ _WORK: list[Work] = []
 
 
 def _begin(work: Work) -> None:
-    """In a worker: keeps the path; Ctrl-C is the parent's to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """In a worker: keeps the path."""
     _WORK.append(work)
+
+
+@contextmanager
+def _held_back(number: signal.Signals) -> Iterator[None]:
+    """A signal that arrives meanwhile is delivered afterwards; processes started meanwhile never get it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _judge(yaw_deg: float, translations_mm: list[Vector]) -> list[Position]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification import certified
+from runtime.verification import certified, search
 from runtime.verification.guidance import moved
 from runtime.verification.placing import Placing, Reserve
 from runtime.verification.problem import Arm, Calibration
@@ -110,6 +110,51 @@ def test_a_search_that_is_cut_short_proves_nothing():
     assert (translation, found.none_fits) == (None, False)
 
 
+def test_discs_that_are_given_up_undecided_prove_nothing():
+    found, translation = searched(NOWHERE["roll"], Reserve(), finest_mm=60.0)
+    assert (translation, found.none_fits) == (None, False)
+    assert found.at_least_mm < 1000.0
+
+
+@pytest.mark.parametrize("size", [(0.0, 0.0), (0.0, 300.0), (700.0, 123.4)])
+def test_the_first_squares_cover_the_whole_domain(monkeypatch, size):
+    low = np.array((-200.0, 50.0))
+    monkeypatch.setattr(Placing, "domain", (low, low + size))
+    squares = search._Search(Placing(strokes(600.0, 0.0), Reserve()), 0.01)._first()
+    for point in low + np.random.default_rng(1).uniform(0, 1, (200, 2)) * size:
+        assert (np.abs(squares.centre - point).max(axis=1) <= squares.half + 1e-9).any()
+
+
+def test_no_disc_is_excluded_by_the_winding_of_a_shift_that_passes_the_column_on_the_other_side():
+    """The roll fits only if the path passes the column on its left; the disc's centre passes on its right."""
+    x = np.linspace(-400.0, 400.0, 81)
+    path = problem(*wrist_path(np.stack((x, np.full(81, 30.0), np.full(81, 200.0)), axis=1), axis(1.0, 0.0)))
+    heading = math.pi - math.atan2(30.0, 400.0) + math.acos(math.hypot(30.0, 400.0) / 900.0)
+    path = replace(
+        path,
+        lower=np.array((-40.0, 0.0, 50.0, -heading - 0.4, 0.0)),
+        upper=np.array((40.0, math.pi, 450.0, -heading + math.pi + 0.4, 2.0)),
+    )
+    placing = Placing(path, Reserve())
+    assert placing.fits(np.zeros(2))
+    assert not placing.fits(np.array((0.0, -60.0)))
+    assert not placing.excluded(np.array([(0.0, -60.0)]), np.array([65.0]))[0].any()
+
+
+def test_a_leaning_slide_is_allowed_for_in_what_is_proved_for_every_turn():
+    """Fits a thin ring at one turn only, where the lean brings the high and the low point under each other."""
+    elbow = [2.0 * math.acos(r / 900.0) for r in (847.0 + 9.0, 847.0 - 9.0)]
+    lower = np.array((-1.4, elbow[0], 50.0, -60.0, 0.0))
+    upper = np.array((1.4, elbow[1], 450.0, 60.0, 2.0))
+    lean = Calibration(slide_tilt=np.array((0.02, 0.0)))
+    at = [[850.0, -80.0, 250.0], [848.2, 0.0, 60.0], [855.8, 0.0, 440.0], [850.0, 80.0, 250.0]]
+    path = problem(*wrist_path(at, axis(1.0, 0.3)), lower=lower, upper=upper, calibration=lean)
+    assert Placing(path, Reserve()).fits(np.zeros(2))
+    turned = moved(path, 180.0, (700.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    found = smallest_translation(Placing(turned, Reserve(), shoulder=False), any_will_do=True, finest_mm=0.5)
+    assert not found.none_fits
+
+
 def displaced(seed):
     """A random problem that is admitted with room for the reserve, and how far it is then moved away."""
     rng = np.random.default_rng(seed)
@@ -169,3 +214,12 @@ def test_what_is_proved_for_every_turn_holds_for_each():
     for yaw in (-150.0, -40.0, 35.0, 110.0):
         turned = moved(path, yaw, (500.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         assert searched(turned, Reserve())[0].none_fits
+
+
+def test_what_one_turn_cures_is_not_proved_hopeless_for_every_turn():
+    """A stroke across a thin ring sector: no translation, but a turn."""
+    lower, upper = np.array((-0.35, 0.6, 50.0, -3.0, 0.0)), np.array((0.35, 0.9, 450.0, 3.0, 1.9))
+    at = [[780.0, 300.0, 200.0], [880.0, 300.0, 200.0]]
+    path = problem(*wrist_path(at, axis(1.0, 0.2)), lower=lower, upper=upper)
+    assert smallest_translation(Placing(path, Reserve()), any_will_do=True).none_fits
+    assert not smallest_translation(Placing(path, Reserve(), shoulder=False), any_will_do=True).none_fits

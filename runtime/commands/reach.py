@@ -39,7 +39,7 @@ from runtime.verification.verdict import Boundary
 POSITIONS_MAX: Final = 400_000
 VALUES_MAX: Final = 73
 CHUNK: Final = 32
-"""Positions judged in one go: a fraction of a second, which is how long Ctrl-C waits."""
+"""Positions judged in one go, a fraction of a second: what the progress bar moves by."""
 KINDS: Final = (".png", ".html", ".csv", ".json")
 
 
@@ -127,6 +127,10 @@ def _judged(
             }
         for future in as_completed(waiting):
             yield waiting[future], future.result()
+    except BaseException:  # Ctrl-C or a failure: what the workers still do is of no use
+        for worker in multiprocessing.active_children():
+            worker.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -343,8 +347,8 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
         console.print(f"Where the bone stands now it is {word}; tightest there is {_tightest(here)}.")
     good = [p for p in positions if p.admissible and p.ratio is not None]
     if good:
-        best = max(good, key=lambda p: (p.ratio or 0.0, -abs(p.yaw_deg)))
-        near = min(good, key=lambda p: (math.hypot(p.x_mm, p.y_mm, p.lift_mm), abs(p.yaw_deg)))
+        near = min(good, key=_farness)
+        best = max(good, key=lambda p: (round(p.ratio or 0.0, 3), *(-v for v in _farness(p))))
         for word, p in (("Most room:", best), ("Nearest:  ", near)):
             console.print(
                 Text(
@@ -358,6 +362,11 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
         console.print(f"None is admissible; what limits: {', '.join(limits)}.")
     for path in files.values():
         console.print(f"Written: {path}", soft_wrap=True)
+
+
+def _farness(p: Position) -> tuple[float, float]:
+    """How far the bone is moved, mm, then how far it is turned, deg."""
+    return math.hypot(p.x_mm, p.y_mm, p.lift_mm), abs(p.yaw_deg)
 
 
 def _tightest(p: Position) -> str:

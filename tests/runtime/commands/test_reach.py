@@ -1,6 +1,7 @@
 """``cutgate reach`` as people and programs call it."""
 
 import csv
+import io
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from typing import Annotated, Literal
 import pytest
 from plotly.offline import get_plotlyjs
 from pydantic import Field
+from rich.console import Console
 
 from runtime import cli
 from runtime.commands import reach as command
@@ -261,6 +263,26 @@ def test_the_slider_shows_one_turn_at_a_time(mapped):
 
 def test_the_picture_is_the_same_for_the_same_map(mapped):
     assert picture(*mapped) == picture(*mapped)
+
+
+def test_the_picture_of_many_turns_shows_the_first_ones():
+    path = strokes(600.0, 0.0)
+    grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), tuple(float(k) for k in range(13)), (0.0,))
+    positions = command.survey(command.Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
+    assert picture(
+        reach.reach_document(path, grid, positions, made_for), positions, list(reach.outline(path))
+    )
+
+
+def test_on_a_terminal_a_bar_shows_how_far_it_is(monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(command, "messages", lambda: Console(file=out, force_terminal=True, width=80))
+    with command._progress(10, "judging") as done:
+        done(7)
+        done(3)
+    assert "judging" in out.getvalue()
+    assert "10/10" in out.getvalue()
 
 
 def test_every_boundary_and_speed_has_its_kind_and_letter(mapped):

@@ -50,10 +50,22 @@ PLACES = {
 }
 
 
+LEFT_ELBOW = {
+    "arm": Arm(450.0, 450.0, "left"),
+    "lower": np.array([-80, -145, 50, -170, 0]) * (DEG, DEG, 1, DEG, DEG),
+    "upper": np.array([80, 0, 450, 170, 110]) * (DEG, DEG, 1, DEG, DEG),
+}
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
 @pytest.mark.parametrize("name", PLACES)
-def test_each_hint_points_the_way_of_its_table(name):
+def test_each_hint_points_the_way_of_its_table(name, elbow):
     x, y, z, boundary, direction = PLACES[name]
-    verdict, found = advice(spot(x, y, z))
+    path = spot(x, y, z)
+    if elbow == "left":  # the mirror image
+        mirror = np.array((1.0, -1.0, 1.0))
+        path, y = problem(path.tips_mm * mirror, path.axes * mirror, **LEFT_ELBOW), -y
+    verdict, found = advice(path)
     hint = next(m for m in found.moves if m.boundary == boundary)
     assert hint.kind == "move"
     lacking = verdict.boundaries[boundary].deadband - verdict.boundaries[boundary].clearance
@@ -144,6 +156,27 @@ def test_a_roll_that_no_place_cures_has_no_translation():
     assert all(m.kind == "turn" and abs(m.direction[2]) == 1.0 for m in found.moves)
 
 
+@pytest.mark.parametrize(("azimuth", "boundary", "up"), [(-1.2, "roll_min", 1.0), (1.2, "roll_max", -1.0)])
+@pytest.mark.parametrize("elbow", ["right", "left"])
+def test_a_roll_beyond_its_limit_is_hinted_to_turn_about_the_vertical(elbow, azimuth, boundary, up):
+    narrow = (
+        LEFT_ELBOW if elbow == "left" else {"lower": problem([], []).lower, "upper": problem([], []).upper}
+    )
+    side = -1.0 if elbow == "left" else 1.0
+    heading = side * math.acos(600.0 / 900.0)
+    roll = np.array((0, 0, 0, 1.0, 0))
+    limits = {
+        "lower": narrow["lower"] * (1 - roll) - roll * (1.0 + heading),
+        "upper": narrow["upper"] * (1 - roll) + roll * (1.0 - heading),
+    }
+    at = [[600.0, 0.0, 200.0], [600.0, 1.0, 200.0]]
+    path = problem(*wrist_path(at, axis(60 * DEG, azimuth)), **{**narrow, **limits})
+    _, found = advice(path)
+    (hint,) = (m for m in found.moves if m.boundary == boundary)
+    assert (hint.kind, hint.direction) == ("turn", (0.0, 0.0, up))
+    assert hint.angle_deg == pytest.approx(math.degrees(0.2) + 2.1, abs=0.3)
+
+
 def test_a_path_taller_than_the_slide_has_no_translation():
     path = problem(*wrist_path([[600.0, 0.0, 40.0], [600.0, 0.0, 460.0]], LEAN))
     _, found = advice(path)
@@ -216,6 +249,17 @@ def test_a_stroke_across_a_thin_ring_is_cured_by_the_smallest_turn_and_by_no_tra
     for yaw in (abs(found.yaw_deg) - 0.6, 0.6 - abs(found.yaw_deg)):
         less = guidance.moved(path, yaw, found.pivot_mm, (0.0, 0.0, 0.0))
         assert smallest_translation(Placing(less, Reserve(0.2))).translation_mm is None
+
+
+@pytest.mark.parametrize("proved", [True, None])
+def test_where_no_turn_is_found_either_it_is_said_beside_what_is_proved(monkeypatch, proved):
+    monkeypatch.setattr(guidance._Combined, "_turns", lambda _: iter((50,)))
+    if proved is None:
+        monkeypatch.setattr(guidance._Combined, "_proof", lambda _: None)
+    _, found = advice(problem(*wrist_path([[780.0, 300.0, 200.0], [880.0, 300.0, 200.0]], LEAN), **THIN))
+    assert (found.translation_mm, found.none_possible, found.verified) == (None, proved, False)
+    assert ("(proved)" in found.text) is (proved is True)
+    assert "no turn about the vertical with a translation was found either: tilt the bone" in found.text
 
 
 def test_a_turn_that_leaves_a_tilt_violated_is_not_tried(monkeypatch):

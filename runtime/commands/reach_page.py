@@ -42,7 +42,7 @@ def page(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) ->
     )
 
     drawn = layers(document, positions)
-    first = next((k for k, one in enumerate(drawn) if not one.yaw_deg and not one.lift_mm), 0)
+    first = max(range(len(drawn)), key=lambda k: _interest(drawn[k]))
     title = f"Where the bone could stand: {document['plan']} on {document['robot']}"
     data = _static(document, arcs, drawn)
     fixed = len(data)
@@ -63,6 +63,12 @@ def page(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) ->
         f'<div id="map"></div><script>{get_plotlyjs()}</script>\n'
         f"<script>const [data, layout] = {figure};\nPlotly.newPlot('map', data, layout, {config});</script></body></html>\n"
     )
+
+
+def _interest(layer: Layer) -> tuple[bool, float, int]:
+    """What to show first: where the bone could stand, with the least turn and lift."""
+    good = sum(p.admissible for p in layer.positions)
+    return good > 0, -abs(layer.yaw_deg) - abs(layer.lift_mm), good
 
 
 def _words(document: dict[str, Any]) -> str:
@@ -185,5 +191,6 @@ def _layout(document: dict[str, Any], drawn: Sequence[Layer], fixed: int, first:
         "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
         "margin": {"t": 60, "r": 20},
         "plot_bgcolor": "white",
+        "modebar": {"orientation": "v"},
         "sliders": [{"active": first, "steps": steps, "pad": {"t": 50}}],
     }

@@ -260,6 +260,8 @@ class _Combined:
         text = f"the whole moved path keeps at least {beyond:.2f} mm beyond the arm deadband (proved)"
         if yaw_deg == 0.0:
             text += f"; no translation shorter than {least:.1f} mm keeps {reserve:g} mm beyond it (proved)"
+        else:
+            text += "; it is the smallest turn found, cutgate reach shows what larger ones allow"
         return Guidance(
             translation_mm=shift,
             yaw_deg=yaw_deg,

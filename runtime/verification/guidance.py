@@ -49,6 +49,9 @@ COARSE_STEPS, FINE_STEPS = 50, 5
 TURN_FINEST_MM, TURN_EVALUATIONS = 0.5, 4000
 """How hard it is tried at each turn whether any translation fits with it."""
 
+TURNS_EVALUATIONS = 40_000
+"""The same for all turns together, so that the answer never takes longer than half a minute."""
+
 TURNS_VERIFIED = 6
 """So many turns are given to the certified method; where it admits none of them, more are not tried."""
 
@@ -185,6 +188,7 @@ class _Combined:
         self.quantise = quantise
         self.pivot = pivot_of(problem)
         self.too_fast = False
+        self.evaluations_left = TURNS_EVALUATIONS
 
     def guidance(self) -> Guidance:
         """The smallest translation, else the smallest turn with a translation, else why there is none."""
@@ -322,12 +326,15 @@ class _Combined:
         return sign * high
 
     def _fits(self, steps: int) -> bool:
+        if self.evaluations_left <= 0:
+            return False
         placing = Placing(
             moved(self.problem, steps * STEP_DEG, self.pivot, (0.0, 0.0, 0.0)), _reserve(RESERVES_MM[0])
         )
         found = smallest_translation(
             placing, any_will_do=True, finest_mm=TURN_FINEST_MM, evaluations=TURN_EVALUATIONS
         )
+        self.evaluations_left -= found.looked_at
         return found.translation_mm is not None
 
 

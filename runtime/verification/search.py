@@ -43,10 +43,12 @@ class Found:
         translation_mm: shape (3,), canonical frame (right elbow); None if none was found.
         at_least_mm: every translation after which all points fit is at least this long; infinite where
             it is proved that there is none.
+        looked_at: how many squares were looked at.
     """
 
     translation_mm: Floats | None
     at_least_mm: float
+    looked_at: int = 0
 
     @property
     def none_fits(self) -> bool:
@@ -127,7 +129,7 @@ class _Search:
         least = min(
             self.given_up, float(squares.least.min(initial=math.inf)), max(self.length - TOLERANCE_MM, 0.0)
         )
-        return Found(None if self.best is None else self._translation(self.best), least)
+        return Found(None if self.best is None else self._translation(self.best), least, self.looked_at)
 
     def _first(self) -> _Squares:
         """Squares that cover the domain; none if it is empty."""

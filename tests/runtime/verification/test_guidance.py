@@ -262,6 +262,13 @@ def test_where_no_turn_is_found_either_it_is_said_beside_what_is_proved(monkeypa
     assert "no turn about the vertical with a translation was found either: tilt the bone" in found.text
 
 
+def test_the_search_for_a_turn_ends_when_its_work_is_used_up(monkeypatch):
+    monkeypatch.setattr(guidance, "TURNS_EVALUATIONS", 1)
+    _, found = advice(problem(*wrist_path([[780.0, 300.0, 200.0], [880.0, 300.0, 200.0]], LEAN), **THIN))
+    assert (found.translation_mm, found.none_possible) == (None, True)
+    assert "no turn about the vertical with a translation was found either" in found.text
+
+
 def test_a_turn_that_leaves_a_tilt_violated_is_not_tried(monkeypatch):
     monkeypatch.setattr(guidance, "moved", None)
     path = problem(*wrist_path([[600.0, 0.0, 200.0], [620.0, 0.0, 200.0]], axis(112 * DEG, 0.3)))

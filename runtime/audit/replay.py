@@ -28,7 +28,7 @@ from runtime.audit.log import cpu_dispatch
 from runtime.plan.load import plan_from_bytes, registration_from_bytes
 from runtime.plan.model import Registration
 from runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
-from runtime.verification import approach
+from runtime.verification import approach, certificate
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.problem import Problem
 from runtime.verification.recorded import problem_from_records
@@ -135,6 +135,8 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
             found.documents.append(document)
             found.differences += _compare(recorded, document, inputs, comparable=comparable)
         found.differences += _boundary_records(log, verdicts)
+        if verdicts[-1].verdict == "admissible":
+            found.differences += _proof(log, inputs)
         for way in _typed(log, records.Approach):
             found.differences += _approach(way, inputs, found, comparable=comparable)
         if any(document["verdict"] == "inadmissible" for document in found.documents):
@@ -335,6 +337,20 @@ def _same(one: Any, other: Any, *, absolute: bool) -> bool:
         scale = 1.0 if absolute else max(1.0, abs(other))
         return abs(one - other) <= TOLERANCE * scale
     return type(one) is type(other) and bool(one == other)
+
+
+def _proof(log: Log, inputs: _Inputs) -> Iterator[str]:
+    """The recorded certificate proves the recorded path admissible, checked without a search."""
+    body = log.scan.attachment(names.PROOF)
+    if body is None:
+        yield f"attachment {names.PROOF} is missing: the admissible verdict has no proof"
+        return
+    try:
+        proof = certificate.Certificate.parse(body)
+    except certificate.CertificateError as error:
+        yield f"attachment {names.PROOF}: {error}"
+        return
+    yield from (f"the proof: {reason}" for reason in certificate.recheck(_problem(inputs), proof))
 
 
 # ---------------------------------------------------------------- approach and retract

@@ -371,7 +371,7 @@ def _farness(p: Position) -> tuple[float, float]:
 
 def _tightest(p: Position) -> str:
     value = "undefined" if p.clearance is None else f"{p.clearance:.2f} {p.unit}"
-    return f"{p.limiting}, {value} with {p.bound:g} {p.unit} {'allowed' if p.limiting.startswith('speed') else 'required'}"
+    return f"{p.limiting}, {value} with {p.bound:g} {p.unit} {'allowed' if p.limiting.startswith(reach.RATES) else 'required'}"
 
 
 def register(app: typer.Typer) -> None:

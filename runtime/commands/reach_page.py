@@ -18,7 +18,7 @@ from runtime.commands.reach_picture import (
     letters,
     ratio_top,
 )
-from runtime.verification.reach import Position
+from runtime.verification.reach import RATES, Position
 
 HOVER: Final = (
     "reference point x %{x:.0f}  y %{y:.0f} mm<br>move x %{customdata[0]}  y %{customdata[1]} mm, "
@@ -165,7 +165,7 @@ def _said(p: Position) -> str:
     verdict = "admissible" if p.admissible else "inadmissible"
     how = "certified" if p.checked == "certified" else "a pose excludes it"
     value = "undefined" if p.clearance is None else f"{p.clearance:.2f} {p.unit}"
-    word = "allowed" if p.limiting.startswith("speed") else "required"
+    word = "allowed" if p.limiting.startswith(RATES) else "required"
     return f"<b>{verdict}</b> ({how})<br>limit: {p.limiting}, {value}, {p.bound:g} {p.unit} {word}"
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.reach import Position
+from runtime.verification.reach import RATES, Position
 
 Floats = NDArray[np.float64]
 Arcs = Sequence[tuple[str, Floats]]
@@ -39,14 +39,16 @@ KINDS: Final = {
     "bottom": Kind("B", "#c6c6c6", "B: slide at its lower end (bottom)"),
     "roll": Kind("W", "#f4c6dd", "W: roll of the wrist (q3)"),
     "pitch": Kind("P", "#c3e6d8", "P: pitch of the tool (q4)"),
-    "speed": Kind("S", "#fbc4c4", "S: joint too fast at this feed"),
+    "speed": Kind("S", "#fbc4c4", "S: joint too fast, or accelerating too much, at this feed"),
 }
 
 
 def kind_of(limiting: str) -> str:
-    """The kind of a boundary or speed."""
-    if limiting.startswith(("roll", "speed")):
-        return limiting.partition("_")[0]
+    """The kind of a boundary or rate."""
+    if limiting.startswith(RATES):
+        return "speed"
+    if limiting.startswith("roll"):
+        return "roll"
     return "pitch" if limiting.startswith(("pitch", "wrist")) else limiting
 
 

@@ -319,6 +319,8 @@ class Session:
     def _keep(self, answer: Answer) -> None:
         """The verdict on what was asked: recorded and shown."""
         self.answer = answer
+        if answer.proof is not None:
+            self._journal.log.attach(names.PROOF, "application/octet-stream", answer.proof)
         self._journal.verdict(answer.document, self._request.tool, answer.verdict.reason)
         if answer.approach_document is not None:
             self._journal.approach(

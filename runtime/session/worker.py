@@ -18,11 +18,11 @@ from config.model import Robot
 from protocol import records
 from runtime.interlock.state import Timing, Verdict
 from runtime.plan.prepare import Quantise
-from runtime.verification import approach, certified
+from runtime.verification import approach, certificate, certified
 from runtime.verification import verdict as verdicts
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.guidance import Guidance, guide
-from runtime.verification.problem import Floats
+from runtime.verification.problem import Floats, Problem
 from runtime.verification.recorded import problem_from_records
 from runtime.verification.summary import summary
 
@@ -58,9 +58,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """The verdict for the interlock; what was proved, for people; and the documents, for the log.
+    """The verdict for the interlock; what was proved, for people; and documents and proof, for the log.
 
-    ``approach`` and its document are None where the cut itself is not admissible.
+    ``approach``, its document and ``proof`` (a certificate's bytes) are None where the cut itself is not admissible.
     """
 
     verdict: Verdict
@@ -70,6 +70,7 @@ class Answer:
     document: dict[str, Any]
     approach: approach.Approach | None
     approach_document: dict[str, Any] | None
+    proof: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ def prove(request: Request) -> Answer:
     document = verdict_document(
         verdict, poses=len(path), guidance=guidance, digests=digests, elapsed_ms=elapsed_ms
     )
+    proof = _checked_proof(problem, verdict)
     ways = approach.verify(problem, request.start) if verdict.admissible else None
     answer = Verdict(
         request=request.number,
@@ -114,7 +116,25 @@ def prove(request: Request) -> Answer:
         approach_reason=approach.summary(ways) if ways else "not verified: the cut is not admissible",
     )
     told = approach.document(ways, request.start) if ways else None
-    return Answer(answer, verdict, guidance, digests, document, ways, told)
+    return Answer(answer, verdict, guidance, digests, document, ways, told, proof)
+
+
+def _checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes | None:
+    """The proof of an admissible verdict, as the log will hold it, checked before anything is permitted on it.
+
+    Raises:
+        ValueError: there is none, or it does not hold; then there is no verdict either.
+    """
+    if not verdict.admissible:
+        return None
+    proof = certificate.certify(problem, verdict)
+    if proof is None:
+        raise ValueError("the admissible verdict has no proof")
+    body = proof.body()
+    reasons = certificate.recheck(problem, certificate.Certificate.parse(body))
+    if reasons:
+        raise ValueError(f"the proof of the admissible verdict does not hold: {'; '.join(reasons)}")
+    return body
 
 
 def _quantiser(path: records.Path) -> Quantise:

@@ -57,7 +57,7 @@ class Position:
         limiting: boundary with the smallest clearance per deadband, or ``speed_qN``.
         unit: mm or deg, or that of the joint's speed.
         clearance: of that boundary, proven; attained at a pose where that excludes; None if undefined.
-            For a speed the largest one on the path.
+            For a speed or acceleration the largest one on the path.
         bound: the deadband to be kept, or the speed not to be exceeded.
         ratio: clearance per deadband, or limit per speed; at least 1 where admissible; None if undefined.
     """
@@ -74,6 +74,9 @@ class Position:
     bound: float
     ratio: float | None
 
+
+RATES: Final = ("speed", "acceleration")
+"""Limiting names that begin so are rates: the largest one of a joint, where less is better."""
 
 COLUMNS: Final = tuple(Position.__dataclass_fields__)
 """Of the CSV file and of each position in the JSON document."""
@@ -165,18 +168,18 @@ def _position(where: tuple[float, float, float, float], verdict: Verdict) -> Pos
     """What decides: a boundary that is known and violated, one that is undefined, a speed, or the tightest."""
     worst = min(verdict.boundaries.values(), key=_ratio)
     undefined = [b for b in verdict.boundaries.values() if b.certified is None]
-    fast = [line for line in verdict.speed if not line.ok]
+    fast = [line for line in (*verdict.speed, *verdict.acceleration) if not line.ok]
     if not worst.violated and undefined:
         worst = undefined[0]
     if not worst.violated and fast:
         line = fast[0]
-        unit = "mm/s" if line.joint == 2 else "rad/s"
+        unit = ("mm/s" if line.joint == 2 else "rad/s") + ("2" if line.quantity == "acceleration" else "")
         ratio = None if not line.peak else line.limit / line.peak
         return Position(
             *where,
             verdict.admissible,
             "certified",
-            f"speed_q{line.joint}",
+            f"{line.quantity}_q{line.joint}",
             unit,
             line.peak,
             line.limit,

@@ -17,9 +17,7 @@ def summary(verdict: Verdict) -> str:
             f"{_value(tightest.certified)} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
         )
     parts = [
-        f"{b.name} short by {_shortfall(b)} {b.unit}"
-        for b in sorted(known, key=_relative)
-        if b.violated
+        f"{b.name} short by {_shortfall(b)} {b.unit}" for b in sorted(known, key=_relative) if b.violated
     ]
     parts += [f"q{line.joint} too fast" for line in verdict.speed if not line.ok and line.peak is not None]
     parts += [

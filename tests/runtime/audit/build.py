@@ -25,7 +25,7 @@ from runtime.audit.scan import scan
 from runtime.audit.writer import LogWriter
 from runtime.plan.load import plan_from_bytes, registration_from_bytes
 from runtime.plan.prepare import prepare, with_branch
-from runtime.verification import approach, certified
+from runtime.verification import approach, certificate, certified
 from runtime.verification.document import Digests, verdict_document
 from runtime.verification.recorded import problem_from_records
 
@@ -214,6 +214,15 @@ def verdict_of(given: float = 500.0) -> str:
     return json.dumps(document)
 
 
+@cache
+def proof_of(given: float = 500.0) -> bytes | None:
+    """The certificate of these inputs, None where they are inadmissible."""
+    i = inputs(given)
+    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    proof = certificate.certify(problem, certified.verify(problem))
+    return proof.body() if proof else None
+
+
 STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
 """Where the arm stood when it was verified, 1e-6 deg | mm."""
 
@@ -288,6 +297,9 @@ def session_log(
         log.attach(name, "application/octet-stream", data)
     if site is not None:
         log.attach(names.SITE, "application/toml", site)
+    proof = proof_of(bone_x_mm)
+    if proof is not None:
+        log.attach(names.PROOF, "application/octet-stream", proof)
     document = json.loads(verdict_of(bone_x_mm))
     log.write(
         records.Verdict.of(document, verifier=VERIFIER, tool_sha256=sha256(i.tool).hexdigest(), reason="")

@@ -11,8 +11,18 @@ from runtime.audit.inspect import Status, read_log, verify_log
 from runtime.audit.replay import Outcome, replay
 from runtime.plan.load import registration_from_bytes
 from runtime.verification import certified
+from runtime.verification.certificate import Certificate
 from tests.altering import altered
-from tests.runtime.audit.build import STANDS, VERIFIER, forge, inputs, session_log, small_log, wire_permit
+from tests.runtime.audit.build import (
+    STANDS,
+    VERIFIER,
+    forge,
+    inputs,
+    proof_of,
+    session_log,
+    small_log,
+    wire_permit,
+)
 
 ADMITTED, REFUSED = 500.0, 850.0
 
@@ -356,6 +366,31 @@ def test_another_registration_differs(admitted):
     other = inputs(REFUSED).registration
     assert registration_from_bytes("x", other).id == "test"
     differs(forge(admitted, attachments=attachment("registration.json", other)), "the uploaded path is not")
+
+
+def test_an_admissible_verdict_needs_its_proof(admitted):
+    differs(forge(admitted, attachments=attachment(names.PROOF, None)), "proof.bin is missing")
+
+
+def test_a_proof_that_cannot_be_read_differs(admitted):
+    differs(forge(admitted, attachments=attachment(names.PROOF, b"damaged")), "do not begin as a certificate")
+
+
+def test_a_proof_that_states_more_than_it_proves_differs(admitted):
+    proof = Certificate.parse(proof_of())
+    bold = replace(proof, bounds={**proof.bounds, "outer": proof.bounds["outer"] + 500.0})
+    differs(forge(admitted, attachments=attachment(names.PROOF, bold.body())), "the proof: outer: ")
+
+
+def test_a_proof_that_states_too_little_differs(admitted):
+    proof = Certificate.parse(proof_of())
+    shy = replace(proof, bounds={name: v for name, v in proof.bounds.items() if name != "speed 1"})
+    differs(forge(admitted, attachments=attachment(names.PROOF, shy.body())), "states nothing")
+
+
+def test_a_refused_log_needs_no_proof(refused):
+    assert names.PROOF not in {entry.name for entry in read_log(refused).scan.attachments}
+    assert replayed(refused).outcome is Outcome.IDENTICAL
 
 
 def test_a_plan_that_is_refused_differs(admitted):

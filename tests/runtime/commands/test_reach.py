@@ -33,7 +33,7 @@ POSES = "x,y,z,i,j,k\n" + "".join(
     f"{x},{y},130,0.6,0,0.8\n" for x, y in ((500, 0), (510, 0), (510, 8), (500, 9))
 )
 
-Limit = Name | Annotated[str, Field(pattern="^speed_q[0-4]$")]
+Limit = Name | Annotated[str, Field(pattern="^(speed|acceleration)_q[0-4]$")]
 
 
 class PositionPart(Part):
@@ -286,7 +286,7 @@ def test_on_a_terminal_a_bar_shows_how_far_it_is(monkeypatch):
 
 
 def test_every_boundary_and_speed_has_its_kind_and_letter(mapped):
-    assert {kind_of(name) for name in (*BOUNDARIES, "speed_q3")} == set(KINDS)
+    assert {kind_of(name) for name in (*BOUNDARIES, "speed_q3", "acceleration_q0")} == set(KINDS)
     assert (
         len({kind.letter for kind in KINDS.values()})
         == len({kind.tint for kind in KINDS.values()})

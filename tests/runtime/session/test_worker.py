@@ -8,6 +8,8 @@ import pytest
 from protocol import records
 from runtime.session import worker as workers
 from runtime.session.worker import Answer, Broken, Request, Worker, prove
+from runtime.verification import certificate
+from runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, STANDS, job_of
 
 PATIENCE_S = 60.0
@@ -44,6 +46,27 @@ def test_an_admissible_path_is_proved_for_exactly_what_was_asked(tmp_path_factor
     assert answer.approach_document["verdict"] == "admissible"
     assert answer.guidance is None
     assert answer.document["verdict"] == "admissible"
+
+
+def test_an_admissible_verdict_comes_with_its_proof_and_an_inadmissible_one_has_none(tmp_path_factory):
+    asked = request(tmp_path_factory)
+    problem = problem_from_records(asked.path, asked.limits, asked.calibration, asked.tool, asked.robot)
+    assert certificate.recheck(problem, certificate.Certificate.parse(prove(asked).proof)) == ()
+    assert prove(request(tmp_path_factory, INADMISSIBLE_MM)).proof is None
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        ({"certify": lambda _problem, _verdict: None}, "has no proof"),
+        ({"recheck": lambda _problem, _proof: ("outer: nothing is proven",)}, "outer: nothing is proven"),
+    ],
+)
+def test_without_a_proof_that_holds_there_is_no_verdict(tmp_path_factory, monkeypatch, broken, said):
+    for name, instead in broken.items():
+        monkeypatch.setattr(certificate, name, instead)
+    with pytest.raises(ValueError, match=said):
+        prove(request(tmp_path_factory))
 
 
 def test_an_inadmissible_path_comes_with_guidance_and_no_start(tmp_path_factory):

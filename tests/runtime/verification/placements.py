@@ -1,13 +1,10 @@
 """Translations of a path judged by the dense oracle, pose by pose: the reference for the search."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from tests.oracle.dense import Dense
-
-ARM = ("inner", "outer", "left", "right")
+from tests.oracle.dense import SIDES, Dense, Samples
 
 
 def admitted(problem, translations, *, reserve_mm=0.0, reserve_rad=0.0):
@@ -20,17 +17,21 @@ def admitted(problem, translations, *, reserve_mm=0.0, reserve_rad=0.0):
         return np.zeros(0, dtype=bool)
     tips = (problem.tips_mm[None, :, :] + np.asarray(translations)[:, None, :]).reshape(-1, 3)
     axes = np.tile(problem.axes, (k, 1))
-    laid = replace(problem, tips_mm=np.vstack((tips, tips[-1:])), axes=np.vstack((axes, axes[-1:])))
-    oracle = Dense(laid, per_segment=1)
+    oracle = Dense(problem, per_segment=2)
+    xy, q = oracle.joints(tips, axes)
+    sides = np.stack([oracle.side_distance(xy, name) for name in SIDES], axis=1)
+    bent = (q[:, 1] >= oracle.q1[0]) & (q[:, 1] <= oracle.q1[1])
+    turned = np.mod(q[:, 0] - oracle.lo[0], 2 * math.pi) <= oracle.hi[0] - oracle.lo[0]
+    nothing = np.zeros(len(q))
+    x = Samples(nothing, nothing, q, sides, bent & turned, oracle._widening(q))
     c, d = problem.calibration, problem.deadband
     keep = d.arm_mm + c.residual_mm + d.path_tolerance_mm + reserve_mm
-    names = (
-        (*ARM, "top", "bottom") if problem.upper[0] - problem.lower[0] < 2 * math.pi else ("inner", "outer")
-    )
-    fits = np.all([oracle.margins[name] >= keep for name in (*names, "top", "bottom")], axis=0).reshape(k, n)
+    bounding = oracle.signed(x)[:, : 2 if oracle.full else 4].min(axis=1)
+    slide = np.minimum(oracle.hi[2] - q[:, 2], q[:, 2] - oracle.lo[2])
+    fits = (np.minimum(bounding, slide) >= keep).reshape(k, n)
     wrist = d.wrist_rad + c.residual_rad + d.path_tolerance_rad + reserve_rad
-    spare = wrist + oracle.widening.reshape(k, n)
-    roll = np.unwrap(oracle.q[:, 3].reshape(k, n), axis=1)
+    spare = wrist + x.widening.reshape(k, n)
+    roll = np.unwrap(q[:, 3].reshape(k, n), axis=1)
     return fits.all(axis=1) & _some_turn(roll, oracle.lo[3] + spare, oracle.hi[3] - spare)
 
 

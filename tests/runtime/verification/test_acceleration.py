@@ -16,15 +16,12 @@ GENTLE = np.full(5, 1e9)
 
 def differenced(case, per_segment=401):
     """Largest |q''| of each joint, rad/s2 and mm/s2, by central differences of the reference's joints."""
-    dense = Dense(case, per_segment)
-    q = np.stack((dense.q[:, 0], dense.q[:, 1], dense.q[:, 2], dense.q[:, 3], dense.q[:, 4]), axis=1)
-    q = q.reshape(-1, per_segment, 5)
+    dense, n = Dense(case, 2), len(case.tips_mm) - 1
+    segment, s = np.repeat(np.arange(n), per_segment), np.tile(np.linspace(0, 1, per_segment), n)
+    q = dense.joints(*dense.poses(segment, s))[1].reshape(n, per_segment, 5)
     for joint in (0, 3):
         q[:, :, joint] = np.unwrap(q[:, :, joint], axis=1)
-    turn = np.arccos(np.clip((case.axes[1:] * case.axes[:-1]).sum(axis=1), -1, 1))
-    step = np.linalg.norm(np.diff(case.tips_mm, axis=0), axis=1)
-    seconds = np.maximum(step, case.tool_length_mm * turn) / case.feed_mm_s
-    h = seconds / (per_segment - 1)
+    h = dense.seconds / (per_segment - 1)
     return (np.abs(np.diff(q, n=2, axis=1)).max(axis=1) / h[:, None] ** 2).max(axis=0)
 
 

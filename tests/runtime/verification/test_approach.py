@@ -18,7 +18,7 @@ from runtime.verification.approach import Start
 from runtime.verification.geometry import canonical
 from runtime.verification.problem import Arm, Calibration, Deadband
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
-from tests.oracle.dense import Dense
+from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 
 ARCS = ("inner", "outer", "left", "right")
@@ -47,7 +47,9 @@ def line_margins(given_problem, first, last, n=200):
     dense = Dense(given_problem, per_segment=2)
     t = np.linspace(0.0, 1.0, n)[:, None]
     q = (1 - t) * np.asarray(first) + t * np.asarray(last) + given_problem.calibration.joint_offset
-    xy = dense.place(q[:, 0], q[:, 1])
+    upper, heading = q[:, 0], q[:, 0] + q[:, 1]
+    x = dense.a0 * np.cos(upper) + dense.a1 * np.cos(heading)
+    xy = np.stack((x, dense.a0 * np.sin(upper) + dense.a1 * np.sin(heading)), axis=1)
     out = {name: dense.side_distance(xy, name) for name in ARCS}
     if dense.hi[0] - dense.lo[0] >= 2 * math.pi:
         out["left"] = np.where(dense.hi[0] - q[:, 0] <= math.pi, out["left"], np.inf)
@@ -70,10 +72,13 @@ def straight_margins(given_problem, pose, length_um, joints):
     line = replace(given_problem, tips_mm=np.stack((tip, tip + length_um / 1000 * u)), axes=np.stack((u, u)))
     dense = Dense(line, per_segment=100)
     turns = [math.ceil((joints[j] - math.pi) / (2 * math.pi)) for j in (0, 3)]
-    out = dict(dense.margins)
-    if dense.hi[0] - dense.lo[0] >= 2 * math.pi:
-        out |= dense.lifted_sides(turns[0])
-    return out | dense.roll(turns[1]), dense, turns
+    out = dict(zip(COLUMNS, dense.values.T, strict=True))
+    if dense.full:
+        out |= dict(zip(("left", "right"), dense.lifted_sides(turns[0]).T, strict=True))
+    shift = np.degrees(dense.lifted(3, turns[1])[0] - dense.q3[0])
+    out["roll_min"] = out["roll_min"] + shift - np.degrees(dense.lo[3])
+    out["roll_max"] = out["roll_max"] - shift + np.degrees(dense.hi[3])
+    return out, dense, turns
 
 
 def random_case(seed, **options):
@@ -148,7 +153,8 @@ def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(see
         at_pose = approach._ends(made)[pose]
         _, dense, turns = straight_margins(made, pose, out_um, at_pose)
         true = joints + made.calibration.joint_offset
-        np.testing.assert_allclose(true[[1, 2, 4]], dense.q[-1, [1, 2, 4]], atol=1e-7)
+        np.testing.assert_allclose(true[[1, 4]], dense.samples.q[-1, [1, 4]], atol=1e-7)
+        assert true[2] == pytest.approx(dense.samples.q[-1, 2], abs=1e-6)  # joints are bound in 1e-6 deg | mm
         assert true[0] == pytest.approx(dense.lifted(0, turns[0])[-1], abs=1e-7)
         assert true[3] == pytest.approx(dense.lifted(3, turns[1])[-1], abs=1e-6)
         beyond = (made.tips_mm[pose] + out_um / 1000 * made.axes[pose] - made.tips_mm) @ made.axes[pose]

@@ -142,3 +142,13 @@ def test_a_calibrated_robot_is_mapped_with_its_residuals():
     grid = reach.Grid(1.0, (0.0,), (0.0,), (0.0,), (0.0,))
     (p,) = judged(path, grid)
     assert p.bound in {8.0, 2.0}
+
+
+def test_joints_that_accelerate_too_much_limit_with_their_unit():
+    hasty = strokes(600.0, 0.0, acceleration=np.array([1e-9, 1.0, 1000.0, 10.0, 10.0]))
+    work = Work(hasty, hasty.feed_mm_s, hasty.tool_length_mm)
+    p = reach.judged(hasty, work.quantise, 0.0, (0.0, 0.0, 0.0))
+    assert not p.admissible
+    assert (p.limiting, p.unit, p.bound) == ("acceleration_q0", "rad/s2", 1e-9)
+    assert p.ratio == pytest.approx(p.bound / p.clearance)
+    assert p.ratio < 1.0

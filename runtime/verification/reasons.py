@@ -26,20 +26,29 @@ _SIDES = {
 _SPEED_UNIT = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
 
 
-def sentences(boundaries: Mapping[str, Boundary], speed: Sequence[SpeedLine], elbow: str) -> tuple[str, ...]:
-    """One sentence for each violated boundary and each joint that is too fast or accelerates too much."""
-    left = [name for name, b in boundaries.items() if b.clearance is not None and b.clearance < 0.0]
-    broken = [_boundary(b, elbow, left) for b in boundaries.values() if b.violated]
-    return (*broken, *(_speed(line) for line in speed if not line.ok))
+def sentences(boundaries: Mapping[str, Boundary], rates: Sequence[SpeedLine], elbow: str) -> tuple[str, ...]:
+    """One sentence for each boundary that is known to be violated and each rate known to be too high; one for the rest."""
+    broken = [b for b in boundaries.values() if b.violated]
+    found = [b for b in broken if b.clearance is not None and b.clearance < b.deadband]
+    left = [b.name for b in found if b.clearance is not None and b.clearance < 0.0]
+    known = [b for b in broken if b.clearance is not None]
+    out = [_boundary(b, elbow, left) for b in known]
+    out += [_rate(line) for line in rates if not line.ok and line.peak is not None]
+    undefined = [b.name for b in broken if b.clearance is None]
+    undefined += [
+        f"{line.quantity} of joint {line.joint}" for line in rates if not line.ok and line.peak is None
+    ]
+    if undefined:
+        first = ", ".join(left or [b.name for b in found])
+        remedy = f"cure {first} first" if first else "move the bone, or tilt the registration"
+        why = "not defined or not bounded on this path (singular, or out of reach)"
+        out.append(f"{', '.join(undefined)}: {why}; {remedy}")
+    return tuple(out)
 
 
 def _boundary(b: Boundary, elbow: str, left: Sequence[str]) -> str:
+    assert b.clearance is not None and b.certified is not None  # noqa: S101, PT018 - known boundaries alone
     remedy = _REMEDY.get(b.name) or _SIDES[b.name, elbow]
-    if b.clearance is None or b.certified is None:
-        return (
-            f"{b.name}: not defined or not bounded on this path (singular, or out of reach), "
-            f"needs {b.deadband:.6g} {b.unit}; cure the other boundaries first, then {remedy}"
-        )
     place = f"at {b.tip_length_mm:.3f} mm of the tip path (segment {b.segment}, fraction {b.fraction:.6f})"
     if b.clearance >= b.deadband and left:
         return (
@@ -56,10 +65,8 @@ def _boundary(b: Boundary, elbow: str, left: Sequence[str]) -> str:
     )
 
 
-def _speed(line: SpeedLine) -> str:
+def _rate(line: SpeedLine) -> str:
     unit = _SPEED_UNIT[line.joint] + ("2" if line.quantity == "acceleration" else "")
-    if line.peak is None:
-        return f"joint {line.joint}: {line.quantity} not bounded on this path, limit {line.limit:.6g} {unit}; cure the boundaries first"
     return (
         f"joint {line.joint}: needs up to {line.peak:.6g} {unit} in segment {line.segment}, "
         f"limit {line.limit:.6g} {unit}; reduce the feed or move the bone away from the singular position"

@@ -39,3 +39,19 @@ def test_a_speed_names_joint_peak_segment_and_limit():
     (reason,) = certified.verify(slow).reasons
     assert reason.startswith("joint 0: needs up to 0.0")
     assert "rad/s in segment 0, limit 0.001 rad/s; reduce the feed" in reason
+
+
+def test_what_is_undefined_is_said_once_and_after_what_to_cure_first():
+    tips, axes = wrist_path([[880, 0, 100], [920, 0, 100]], axis(1.0, 0.3))
+    reasons = certified.verify(problem(tips, axes)).reasons
+    (said,) = [reason for reason in reasons if "not defined or not bounded" in reason]
+    assert said == reasons[-1]
+    assert said.startswith("roll_min, roll_max, speed of joint 0, speed of joint 1, speed of joint 3: ")
+    assert said.endswith("cure outer first")
+
+
+def test_a_singular_tool_alone_says_what_to_do():
+    tips, axes = wrist_path([[600, 0, 100], [600, 50, 100]], axis(0.0, 0.0))
+    reasons = certified.verify(problem(tips, axes)).reasons
+    assert any(reason.startswith("wrist_singularity: clearance 0.0") for reason in reasons)
+    assert any(reason.startswith("roll_min, roll_max, speed of joint 3: ") for reason in reasons)

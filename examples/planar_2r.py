@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.workspace.numeric import Certificate, Path, Polyline, SampledBoundary, certify, sample_curve
+from runtime.workspace.numeric import Decision, Path, Polyline, SampledBoundary, certify, sample_curve
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -120,8 +120,8 @@ class Side:
         )  # fmt: skip
 
 
-def verify(arm: Planar2R, path: Path, deadband_mm: float, spacing_mm: float) -> dict[str, Certificate]:
-    """One certificate for each side of the elbow; the path is admissible if one of them is."""
+def verify(arm: Planar2R, path: Path, deadband_mm: float, spacing_mm: float) -> dict[str, Decision]:
+    """One decision for each side of the elbow; the path is admissible if one of them is."""
     return {
         "right" if side.sign > 0 else "left": certify(path, side.distance(spacing_mm), deadband_mm)
         for side in arm.sides()

@@ -19,7 +19,7 @@ t / rho. In the plane w = a2 e(q2) + a3 e(psi); multiplying dw by e(q2) leaves -
 abs(dpsi) <= p / (a3 abs(sin q3)). The forearm's direction f = (cos psi cos q1, cos psi sin q1, sin psi) has
 abs(df)^2 = (cos psi dq1)^2 + dpsi^2 <= max(1 / rho, 1 / (a3 abs(sin q3)))^2 abs(dw)^2. The largest value over the
 workspace, `SixJointArm.turn_per_mm`, is finite because base axis and straight elbow are excluded; an arm whose limits do not
-exclude them is refused. It holds along a path whose every point is inside, which is what the first certificate proves.
+exclude them is refused. It holds along a path whose every point is inside, which is what the first decision proves.
 
 Not shown here: limits of q4 and q6 (taken as unlimited), joint speeds, calibration, collisions of the links.
 """
@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from runtime.kinematics.pose import slerp, turn_angles
 from runtime.workspace.distance import ExactPlanar, signed_distance
-from runtime.workspace.numeric import Certificate, certify
+from runtime.workspace.numeric import Decision, certify
 from runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]
@@ -189,10 +189,10 @@ class PosePath:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Both certificates; the wrist's is None where the arm's was not given, which it needs."""
+    """Both decisions; the wrist's is None where the arm's was not given, which it needs."""
 
-    arm: Certificate
-    wrist: Certificate | None
+    arm: Decision
+    wrist: Decision | None
 
     @property
     def admissible(self) -> bool:
@@ -228,13 +228,13 @@ def main() -> None:
     for name, place in cases.items():
         found = verify(arm, *pocket(*place), 5.0, math.radians(2.0))
         print(f"{name}: {'admissible' if found.admissible else 'refused'}")
-        for part, certificate, unit in (("arm", found.arm, 1.0), ("wrist", found.wrist, math.degrees(1.0))):
-            if certificate is None or certificate.certified is None:
+        for part, decision, unit in (("arm", found.arm, 1.0), ("wrist", found.wrist, math.degrees(1.0))):
+            if decision is None or decision.certified is None:
                 continue
-            proven = certificate.certified * unit
+            proven = decision.certified * unit
             print(
-                f"  {part:5} {certificate.outcome:12} certified {proven:7.2f} {'mm' if unit == 1.0 else 'deg'}, "
-                f"{certificate.evaluations} evaluations"
+                f"  {part:5} {decision.outcome:12} certified {proven:7.2f} {'mm' if unit == 1.0 else 'deg'}, "
+                f"{decision.evaluations} evaluations"
             )
 
 

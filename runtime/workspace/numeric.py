@@ -69,7 +69,7 @@ class Polyline:
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate:
+class Decision:
     """What is known of the smallest true distance on a path.
 
     Attributes:
@@ -103,7 +103,7 @@ def certify(
     *,
     tolerance: float = 0.1,
     most_evaluations: int = 100_000,
-) -> Certificate:
+) -> Decision:
     """Decide for all points of a continuous path whether the distance keeps the deadband.
 
     Between neighbours with values a and b, moved h apart at most, no true value is below
@@ -170,7 +170,7 @@ def _halves(rows: Floats, path: Path, distance: Distance) -> Floats:
     return np.concatenate((before, after))
 
 
-def _decided(table: Floats, certified: float, error: float, deadband: float, evaluations: int) -> Certificate:
+def _decided(table: Floats, certified: float, error: float, deadband: float, evaluations: int) -> Decision:
     row, side = divmod(int(np.argmin(table[:, 3:])), 2)
     least = float(table[row, 3 + side])
     outcome: Outcome = "undecided"
@@ -184,11 +184,11 @@ def _decided(table: Floats, certified: float, error: float, deadband: float, eva
         outcome = "inadmissible"
         reason = f"the distance is at most {least + error:.6g} where {deadband:.6g} is required"
     place = int(table[row, 0]), float(table[row, 1 + side])
-    return Certificate(outcome, least, certified, *place, evaluations, reason)
+    return Decision(outcome, least, certified, *place, evaluations, reason)
 
 
-def _unknown(reason: str, evaluations: int) -> Certificate:
-    return Certificate("undecided", None, None, None, None, evaluations, reason)
+def _unknown(reason: str, evaluations: int) -> Decision:
+    return Decision("undecided", None, None, None, None, evaluations, reason)
 
 
 Curve = Callable[[Floats], Floats]

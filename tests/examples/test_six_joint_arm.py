@@ -144,7 +144,7 @@ def dense(arm, tips, axes, parts=60):
     [((600, 120, 210, 5), True, True), ((800, 120, 210, 5), False, None), ((600, 120, 210, 30), True, False)],
     ids=["as planned", "too far out", "tool along the forearm"],
 )
-def test_dense_sampling_of_the_joints_agrees_with_each_certificate(place, arm_admitted, wrist_admitted):
+def test_dense_sampling_of_the_joints_agrees_with_each_decision(place, arm_admitted, wrist_admitted):
     tips, axes = pocket(*place)
     found = verify(ARM, tips, axes, 5.0, 2 * DEG)
     points, joints, pitch = dense(ARM, tips, axes)

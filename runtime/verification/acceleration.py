@@ -119,7 +119,7 @@ def bounded_accelerations(
         rad/s2 and mm/s2, both shape (m, 5).
     """
     motion, angles = known
-    second, third, pad = _derivatives(geometry, motion, angles)
+    second, third, pad = _derivatives(geometry, parts, motion, angles)
     resting = (motion.length == 0.0) & (motion.phi == 0.0)
     square = np.where(motion.seconds > 0.0, motion.seconds, np.nan) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -138,19 +138,26 @@ def bounded_accelerations(
     return bound, attained
 
 
-def _derivatives(geometry: Geometry, motion: Motion, angles: Angles) -> tuple[Floats, Floats, Floats]:
+def _derivatives(
+    geometry: Geometry, parts: Intervals, motion: Motion, angles: Angles
+) -> tuple[Floats, Floats, Floats]:
     """Bounds on |q''|, on |q'''| and on the rounding of a computed q'', per unit of the interval, each (m, 5).
 
-    Once more differentiated, a1 sin(q1) |psi'''| <= |w'''| + 3 a0 |q0' q0''| + 3 a1 |psi' psi''| + a0 |q0'|^3 +
+    A first derivative leaves its mean over the interval by at most half of the second, which sharpens both. Once
+    more differentiated, a1 sin(q1) |psi'''| <= |w'''| + 3 a0 |q0' q0''| + 3 a1 |psi' psi''| + a0 |q0'|^3 +
     a1 |psi'|^3, and a0 sin(q1) |q0'''| likewise. With S = sin q4 and az' = phi n / S^2 along the great circle,
     |az'''| <= 12 phi^3 n / S^4 and |q4'''| <= 5 phi^3 n^2 / S^4, where n <= 1.
     """
     a0, a1 = geometry.workspace.a0, geometry.workspace.a1
-    phi, first, turn = motion.phi, angles.shoulder, angles.heading
+    a, b, phi = parts.a, parts.b, motion.phi
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        whole = motion.bend * phi + 3.0 * (a0 * first * angles.shoulder2 + a1 * turn * angles.heading2)
+        first = np.fmin(angles.shoulder, np.abs(b.shoulder - a.shoulder) + angles.shoulder2 / 2 + angles.pad)
+        turn = np.fmin(angles.heading, np.abs(b.heading - a.heading) + angles.heading2 / 2 + angles.pad)
+        pull = (motion.bend + a0 * first**2 + a1 * turn**2) / angles.elbow_sine
+        shoulder2, heading2 = pull / a0, pull / a1
+        whole = motion.bend * phi + 3.0 * (a0 * first * shoulder2 + a1 * turn * heading2)
         whole = (whole + a0 * first**3 + a1 * turn**3) / angles.elbow_sine
-        bent = _moving(angles.shoulder2 + angles.heading2, motion.length)
+        bent = _moving(shoulder2 + heading2, motion.length)
         # An axis that rests has no derivatives, even where it stands vertical.
         swung = _moving((phi / angles.pitch_sine) ** 2 * (8.0 + 1.0 / angles.pitch_sine**2), phi)
         azimuth2, pitch2 = _moving(angles.azimuth2, phi), _moving(angles.pitch2, phi)
@@ -159,7 +166,7 @@ def _derivatives(geometry: Geometry, motion: Motion, angles: Angles) -> tuple[Fl
         rounded = ROUNDINGS * EPSILON * bent * (8.0 + 1.0 / angles.elbow_sine**2)
     tool = geometry.tool_mm * phi**2
     swinging = ROUNDINGS * EPSILON * swung
-    second = (angles.shoulder2, angles.elbow2, tool, azimuth2 + angles.heading2, pitch2)
+    second = (shoulder2, np.fmin(bent, angles.elbow2), tool, azimuth2 + heading2, pitch2)
     third = (whole / a0, whole / a0 + whole / a1, tool * phi, azimuth3 + whole / a1, pitch3)
     pad = (rounded, rounded, ROUNDINGS * EPSILON * tool, rounded + swinging, swinging)
     return np.column_stack(second), np.column_stack(third), np.column_stack(pad)

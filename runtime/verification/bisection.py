@@ -15,6 +15,7 @@ from runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
 from runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
+    LEFT,
     OUTER,
     ROLL_MIN,
     SPEED,
@@ -42,20 +43,24 @@ class Aim:
 
     Attributes:
         gap: bounds this close below the least attained value are close enough ...
-        share: ... and so are those within this part of it.
+        share: ... and so are those within this part of it ...
+        missed: ... or within this part, once it has missed its target.
         target: the value to keep; while a bound is below and the attained value above it, go on ...
         fine: ... until they are this close: undecided.
     """
 
     gap: Floats
     share: Floats
+    missed: Floats
     target: Floats
     fine: Floats
 
     def enough(self, best: Floats) -> Floats:
         """What a bound must reach where only closeness to the least attained value counts, shape (COLUMNS,)."""
         size = np.abs(np.where(np.isfinite(best), best, 0.0))
-        return best - np.maximum(self.gap, self.share * size)
+        part = np.where(best < self.target, self.missed, self.share)
+        out: Floats = best - np.maximum(self.gap, part * size)
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +216,8 @@ def _open(
     if (best[:ROLL_MIN] < 0.0).any():  # outside the reach no bracket is asked for
         within = bounds[:, :ROLL_MIN].min(axis=1, keepdims=True) >= 0.0
         wanting[:, :ROLL_MIN] &= within
+    if (best[:LEFT] < 0.0).any():  # out of the annulus no joint angle exists, and no enclosure of one
+        wanting[:, ROLL_MIN:] = False
     width = parts.s1 - parts.s0
     followed = (width > COARSE) | (_keeps(geometry, parts.a) & _keeps(geometry, parts.b))
     wanting[:, ROLL_MIN:] &= (parts.a.inside & parts.b.inside & followed)[:, None]

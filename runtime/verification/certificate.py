@@ -213,8 +213,11 @@ class _Proof:
             wound=chain.wound,
             roll_defined=chain.wound and azimuth_defined(limits),
             shoulder_shift=self.q0.shift if self.full else None,
+            alone=True,
         )
-        self.aim = Aim(np.full(COLUMNS, NO_GAP), np.zeros(COLUMNS), self.target, self._fine())
+        self.aim = Aim(
+            np.full(COLUMNS, NO_GAP), np.zeros(COLUMNS), np.zeros(COLUMNS), self.target, self._fine()
+        )
 
     def _target(self) -> Floats:
         """What each column must keep; infinite where it is not asked for."""

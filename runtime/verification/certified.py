@@ -75,8 +75,11 @@ FINE_MM = 5e-4
 
 FINE_RAD = math.radians(5e-4)
 
-GAP_RATE = 0.01
+GAP_RATE = {"speed": 0.01, "acceleration": 0.05}
 """The same for joint speeds and accelerations, as a part of the larger of peak and limit."""
+
+GAP_MISSED = {"speed": 0.25, "acceleration": np.inf}
+"""The same for a rate that is above its limit, as a part of its peak: how much too high it is matters little."""
 
 FINE_RATE = 5e-4
 
@@ -159,12 +162,12 @@ class _Verification:
     ) -> Survey:
         gap, fine = np.full(COLUMNS, GAP_MM), np.full(COLUMNS, FINE_MM)
         gap[ROLL_MIN:SPEED], fine[ROLL_MIN:SPEED] = GAP_RAD, FINE_RAD
-        target, share = np.full(COLUMNS, -np.inf), np.zeros(COLUMNS)
+        target, share, missed = np.full(COLUMNS, -np.inf), np.zeros(COLUMNS), np.zeros(COLUMNS)
         target[:ROLL_MIN] = self.geometry.arm_mm
-        for _, first, limits in rates(self.problem):
-            joints = slice(first, first + 5)
-            gap[joints], fine[joints], target[joints] = GAP_RATE * limits, FINE_RATE * limits, -limits
-            share[joints] = GAP_RATE
+        for quantity, first, limits in rates(self.problem):
+            joints, part = slice(first, first + 5), GAP_RATE[quantity]
+            gap[joints], fine[joints], target[joints] = part * limits, FINE_RATE * limits, -limits
+            share[joints], missed[joints] = part, GAP_MISSED[quantity]
         if roll_target is not None:
             target[[ROLL_MIN, ROLL_MAX]] = roll_target
         scope = Scope(
@@ -174,7 +177,7 @@ class _Verification:
             roll_defined=self.roll_defined,
             shoulder_shift=shift,
         )
-        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, share, target, fine))
+        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, share, missed, target, fine))
         self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
         self.budget += done.budget
@@ -308,8 +311,10 @@ class _Verification:
     def _rate(self, first: Survey, quantity: Quantity, joint: int, column: int, limit: float) -> SpeedLine:
         if joint == 3 and self.held is not None:
             return SpeedLine(joint, limit, 0.0, 0, ok=True, quantity=quantity)
-        peak = max(-float(first.certified[column]), 0.0)
-        known = math.isfinite(peak) and math.isfinite(float(first.attained[column]))
+        bound, found = -float(first.certified[column]), -float(first.attained[column])
+        too_high = quantity == "acceleration" and found > limit  # not enclosed any further
+        peak = max(found if too_high else bound, 0.0)
+        known = math.isfinite(peak) and math.isfinite(found)
         place = int(first.segment[column]) if known else None
         return SpeedLine(
             joint, limit, peak if known else None, place, ok=known and peak <= limit, quantity=quantity

@@ -45,6 +45,7 @@ class Scope:
         wound: whether the winding about the column is known.
         roll_defined: whether besides the azimuth of the axis is defined.
         shoulder_shift: added to the lifted q0 where left and right count by lifted q0, else None.
+        alone: whether each interval has to be bounded without what is known of the larger one it was cut from.
     """
 
     wanted: Bools
@@ -52,6 +53,7 @@ class Scope:
     wound: bool
     roll_defined: bool
     shoulder_shift: float | None = None
+    alone: bool = False
 
     @property
     def undefined(self) -> Bools:
@@ -128,7 +130,9 @@ def lower_bounds(
     bounds[:, ~scope.wanted] = np.inf
     rates[:, ~scope.wanted[SPEED:]] = np.inf
     rates[np.isnan(rates)] = np.inf
-    return np.maximum(bounds, np.where(scope.wanted, parts.bound, np.inf)), rates, cut
+    if not scope.alone:  # a half may bulge toward a boundary more than its whole seen from the whole's chord
+        bounds = np.maximum(bounds, np.where(scope.wanted, parts.bound, np.inf))
+    return bounds, rates, cut
 
 
 def _arc_bounds(

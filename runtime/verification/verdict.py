@@ -71,7 +71,8 @@ class Boundary:
 class SpeedLine:
     """Largest joint speed or acceleration at the planned feed; ``peak`` None if unbounded.
 
-    Speeds in rad/s or mm/s; accelerations, inside the segments, in rad/s2 or mm/s2.
+    Speeds in rad/s or mm/s; accelerations, inside the segments, in rad/s2 or mm/s2. ``peak`` is a proven bound, but
+    for an acceleration above its limit the largest one found.
     """
 
     joint: int

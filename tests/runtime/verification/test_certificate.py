@@ -12,6 +12,7 @@ from runtime.verification.certificate import Certificate, CertificateError, cert
 from runtime.verification.problem import Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
+from tests.runtime.verification.random_paths import random_paths
 
 SEEDS = range(12)
 
@@ -291,6 +292,14 @@ def test_bytes_that_are_no_certificate_are_refused():
     for size in range(len(body)):
         with pytest.raises(CertificateError):
             Certificate.parse(body[:size])
+
+
+def test_a_half_that_bulges_more_than_its_whole_stands_alone():
+    """Seen from the whole segment's chord the boundary is further away than from the half's."""
+    case = random_paths(np.random.default_rng([77, 30]), (9, 40), 250)[27]
+    verdict = certified.verify(case)
+    assert verdict.admissible
+    assert recheck(case, certify(case, verdict)) == ()
 
 
 def test_most_segments_need_no_cut():

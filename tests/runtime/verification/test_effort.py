@@ -1,6 +1,7 @@
 """How many intervals the search looks at: a few a segment, whatever the path; never more than it says."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,17 @@ def test_an_axis_that_passes_0003_deg_from_the_vertical_is_decided_early():
     tiny = Deadband(1.0, 0.001 * DEG)
     verdict = certified.verify(problem(tips, axes, deadband=tiny, **limits((-170, 170), (5, 170))))
     assert not verdict.speed[3].ok
+    assert verdict.evaluations.arm < A_LOT
+
+
+@pytest.mark.parametrize(("seed", "number"), [(34, 6), (33, 5), (9, 14), (9, 0), (15, 22), (6, 27)])
+def test_acceleration_limits_that_are_missed_or_lost_out_of_reach_are_decided_early(seed, number):
+    rng = np.random.default_rng([77, seed])
+    paths = random_paths(rng, (9, 40), 250)
+    for _ in range(number + 1):  # each path has the next five limits
+        limits_of = 10.0 ** rng.uniform(-1, 3, 5) * (1.0, 1.0, 100.0, 1.0, 1.0)
+    verdict = certified.verify(replace(paths[number], acceleration=limits_of))
+    assert not verdict.admissible
     assert verdict.evaluations.arm < A_LOT
 
 

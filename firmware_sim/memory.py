@@ -31,7 +31,7 @@ def load(path: Path) -> frozenset[bytes]:
     try:
         entries = json.loads(text)["withdrawn"]
         withdrawn = frozenset(bytes.fromhex(entry) for entry in entries)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ControllerMemoryError(
             f"{path}: not a memory file ({error}); restore it or use another key"
         ) from None

@@ -70,14 +70,14 @@ def previous_session(directory: Path, recover: Callable[[bytes], str]) -> Previo
         log, head, closed = _parse_head((directory / HEAD).read_bytes())
     except FileNotFoundError:
         return Previous()
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return Previous(crashed=True, note=f"HEAD could not be read: {error}")
     if closed:
         return Previous(log, head)
     try:
         return Previous(log, recover((directory / log).read_bytes()), crashed=True)
-    except OSError as error:
-        return Previous(log, head, crashed=True, note=f"its log could not be read: {error.strerror}")
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        return Previous(log, head, crashed=True, note=f"its log could not be read: {error}")
 
 
 def _parse_head(data: bytes) -> tuple[str, str | None, bool]:

@@ -192,7 +192,7 @@ def _derivation(log: Log, inputs: _Inputs, opened: records.Open) -> Iterator[str
             Loaded(wanted, plan[1], plan[0]),
             placed,
             inputs.robot,
-            now=datetime.fromtimestamp(opened.utc.sec + 1, UTC),
+            now=_after(opened.utc),
             feed_mm_s=uploaded.feed_mm_s if wanted.feed_mm_s is None else None,
         )
     except (InputError, RecordError) as error:
@@ -201,6 +201,14 @@ def _derivation(log: Log, inputs: _Inputs, opened: records.Open) -> Iterator[str
     made = with_branch(prepared.path, uploaded.q0_turns, uploaded.roll_turns)
     if made.body() != inputs.path:
         yield "the uploaded path is not the one that plan, registration and robot give"
+
+
+def _after(utc: records.Time) -> datetime:
+    """The whole second after a time."""
+    try:
+        return datetime.fromtimestamp(utc.sec + 1, UTC)
+    except (ValueError, OverflowError, OSError):
+        raise ReplayError(f"record 0 was written at {utc.sec} s since 1970, which is no date") from None
 
 
 def _comparable(opened: records.Open, verifier: str, found: _Findings) -> bool:
@@ -282,7 +290,7 @@ def _flat(recorded: records.Verdict, theirs: dict[str, Any], inputs: _Inputs) ->
             tool_sha256=sha256(inputs.tool).hexdigest(),
             reason=recorded.reason or "",
         )
-    except (KeyError, TypeError, AttributeError, ValueError):
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError):
         yield "verdict: the recorded document is not a verdict document"
         return
     for name in type(recorded).model_fields.keys() - records.AuditRecord.model_fields.keys() - {"document"}:
@@ -297,7 +305,7 @@ def _boundary_records(log: Log, verdicts: list[records.Verdict]) -> Iterator[str
         document = _document(verdict)
         try:
             expected += records.boundaries_of(document or {})
-        except (KeyError, TypeError, AttributeError, ValueError):
+        except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError):
             return  # said already by _flat
     found = _typed(log, records.Boundary)
     if len(found) > len(expected) or (log.scan.finished and len(found) < len(expected)):
@@ -316,17 +324,20 @@ def _document(recorded: records.Verdict | records.Approach) -> dict[str, Any] | 
     return document if isinstance(document, dict) else None
 
 
-def _leaves(value: Any, place: str = "") -> dict[str, Any]:
-    """Every value of a document under its dotted key; an empty container is a value."""
-    if isinstance(value, Mapping) and value:
-        parts = value.items()
-    elif isinstance(value, list) and value:
-        parts = {str(number): item for number, item in enumerate(value)}.items()
-    else:
-        return {place: value}
+def _leaves(document: Any) -> dict[str, Any]:
+    """Every value of a document under its dotted key, however deep; an empty container is a value."""
     found: dict[str, Any] = {}
-    for key, item in parts:
-        found |= _leaves(item, f"{place}.{key}" if place else str(key))
+    waiting = [("", document)]
+    while waiting:
+        place, value = waiting.pop()
+        if isinstance(value, Mapping) and value:
+            parts = [(str(key), item) for key, item in value.items()]
+        elif isinstance(value, list) and value:
+            parts = [(str(number), item) for number, item in enumerate(value)]
+        else:
+            found[place] = value
+            continue
+        waiting += [(f"{place}.{key}" if place else key, item) for key, item in reversed(parts)]
     return found
 
 
@@ -335,7 +346,10 @@ def _same(one: Any, other: Any, *, absolute: bool) -> bool:
         return one is other
     if isinstance(one, int | float) and isinstance(other, int | float):
         scale = 1.0 if absolute else max(1.0, abs(other))
-        return abs(one - other) <= TOLERANCE * scale
+        try:
+            return abs(one - other) <= TOLERANCE * scale
+        except OverflowError:  # an integer no double can hold
+            return False
     return type(one) is type(other) and bool(one == other)
 
 

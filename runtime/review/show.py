@@ -14,6 +14,8 @@ from runtime.review.story import failing
 GOOD: Final = "bold green"
 BAD: Final = "bold red"
 _DIGEST: Final = 16
+_SHOWN_MAX: Final = 1e15
+"""A number beyond it is none that a session wrote."""
 
 
 def print_story(console: Console, story: Mapping[str, Any]) -> None:
@@ -104,7 +106,7 @@ def _approach(console: Console, approach: Mapping[str, Any]) -> None:
 
 def _um(record: Mapping[str, Any], key: str) -> str:
     value = record.get(key)
-    return _number(value / 1000 if isinstance(value, int) else None)
+    return _number(value / 1000 if isinstance(value, int) and abs(value) <= _SHOWN_MAX else None)
 
 
 def _guidance(guidance: Mapping[str, Any]) -> str:
@@ -238,6 +240,6 @@ def _text(record: Mapping[str, Any], key: str) -> str:
 
 
 def _number(value: object) -> str:
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _SHOWN_MAX:
         return f"{value:.3f}"
     return "undefined"

@@ -24,6 +24,8 @@ from runtime.audit.records import (
 
 SCHEMA = "cutgate.audit-show/1"
 _STAMPS = set(AuditRecord.model_fields)
+_NANOSECONDS_MAX = 1 << 64
+"""What a log's own times can hold; JSON has integers without end."""
 
 
 def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
@@ -37,7 +39,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
     opened = _first(log, Open)
     start_ns = _nanoseconds(opened.get("monotonic"))
     timed = {
-        model: [_entry(record, start_ns) for record in log.of(model.TOPIC)]
+        model: [_entry(record, start_ns) for record in log.of(model.TOPIC) if record]  # empty: not JSON
         for model in (
             Decision,
             Collected,
@@ -116,5 +118,6 @@ def _entry(record: Mapping[str, Any], start_ns: int) -> dict[str, Any]:
 def _nanoseconds(time: object) -> int:
     """A stored time; 0 where it is none."""
     if isinstance(time, dict) and isinstance(time.get("sec"), int) and isinstance(time.get("nsec"), int):
-        return int(time["sec"]) * 1_000_000_000 + int(time["nsec"])
+        found = int(time["sec"]) * 1_000_000_000 + int(time["nsec"])
+        return found if abs(found) < _NANOSECONDS_MAX else 0
     return 0

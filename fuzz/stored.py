@@ -1,0 +1,85 @@
+"""Files that the program keeps for itself: the controller's memory, the last log's head, the key; and option texts."""
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from firmware_sim import memory
+from firmware_sim.faults import FaultSpec
+from fuzz.harness import Family, attempt, choose, expect
+from protocol.permit import KeyFileError, load_key
+from runtime.audit.directory import HEAD, head_bytes, previous_session
+from runtime.audit.scan import recoverable_head
+
+DIRECTORY = tempfile.TemporaryDirectory(prefix="cutgate-fuzz-")
+PLACE = Path(DIRECTORY.name)
+
+
+def check(data: bytes) -> None:
+    """The first byte chooses which file the rest is."""
+    read, rest = choose(data, READERS)
+    read(rest)
+
+
+def _written(name: str, data: bytes) -> Path:
+    path = PLACE / name
+    path.write_bytes(data)
+    path.chmod(0o600)
+    return path
+
+
+def _memory(data: bytes) -> None:
+    path = _written("memory.json", data)
+    withdrawn = attempt(memory.ControllerMemoryError, memory.load, path)
+    if withdrawn is not None:
+        memory.save(path, withdrawn)
+        expect(memory.load(path) == withdrawn, "what is withdrawn stays withdrawn")
+
+
+def _head(data: bytes) -> None:
+    _written(HEAD, data)
+    previous = previous_session(PLACE, recoverable_head)
+    if previous.log is not None:
+        expect(Path(previous.log).name == previous.log, "a log's name leads nowhere else")
+    expect(previous.crashed or previous.note is None, "what could not be read counts as a crash")
+
+
+def _key(data: bytes) -> None:
+    key = attempt(KeyFileError, load_key, _written("key", data))
+    expect(key is None or len(key) == 32, "a key is 32 bytes")
+
+
+def _fault(data: bytes) -> None:
+    with contextlib.suppress(UnicodeDecodeError):
+        spec = attempt(ValueError, FaultSpec.parse, data.decode())
+        if spec is not None:
+            again = f"{spec.name}@{spec.state.name.lower()}"
+            expect(FaultSpec.parse(again) == spec, "a fault can be named again")
+
+
+READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault)
+
+
+def _seeds() -> Iterator[bytes]:
+    digests = ["ab" * 32, "0f" * 32]
+    examples = {
+        _memory: (json.dumps({"withdrawn": digests}), '{"withdrawn": []}', '{"withdrawn": ' + "[" * 5000),
+        _head: (
+            head_bytes(log="a.mcap", head="ab" * 32, closed=True).decode(),
+            head_bytes(log="a.mcap", head=None, closed=False).decode(),
+            head_bytes(log="a\0b", head=None, closed=False).decode(),
+            head_bytes(log="\ud800", head=None, closed=False).decode(),
+            head_bytes(log="..", head=None, closed=False).decode(),
+            "[" * 5000,
+        ),
+        _key: ("ab" * 32 + "\n", "ab" * 31, "zz" * 32),
+        _fault: ("flip-path-bit@permitted", "reboot", "hang@", "@", "hang@cutting@x"),
+    }
+    for number, read in enumerate(READERS):
+        for example in examples[read]:
+            yield bytes([number]) + example.encode()
+
+
+FAMILY = Family(check, tuple(_seeds()))

@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test test-long bench demo pictures lint types imports check lock clean
+.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
@@ -11,6 +11,27 @@ test: $(READY)
 # A million random segments against the dense reference on all cores; CUTGATE_SEGMENTS and CUTGATE_SEED change them.
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification
+
+# Coverage-guided search for bytes that break a parser's promise; FAMILIES and SECONDS (of each) change it.
+FAMILIES ?= frames transfers records files stored certificate bus terminal audit
+SECONDS ?= 20
+fuzz: .venv-fuzz/ready
+	set -e; for family in $(FAMILIES); do echo "== $$family"; \
+		.venv-fuzz/bin/python -m fuzz.search $$family -max_total_time=$(SECONDS) -print_final_stats=1; done
+
+# atheris has no place among the pinned packages: nothing but this target needs it.
+.venv-fuzz/ready: requirements.txt
+	$(PYTHON) -m venv --clear .venv-fuzz
+	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --require-hashes -r requirements.txt
+	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: "atheris>=3,<4"
+	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index -e .
+	touch $@
+
+# C sources of the single frames, from the DBC: cutgate.c and cutgate.h in OUT.
+OUT ?= build/c
+c-sources: $(READY)
+	mkdir -p $(OUT)
+	$(BIN)/cantools generate_c_source --use-round protocol/cutgate.dbc -o $(OUT)
 
 # Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well.
 bench: $(READY)

@@ -310,7 +310,7 @@ def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
     """One pydantic error in this program's words."""
     context = item.get("ctx", {})
     kind = item["type"]
-    key = ".".join(str(part) for part in item["loc"])
+    key = ".".join(shown(str(part)) for part in item["loc"])
     value = shown(item["input"])
     if kind in _COMPARISONS:
         sign, limit = _COMPARISONS[kind]

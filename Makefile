@@ -33,9 +33,10 @@ c-sources: $(READY)
 	mkdir -p $(OUT)
 	$(BIN)/cantools generate_c_source --use-round protocol/cutgate.dbc -o $(OUT)
 
-# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well.
+# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 bench: $(READY)
 	$(BIN)/python benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
+	$(BIN)/python benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))
 
 demo: $(READY)
 	$(BIN)/cutgate demo

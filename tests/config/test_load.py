@@ -368,8 +368,8 @@ JSONISH = st.recursive(
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
 def test_any_bytes_are_read_or_refused(data):
     for kind in (robot_from_bytes, site_from_bytes):
-        with pytest.raises(InputError):
-            kind("fuzz.toml", data)
+        error = error_of(lambda kind=kind: kind("fuzz.toml", data))
+        assert error is None or str(error).startswith("fuzz.toml")
 
 
 @given(st.data())

@@ -8,6 +8,7 @@ import io
 import json
 import tempfile
 from collections.abc import Iterator
+from copy import deepcopy
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -78,7 +79,7 @@ def _forged(data: bytes) -> None:
     edits = [data[at : at + 3].ljust(3, b"\0") for at in range(0, min(len(data), 30), 3)]
     for which, place, value in edits:
         if which % 2:
-            edited(messages[which // 2 % len(messages)][1], place, NASTY[value % len(NASTY)])
+            edited(messages[which // 2 % len(messages)][1], place, deepcopy(NASTY[value % len(NASTY)]))
         else:
             name = sorted(attachments)[which // 2 % len(attachments)]
             attachments[name] = altered(attachments[name], place, value)
@@ -105,7 +106,7 @@ def edited(content: dict[str, Any], place: int, value: Any) -> None:
         edited(inner, place >> 1 & 127, value)
     elif isinstance(inner, list) and inner and isinstance(inner[0], dict) and place & 128:
         edited(inner[0], place >> 1 & 127, value)
-    elif key == "document" and place & 64:
+    elif key == "document" and place & 64 and isinstance(inner, str) and inner.startswith('{"schema"'):
         document = json.loads(inner)
         edited(document, place * 7 % 256, value)
         content[key] = json.dumps(document)

@@ -153,6 +153,7 @@ def _seeds() -> Iterator[bytes]:
     names = [name for name, _ in FILES]
     for name, content in examples:
         yield bytes([names.index(name)]) + content
+    yield bytes([4]) + i.registration.replace(b'"id"', b'"\\u001b[2J\\nid": 1, "id"')
     for nasty in (b'{"a":' * 5000, b"[" * 5000, b'{"schema":1e999}', b"a = " + b"[" * 5000, b"9" * 5000):
         for number in range(len(FILES)):
             yield bytes([number]) + nasty

@@ -128,6 +128,8 @@ def _seeds() -> Iterator[bytes]:
     for record in bodies:
         yield bytes([PARSERS.index(_envelope)]) + pack(record, TAG, 7)
         yield bytes([PARSERS.index(_body), KINDS.index(type(record))]) + record.body()
+    reserved = HEAD.pack(Acknowledge.TYPE, 1, 1, TAG, 7) + Acknowledge(StopCause.BONE_MOVED).body()
+    yield bytes([PARSERS.index(_envelope)]) + reserved
     yield bytes([PARSERS.index(_path)]) + i.path
     yield bytes([PARSERS.index(_path)]) + LONGER
     for order in ((0, 1, 2), (3, 4, 5), (0, 4, 2), (0, 0, 1), (128, 1, 2)):

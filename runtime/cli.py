@@ -7,7 +7,7 @@ import typer
 from typer.exceptions import TyperException
 
 from config.load import InputError
-from runtime.commands import audit, controller_side, demo, key, reach, recheck, run, verify
+from runtime.commands import audit, conform, controller_side, demo, key, reach, recheck, run, verify
 
 REFUSED: Final = 2
 INTERNAL: Final = 70
@@ -28,7 +28,7 @@ def _root() -> None:
     """Decides whether a bone-milling robot may start to cut."""
 
 
-for command in (verify, recheck, reach, run, controller_side, key, audit, demo):
+for command in (verify, recheck, reach, run, controller_side, conform, key, audit, demo):
     command.register(app)
 
 

@@ -1,0 +1,224 @@
+"""``cutgate conform``: the negative suite against a controller whose plant is disconnected."""
+
+import os
+import select
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Final
+
+import can
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from config.bus import RuntimeDirectoryError, open_bus
+from config.constants import CONSTANTS
+from config.load import InputError, load_robot, load_site
+from config.model import Site
+from config.records import calibration_record, limits_record, tool_record
+from protocol import records
+from protocol.frames import IDS, SENT_BY, ControllerHeartbeat
+from protocol.permit import KeyFileError, load_key
+from protocol.records import Side
+from runtime.commands.screen import messages, output
+from runtime.conform.bench import Bench, HaltError, milliseconds
+from runtime.conform.cases import Case
+from runtime.conform.report import ABOUT, document, summary
+from runtime.conform.suite import Outcome, Result, Verdict, run
+from runtime.conform.table import cases
+from runtime.verification.document import document_text
+
+PASSED, FAILED = 0, 1
+LISTEN_S: Final = 0.6
+"""The bus is listened to before anything is said: longer than any period of a session's frames."""
+
+Approved = tuple[bytes, bytes, bytes]
+
+
+def conform(
+    interface: Annotated[str, typer.Option(help="python-can interface.")],
+    channel: Annotated[str, typer.Option(help="Its channel.")],
+    key: Annotated[Path, typer.Option(help="Pre-shared key of this controller.")],
+    plant_disconnected: Annotated[
+        bool, typer.Option("--plant-disconnected", help="You say: axes and cutter have no power.")
+    ] = False,
+    robot: Annotated[Path | None, typer.Option(help="The approved robot.toml it must report.")] = None,
+    site: Annotated[Path | None, typer.Option(help="site.toml: heartbeat, time-out, reply time.")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the report as JSON to this new file.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Show that a controller refuses what it must. Its plant must be disconnected; see docs/controllers.md.
+
+    Exit code: 0 every case passed, 1 a case failed or could not be run, 2 refused input, bus or key.
+    """
+    if not plant_disconnected:
+        raise InputError(
+            "--plant-disconnected", "", None, f"is not given\n{ABOUT}", "disconnect it, then say so"
+        )
+    chosen, secret, timing, reply_s = _inputs(robot, site, only, key)
+    _refuse_existing(out)
+    bus = _open(interface, channel)
+    try:
+        messages().print(escape(ABOUT), soft_wrap=True)
+        bench = _bench(bus, secret, timing, reply_s)
+        outcome = _run(bench, chosen)
+    finally:
+        bus.shutdown()
+    report = document(outcome, bench.announce, timing, bus=f"{interface}/{channel}", whole=not only)
+    text = document_text(report)
+    _write(out, text)
+    if json:
+        typer.echo(text)
+    else:
+        _print(outcome, whole=not only)
+    raise typer.Exit(PASSED if outcome.passed else FAILED)
+
+
+def _inputs(
+    robot: Path | None, site: Path | None, only: list[str] | None, key: Path
+) -> tuple[tuple[Case, ...], bytes, records.Timing, float]:
+    """Cases, key, timing and reply time. Raises InputError for anything that is not as it must be."""
+    approved = _approved(robot)
+    known = tuple(case for case in cases(approved) if approved is not None or not case.approved)
+    names = {case.name for case in known}
+    for name in only or ():
+        if name not in names:
+            raise InputError("--only", "", name, "is no case's name", f"one of: {', '.join(sorted(names))}")
+    settings = load_site(site).value if site else Site()
+    try:
+        secret = load_key(key)
+    except KeyFileError as error:
+        name, _, rest = str(error).partition(": ")
+        raise InputError(name, "", None, rest) from None
+    chosen = tuple(case for case in known if not only or case.name in only)
+    return chosen, secret, _timing(settings), settings.timing.reply_timeout_ms / 1000
+
+
+def _approved(robot: Path | None) -> Approved | None:
+    if robot is None:
+        return None
+    found = load_robot(robot).value
+    return limits_record(found).body(), calibration_record(found).body(), tool_record(found).body()
+
+
+def _timing(site: Site) -> records.Timing:
+    """The site's timing, with both lifetimes at their lower bounds: the suite waits for them to end."""
+    return records.Timing(
+        heartbeat_ms=site.timing.heartbeat_ms,
+        timeout_ms=site.timing.timeout_ms,
+        permit_lifetime_s=round(CONSTANTS["permit_lifetime_s"].low),
+        start_lifetime_ms=round(CONSTANTS["start_lifetime_ms"].low),
+        start_tolerance_um=round(site.start.start_tolerance_mm * 1000),
+        start_tolerance_mdeg=round(site.start.start_tolerance_deg * 1000),
+        approach_clearance_um=round(site.approach.approach_clearance_mm * 1000),
+        approach_speed_percent=site.approach.approach_speed_percent,
+    )
+
+
+def _refuse_existing(out: Path | None) -> None:
+    if out is not None and out.exists():
+        raise InputError(str(out), "", None, "exists and is not overwritten", "name a new file")
+
+
+def _write(out: Path | None, text: str) -> None:
+    if out is None:
+        return
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(f"{text}\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise InputError(str(out), "", None, f"cannot be written: {error.strerror}") from None
+
+
+def _open(interface: str, channel: str) -> can.BusABC:
+    """The bus, on which no session is under way. Raises InputError otherwise."""
+    try:
+        bus = open_bus(interface, channel)
+    except (can.CanInitializationError, RuntimeDirectoryError, ValueError) as error:
+        raise InputError("bus", "", None, str(error)) from None
+    try:
+        _refuse_a_session(bus)
+    except BaseException:
+        bus.shutdown()
+        raise
+    return bus
+
+
+def _refuse_a_session(bus: can.BusABC) -> None:
+    """Another runtime, or a controller in a session, must not be disturbed."""
+    busy = SENT_BY[Side.RUNTIME] | {IDS[ControllerHeartbeat]}
+    until_s = time.monotonic() + LISTEN_S
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        message = bus.recv(timeout=left_s)
+        if message is not None and not message.is_extended_id and message.arbitration_id in busy:
+            raise InputError(
+                "bus", "", None, f"a session is under way (0x{message.arbitration_id:03X})", "end it first"
+            )
+
+
+def _bench(bus: can.BusABC, key: bytes, timing: records.Timing, reply_s: float) -> Bench:
+    poller = select.poll()
+    poller.register(bus.fileno(), select.POLLIN)
+
+    def wait(seconds: float) -> None:
+        poller.poll(seconds * 1000.0)
+
+    return Bench(bus, key, timing, reply_s=reply_s, clock=time.monotonic, wait=wait, random=os.urandom)
+
+
+def _run(bench: Bench, chosen: tuple[Case, ...]) -> Outcome:
+    """The suite; whatever ends it early stops the controller first."""
+    try:
+        bench.hello()
+        return run(bench, chosen, _tell)
+    except HaltError as error:
+        raise InputError("bus", "", None, str(error)) from None
+    except can.CanError as error:
+        raise InputError(
+            "bus", "", None, f"failed: {error}; the controller stops within its time-out"
+        ) from None
+    except BaseException:
+        _stop(bench)
+        raise
+
+
+def _stop(bench: Bench) -> None:
+    """One stop frame at once; the heartbeats have ended as well."""
+    with suppress(can.CanError):
+        bench.stop_now()
+
+
+def _tell(result: Result) -> None:
+    messages().print(f"{result.verdict.value:8}{escape(result.case.name)}", soft_wrap=True)
+
+
+def _print(outcome: Outcome, *, whole: bool) -> None:
+    console = output()
+    table = Table("verdict", "case", "came", "ms", box=None, pad_edge=False)
+    for result in outcome.results:
+        latency = milliseconds(result.latency_s)
+        shown = "" if latency is None else f"{latency:.0f}"
+        table.add_row(result.verdict.value, escape(result.case.name), escape(result.came), shown)
+    console.print(table)
+    for result in outcome.results:
+        if result.verdict is not Verdict.PASS:
+            case = result.case
+            console.print(
+                escape(
+                    f"\n{result.verdict.value}: {case.name} (docs/protocol.md: {case.requirement})\n"
+                    f"  sent      {case.sent}\n  expected  {case.expected}\n  came      {result.came}"
+                ),
+                soft_wrap=True,
+            )
+    console.print(f"\n{escape(summary(outcome, whole=whole))}", soft_wrap=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("conform")(conform)

@@ -1,0 +1,759 @@
+# ruff: noqa: D103 - each case is named and described in the table (table.py)
+"""What each case says to the controller, and how it judges what comes.
+
+A case runs in sessions of its own and returns what came, or raises ``DeviationError``.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Final
+
+from config.constants import CONSTANTS
+from protocol import records
+from protocol.frames import (
+    IDS,
+    ControllerHeartbeat,
+    Joint4,
+    Joints01,
+    Joints23,
+    RuntimeHeartbeat,
+    encode_frame,
+)
+from protocol.link import Accepted
+from protocol.records import Channel, Permit, Start
+from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from runtime.conform.bench import Bench, DeviationError, InconclusiveError, Stop, shown
+from runtime.conform.sample import LONG
+
+STALE_BURST: Final = 26
+"""As many heartbeats as once came out of a paused reader's queue within 5 ms."""
+WATCHED_PERIODS: Final = 50
+PERIOD_TOLERANCE: Final = 0.2
+MIDDLE_PAUSE: Final = 0.5
+
+Run = Callable[[Bench], str]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case.
+
+    Attributes:
+        name: unique, in words.
+        requirement: the part of docs/protocol.md it stands on.
+        sent: what is said to the controller.
+        expected: what must come.
+        run: says it, and returns what came.
+        latches: afterwards the controller is in a latched fault.
+        approved: needs the site's robot.toml.
+    """
+
+    name: str
+    requirement: str
+    sent: str
+    expected: str
+    run: Run
+    latches: bool = False
+    approved: bool = False
+
+
+# ---------------------------------------------------------------- what cases have in common
+
+
+def refused(bench: Bench, request: records.Record, *refusals: Refusal) -> str:
+    """The request is refused with one of these reasons, and the state stays."""
+    state = bench.state.state if bench.state else ControllerState.OPEN
+    answer = bench.ask(request)
+    if answer is None or answer.refusal not in refusals:
+        raise DeviationError(shown(answer))
+    if answer.refusal is not Refusal.MAC_INVALID:
+        bench.stays(state)
+    return shown(answer)
+
+
+def stopped(bench: Bench, since: int, begun_s: float, cause: StopCause, within_s: float) -> Stop:
+    """The controller stops for this cause within this time."""
+    found = bench.until(lambda: bench.stop_sign(since, begun_s), within_s + bench.timeout_s)
+    if found is None:
+        raise DeviationError(f"no stop, state {bench.state_name}")
+    bench.latency_s = found.after_s
+    if found.cause is not cause or not found.after_s <= within_s:
+        raise DeviationError(f"{found}, must be {cause.name} within {within_s * 1000:.0f} ms")
+    return found
+
+
+def goes_on(bench: Bench, seconds: float, state: ControllerState = ControllerState.OPEN) -> str:
+    """Nothing stops for so long and the session answers still."""
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.run(seconds)
+    found = bench.stop_sign(since, begun_s)
+    if found is not None:
+        raise DeviationError(str(found))
+    bench.nonce(Purpose.PERMIT)
+    bench.stays(state)
+    return f"discarded; the session goes on in {state.name}"
+
+
+# ---------------------------------------------------------------- announce and open
+
+
+def announces(bench: Bench) -> str:
+    first, second = bench.hello(), bench.hello()
+    if first.protocol_version != records.PROTOCOL_VERSION:
+        raise DeviationError(f"protocol version {first.protocol_version}")
+    if (first.serial, first.boot_nonce) != (second.serial, second.boot_nonce) or not first.serial:
+        raise DeviationError(f"serial {first.serial!r} then {second.serial!r}, or another boot nonce")
+    if first.state is not ControllerState.INHIBITED:
+        raise DeviationError(f"state {first.state.name}, cause {first.cause.name}")
+    return f"{first.serial}, firmware {first.firmware_version}, version {first.protocol_version}, INHIBITED"
+
+
+def opens(bench: Bench) -> str:
+    answer = bench.open()
+    if answer.state is not ControllerState.OPEN:
+        raise DeviationError(f"Opened in {answer.state.name}")
+    return f"Opened, epoch {answer.epoch}; heartbeats and joints fresh"
+
+
+def open_refused(refusal: Refusal, **changes: Any) -> Run:
+    """A case in which a right OPEN with these changes is refused."""
+
+    def run(bench: Bench) -> str:
+        bench.hello()
+        answer = bench.ask_open(bench.open_request(**changes))
+        if not isinstance(answer, records.Reply) or answer.refusal is not refusal:
+            raise DeviationError(shown(answer))
+        return shown(answer)
+
+    return run
+
+
+def open_during_session(bench: Bench) -> str:
+    bench.open()
+    since = len(bench.heard)
+    sequence = bench.say(bench.open_request(), session=0)
+    answer = bench.until(lambda: bench.reply(records.Open, sequence, since), bench.reply_s)
+    if answer is None or answer.refusal is not Refusal.SESSION_IN_USE:
+        raise DeviationError(shown(answer))
+    return f"{shown(answer)}; {goes_on(bench, bench.timeout_s)}"
+
+
+def out_of_bounds(timing: records.Timing) -> Iterator[tuple[str, records.Timing]]:
+    """The timing with one value just outside its bounds, for each bound that a record can carry."""
+    for name, scale in (
+        ("heartbeat_ms", 1),
+        ("timeout_ms", 1),
+        ("permit_lifetime_s", 1),
+        ("start_lifetime_ms", 1),
+        ("start_tolerance_um", 1000),
+        ("start_tolerance_mdeg", 1000),
+        ("approach_clearance_um", 1000),
+        ("approach_speed_percent", 1),
+    ):
+        constant = CONSTANTS[name.replace("_um", "_mm").replace("_mdeg", "_deg")]
+        for value in (round(constant.low * scale) - 1, round(constant.high * scale) + 1):
+            if 0 <= value < 1 << 16 or (name == "approach_clearance_um" and value > 0):
+                yield f"{name} {value}", replace(timing, **{name: value})
+    yield "timeout_ms of two heartbeats", replace(timing, timeout_ms=2 * timing.heartbeat_ms)
+
+
+def timing_out_of_bounds(bench: Bench) -> str:
+    bench.hello()
+    count = 0
+    for name, timing in out_of_bounds(bench.timing):
+        answer = bench.ask_open(bench.open_request(timing=timing))
+        if not isinstance(answer, records.Reply) or answer.refusal is not Refusal.TIMING_OUT_OF_BOUNDS:
+            raise DeviationError(f"{name}: {shown(answer)}")
+        count += 1
+    return f"Reply TIMING_OUT_OF_BOUNDS to each of {count}"
+
+
+# ---------------------------------------------------------------- cyclic frames
+
+
+def cyclic(bench: Bench) -> str:
+    """Periods by the tester's clock; counters and echoes by the frames themselves."""
+    bench.open()
+    begun = len(bench.heard)
+    bench.run(WATCHED_PERIODS * bench.heartbeat_s)
+    kinds = (ControllerHeartbeat, Joints01, Joints23, Joint4)
+    counters: dict[type, list[int]] = {kind: [] for kind in kinds}
+    times: dict[type, list[float]] = {kind: [] for kind in kinds}
+    for heard in bench.heard[begun:]:
+        if isinstance(heard.item, Accepted) and type(heard.item.frame) in counters:
+            counters[type(heard.item.frame)].append(heard.item.counter)
+            times[type(heard.item.frame)].append(heard.at_s)
+    for kind in kinds:
+        _regular(bench, kind.__name__, times[kind], counters[kind])
+    least = min(len(counters[kind]) for kind in kinds[1:])
+    if any(counters[kind][:least] != counters[Joints01][:least] for kind in kinds[2:]):
+        raise DeviationError("the three joint frames of a sample do not share their counter")
+    return f"{len(times[ControllerHeartbeat])} heartbeats in {WATCHED_PERIODS} periods, no counter missing"
+
+
+def _regular(bench: Bench, name: str, times: list[float], counters: list[int]) -> None:
+    """Raises DeviationError unless these frames came with the period of OPEN, one counter after the other."""
+    wanted = WATCHED_PERIODS * PERIOD_TOLERANCE
+    if not abs(len(times) - WATCHED_PERIODS) <= wanted:
+        raise DeviationError(f"{name}: {len(times)} frames in {WATCHED_PERIODS} periods")
+    gap_s = max((b - a for a, b in pairwise(times)), default=0.0)
+    if not gap_s <= bench.timeout_s:
+        raise DeviationError(f"{name}: a gap of {gap_s * 1000:.0f} ms")
+    if any((b - a) % 256 != 1 for a, b in pairwise(counters)):
+        raise DeviationError(f"{name}: counters do not go up by one")
+
+
+# ---------------------------------------------------------------- what it reports
+
+
+def reports(bench: Bench) -> str:
+    bench.open()
+    found = bench.collect()
+    problems = [text for record in found for text in record.problems()]
+    if problems:
+        raise DeviationError("; ".join(problems))
+    names = ("limits", "calibration", "tool")
+    digests = (f"{n} {records.digest(r.body()).hex()[:8]}" for n, r in zip(names, found, strict=True))
+    return ", ".join(digests)
+
+
+def reports_the_same(bench: Bench) -> str:
+    bench.open()
+    first, second = bench.collect(), bench.collect()
+    for one, other in zip(first, second, strict=True):
+        if one.body() != other.body():
+            raise DeviationError(f"{type(one).__name__} differs between two answers")
+    return "equal digests"
+
+
+def reports_what_is_approved(approved: tuple[bytes, bytes, bytes] | None) -> Run:
+    """The reported records equal those of the site's robot.toml."""
+
+    def run(bench: Bench) -> str:
+        if approved is None:
+            raise InconclusiveError("no --robot given")
+        bench.open()
+        for record, wanted in zip(bench.collect(), approved, strict=True):
+            if record.body() != wanted:
+                raise DeviationError(f"{type(record).__name__} differs from robot.toml")
+        return "equal digests"
+
+    return run
+
+
+# ---------------------------------------------------------------- the path
+
+
+def stores(bench: Bench) -> str:
+    bench.open()
+    path = bench.sample(LONG).path
+    blocks = records.split(path.body())
+    answer = bench.upload(blocks)
+    if answer is None or answer.refusal is not Refusal.ACCEPTED or answer.digest != path.digest:
+        raise DeviationError(f"{shown(answer)}, or another digest than that of the bytes sent")
+    if not bench.reaches(ControllerState.LOADED):
+        raise DeviationError(f"state {bench.state_name}")
+    return f"PathStored with the digest of {len(blocks)} blocks, LOADED"
+
+
+def path_refused(refusal: Refusal, change: Callable[[Bench], tuple[records.Path, int]]) -> Run:
+    """A case in which a path is refused with this reason at this pose."""
+
+    def run(bench: Bench) -> str:
+        bench.open()
+        path, pose = change(bench)
+        answer = bench.upload(records.split(path.body()))
+        if answer is None or (answer.refusal, answer.pose) != (refusal, pose):
+            raise DeviationError(shown(answer))
+        bench.stays(ControllerState.OPEN)
+        return shown(answer)
+
+    return run
+
+
+def _not_stored(bench: Bench, since: int) -> str:
+    """Nothing is stored: no block, no path, never LOADED."""
+    begun_s = bench.now_s
+
+    def answered() -> bool | None:
+        block, path = bench.first(records.BlockStored, since), bench.first(records.PathStored, since)
+        return any((block, path, bench.stop_sign(since, begun_s))) or None
+
+    bench.until(answered, bench.reply_s)
+    bench.run(3 * bench.heartbeat_s)
+    stored, stop = bench.first(records.PathStored, since), bench.stop_sign(since, begun_s)
+    if bench.first(records.BlockStored, since) or (stored and stored.refusal is Refusal.ACCEPTED):
+        raise DeviationError(f"the block was stored; {shown(stored)}")
+    if bench.state is not None and bench.state.state is ControllerState.LOADED:
+        raise DeviationError("LOADED")
+    return f"not stored; {shown(stored)}" if stop is None else f"not stored; stop {stop.cause.name}"
+
+
+def corrupted_record(bench: Bench) -> str:
+    """A bit of the block's data is turned; the CRC-32 of the record is the old one."""
+    bench.open()
+    block = records.split(bench.sample().path.body())[0]
+    payload = bytearray(records.pack(block, bench.endpoint.session, bench.endpoint.number(Channel.BULK)))
+    payload[-10] ^= 1
+    since = len(bench.heard)
+    bench.say_bytes(Channel.BULK, bytes(payload))
+    return _not_stored(bench, since)
+
+
+def corrupted_block(bench: Bench) -> str:
+    """The record is sound, the block in it is not: its own CRC-32 belongs to other data."""
+    bench.open()
+    block = records.split(bench.sample().path.body())[0]
+    changed = bytes([block.data[-1] ^ 1])
+    object.__setattr__(block, "data", block.data[:-1] + changed)  # past the check that forbids it
+    payload = records.pack(block, bench.endpoint.session, bench.endpoint.number(Channel.BULK))
+    since = len(bench.heard)
+    bench.say_bytes(Channel.BULK, payload)
+    return _not_stored(bench, since)
+
+
+def second_block_first(bench: Bench) -> str:
+    bench.open()
+    since = len(bench.heard)
+    bench.say(records.split(bench.sample(LONG).path.body())[1])
+    return _not_stored(bench, since)
+
+
+# ---------------------------------------------------------------- permits
+
+
+def permit_accepted(bench: Bench) -> str:
+    bench.permitted()
+    if bench.state is None or not bench.state.cutting_mode:
+        raise DeviationError("PERMITTED without the cutting mode bit")
+    bench.stays(ControllerState.PERMITTED)
+    return "Reply ACCEPTED, PERMITTED; nothing moves"
+
+
+def permit_refused(refusal: Refusal, change: Callable[[Bench, Permit], Permit]) -> Run:
+    """A case in which a permit that is right but for one change, and signed, is refused for it."""
+
+    def run(bench: Bench) -> str:
+        bench.loaded()
+        return refused(bench, bench.signed(change(bench, bench.permit())), refusal)
+
+    return run
+
+
+def with_fields(**changes: Any) -> Callable[[Bench, Any], Any]:
+    """The record with these fields."""
+    return lambda _bench, record: replace(record, **changes)
+
+
+def without_nonce(bench: Bench) -> str:
+    bench.loaded()
+    permit = bench.permit(nonce=bytes(range(16)))
+    return refused(bench, bench.signed(permit), Refusal.NO_NONCE)
+
+
+def old_nonce(bench: Bench) -> str:
+    bench.loaded()
+    old = bench.nonce(Purpose.PERMIT)
+    bench.nonce(Purpose.PERMIT)
+    return refused(bench, bench.signed(bench.permit(old)), Refusal.NONCE_MISMATCH)
+
+
+def nonce_of_another_purpose(bench: Bench) -> str:
+    bench.loaded()
+    permit = bench.permit(bench.nonce(Purpose.START))
+    return refused(bench, bench.signed(permit), Refusal.NO_NONCE, Refusal.NONCE_MISMATCH)
+
+
+def nonce_consumed(bench: Bench) -> str:
+    """The nonce of an accepted permit serves no second time."""
+    permit = bench.permitted()
+    return refused(bench, permit, Refusal.NOT_IN_STATE, Refusal.NO_NONCE)
+
+
+def after_the_lifetime(bench: Bench) -> str:
+    bench.loaded()
+    permit = bench.signed(bench.permit())
+    bench.run(bench.timing.permit_lifetime_s + bench.heartbeat_s)
+    return refused(bench, permit, Refusal.NONCE_EXPIRED)
+
+
+def permit_expires(bench: Bench) -> str:
+    bench.permitted()
+    since, begun_s = len(bench.heard), bench.now_s
+    found = stopped(
+        bench,
+        since,
+        begun_s,
+        StopCause.PERMIT_EXPIRED,
+        bench.timing.permit_lifetime_s + bench.allowance_s,
+    )
+    return str(found)
+
+
+def overtaken_by_stop(bench: Bench) -> str:
+    """The STOP and the permit's first frame leave in one turn, the STOP first."""
+    bench.loaded()
+    permit = bench.signed(bench.permit())
+    since, begun_s = len(bench.heard), bench.now_s
+    sequence = bench.say(permit)
+    bench.stop(StopCause.OPERATOR_STOP)
+    stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s)
+    latency_s = bench.latency_s
+    answer = bench.until(lambda: bench.reply(Permit, sequence, since), 5 * bench.timeout_s)
+    bench.latency_s = latency_s
+    if answer is not None and answer.refusal is Refusal.ACCEPTED:
+        raise DeviationError("Reply ACCEPTED")
+    bench.stays(ControllerState.INHIBITED)
+    return f"stop OPERATOR_STOP; then {shown(answer)}"
+
+
+def after_a_stop(bench: Bench) -> str:
+    """The session's link is still open, its permits are void."""
+    bench.loaded()
+    permit = bench.signed(bench.permit())
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.stop(StopCause.OPERATOR_STOP)
+    stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s)
+    bench.reaches(ControllerState.INHIBITED)
+    return refused(
+        bench,
+        permit,
+        Refusal.VOIDED_BY_STOP,
+        Refusal.UNACKNOWLEDGED_STOP,
+        Refusal.NOT_IN_STATE,
+        Refusal.NO_NONCE,
+        Refusal.EPOCH,
+    )
+
+
+# ---------------------------------------------------------------- start
+
+
+def start_without_permit(bench: Bench) -> str:
+    bench.loaded()
+    start = bench.start(bench.signed(bench.permit()))
+    return refused(bench, bench.signed(start), Refusal.NO_PERMIT, Refusal.NOT_IN_STATE)
+
+
+def start_refused(refusal: Refusal, change: Callable[[Bench, Start], Start]) -> Run:
+    """A case in which a start that is right but for one change, and signed, is refused for it."""
+
+    def run(bench: Bench) -> str:
+        permit = bench.permitted()
+        return refused(bench, bench.signed(change(bench, bench.start(permit))), refusal)
+
+    return run
+
+
+def elsewhere(_bench: Bench, record: Any) -> Any:
+    """The record with start joints 5 deg off in q3."""
+    joints = list(record.start_joints_u)
+    joints[3] += 5 * records.UNIT
+    return replace(record, start_joints_u=tuple(joints))
+
+
+def start_nonce_expired(bench: Bench) -> str:
+    permit = bench.permitted()
+    start = bench.signed(bench.start(permit))
+    bench.run(bench.timing.start_lifetime_ms / 1000 + bench.heartbeat_s)
+    return refused(bench, start, Refusal.NONCE_EXPIRED)
+
+
+def cut_without_start(bench: Bench) -> str:
+    bench.permitted()
+    bench.code = RuntimeCode.CUT
+    bench.run(bench.timeout_s)
+    bench.stays(ControllerState.PERMITTED)
+    return "PERMITTED; nothing moves"
+
+
+# ---------------------------------------------------------------- heartbeats, stops, corruption
+
+
+def silence(permitted: bool) -> Run:
+    """The runtime falls silent in a session."""
+
+    def run(bench: Bench) -> str:
+        if permitted:
+            bench.permitted()
+        else:
+            bench.open()
+        epoch, bench.beating = bench.epoch, False
+        since, begun_s = len(bench.heard), bench.now_s
+        found = stopped(bench, since, begun_s, StopCause.HEARTBEAT_LOST, bench.timeout_s + bench.allowance_s)
+        return f"{found}; {_new_epoch(bench, epoch)}"
+
+    return run
+
+
+def _new_epoch(bench: Bench, old: int) -> str:
+    """After a stop the next session has another epoch and the cause must be acknowledged."""
+    latency_s = bench.latency_s
+    bench.finish()
+    answer = bench.open()
+    bench.latency_s = latency_s
+    if answer.epoch == old:
+        raise DeviationError(f"the epoch is {old} as before the stop")
+    return f"epoch {old} became {answer.epoch}"
+
+
+def stale_heartbeats(bench: Bench) -> str:
+    """A burst of heartbeats, and one each period, that echo what was heard before the time-out."""
+    bench.open()
+    bench.run(2 * bench.timeout_s)
+    old = [
+        h.item.counter
+        for h in bench.heard
+        if isinstance(h.item, Accepted)
+        and isinstance(h.item.frame, ControllerHeartbeat)
+        and bench.now_s - h.at_s > bench.timeout_s
+    ]
+    if not old:
+        raise InconclusiveError("no controller heartbeat older than the time-out")
+    epoch, bench.beating = bench.epoch, False
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.run(MIDDLE_PAUSE * bench.timeout_s)
+    for _ in range(STALE_BURST):
+        _stale(bench, old[-1])
+
+    def stop() -> Stop | None:
+        _stale(bench, old[-1])
+        return bench.stop_sign(since, begun_s)
+
+    within_s = bench.timeout_s + bench.allowance_s
+    found = bench.until(stop, within_s)
+    if found is None or found.cause is not StopCause.HEARTBEAT_LOST:
+        raise DeviationError(str(found) if found else f"no stop within {within_s * 1000:.0f} ms")
+    bench.latency_s = found.after_s
+    return f"{found}; {_new_epoch(bench, epoch)}"
+
+
+def _stale(bench: Bench, echo: int) -> None:
+    beat = RuntimeHeartbeat(bench.code, bench.epoch, echo=echo)
+    _, data = bench.encoded(beat)
+    bench.inject(*encode_frame(beat, data[2], bench.endpoint.link.tag))
+
+
+def stop_frame(bench: Bench) -> str:
+    """A stop while permitted: cutting mode ends, the epoch goes up within the session."""
+    bench.permitted()
+    epoch = bench.epoch
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.stop(StopCause.OPERATOR_STOP)
+    found = stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s)
+    bench.stays(ControllerState.INHIBITED)
+    if bench.state is None or bench.state.epoch != (epoch + 1) % 256:
+        raise DeviationError(f"the epoch is {bench.state.epoch if bench.state else None}, was {epoch}")
+    return f"{found}; epoch {epoch} became {bench.state.epoch}"
+
+
+def malformed_stop(bench: Bench) -> str:
+    bench.permitted()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.inject(0x011, bytes(8))
+    return str(stopped(bench, since, begun_s, StopCause.CORRUPTION, bench.allowance_s))
+
+
+def cause_in_heartbeat(bench: Bench) -> str:
+    """The stop frame was lost, the heartbeat still says the cause."""
+    bench.permitted()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.send(RuntimeHeartbeat(RuntimeCode.INHIBIT, bench.epoch, StopCause.OPERATOR_STOP))
+    return str(stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s))
+
+
+def _broken(bench: Bench) -> None:
+    """A heartbeat with one bit turned, beside the sound ones; its counter is the next one's."""
+    tag = bench.endpoint.link.tag
+    can_id, data = encode_frame(RuntimeHeartbeat(bench.code, bench.epoch), 0, tag)
+    bench.inject(can_id, data[:-1] + bytes([data[-1] ^ 1]))
+
+
+def two_corrupted(bench: Bench) -> str:
+    bench.open()
+    for _ in range(2):
+        _broken(bench)
+    return goes_on(bench, 2 * bench.timeout_s)
+
+
+def three_corrupted(bench: Bench) -> str:
+    bench.open()
+    since, begun_s = len(bench.heard), bench.now_s
+    for _ in range(3):
+        _broken(bench)
+    return str(stopped(bench, since, begun_s, StopCause.CORRUPTION, bench.allowance_s))
+
+
+def repeated(bench: Bench) -> str:
+    bench.open()
+    can_id, data = bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
+    for _ in range(3):
+        bench.inject(can_id, data)
+    return goes_on(bench, 2 * bench.timeout_s)
+
+
+def lost(frames: int) -> Callable[[Bench], None]:
+    """So many heartbeats are missing."""
+
+    def lose(bench: Bench) -> None:
+        bench.open()
+        for _ in range(frames):
+            bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
+
+    return lose
+
+
+def two_lost(bench: Bench) -> str:
+    lost(2)(bench)
+    return goes_on(bench, 2 * bench.timeout_s)
+
+
+def three_lost(bench: Bench) -> str:
+    lost(3)(bench)
+    since, begun_s = len(bench.heard), bench.now_s
+    return str(
+        stopped(bench, since, begun_s, StopCause.SEQUENCE_ERROR, bench.heartbeat_s + bench.allowance_s)
+    )
+
+
+def counter_reused(bench: Bench) -> str:
+    """The last counter once more with other content."""
+    bench.open()
+    can_id, data = bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
+    bench.inject(can_id, data)
+    since, begun_s = len(bench.heard), bench.now_s
+    other = RuntimeHeartbeat(bench.code, (bench.epoch + 1) % 256)
+    bench.inject(*encode_frame(other, data[2], bench.endpoint.link.tag))
+    return str(stopped(bench, since, begun_s, StopCause.SEQUENCE_ERROR, bench.allowance_s))
+
+
+def other_session_record(bench: Bench) -> str:
+    bench.open()
+    since = len(bench.heard)
+    other = bench.endpoint.session ^ 1 or 2
+    bench.say(records.NonceRequest(purpose=Purpose.PERMIT), session=other)
+    bench.run(5 * bench.timeout_s)
+    if bench.first(records.Nonce, since) is not None:
+        raise DeviationError("a nonce was given")
+    return goes_on(bench, bench.timeout_s)
+
+
+def other_session_heartbeats(bench: Bench) -> str:
+    """Heartbeats under another tag, beside none of the session's own."""
+    bench.open()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.beating = False
+    other = bench.endpoint.link.tag ^ 1 or 2
+    for counter in range(3):
+        bench.inject(*encode_frame(RuntimeHeartbeat(bench.code, bench.epoch), counter, other))
+    return str(stopped(bench, since, begun_s, StopCause.CORRUPTION, bench.allowance_s))
+
+
+def outside_session_heartbeats(bench: Bench) -> str:
+    """Heartbeats under tag 0 keep nothing alive."""
+    bench.open()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.beating = False
+    due = [begun_s]
+
+    def stop() -> Stop | None:
+        if bench.now_s >= due[0]:
+            due[0] += bench.heartbeat_s
+            bench.inject(*encode_frame(RuntimeHeartbeat(bench.code, bench.epoch), 0, 0))
+        return bench.stop_sign(since, begun_s)
+
+    found = bench.until(stop, bench.timeout_s + bench.allowance_s)
+    if found is None or found.cause is not StopCause.HEARTBEAT_LOST:
+        raise DeviationError(str(found) if found else "no stop")
+    bench.latency_s = found.after_s
+    return str(found)
+
+
+def withdrawn(bench: Bench) -> str:
+    """Last of those that need a permit: after it the throw-away registration serves no more."""
+    bench.loaded()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.stop(StopCause.REGISTRATION_WITHDRAWN)
+    stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
+    bench.finish()
+    bench.loaded()
+    try:
+        return refused(bench, bench.signed(bench.permit()), Refusal.REGISTRATION_WITHDRAWN)
+    finally:
+        bench.renew_registration()
+
+
+# ---------------------------------------------------------------- what latches
+
+
+def latched(bench: Bench, since: int, begun_s: float, cause: StopCause) -> str:
+    """The controller latches; a new session does not lead out, and no permit is given in it."""
+    found = stopped(bench, since, begun_s, cause, bench.allowance_s + bench.reply_s)
+    if not found.latched:
+        raise DeviationError(f"{found}, must be latched")
+    announced = bench.finish()
+    if announced.state is not ControllerState.FAULT:
+        raise DeviationError(f"{found}; END led to {announced.state.name}")
+    return str(found)
+
+
+def wrong_mac(record: Callable[[Bench], Any]) -> Run:
+    """A record whose code is not right by one bit."""
+
+    def run(bench: Bench) -> str:
+        sound = bench.signed(record(bench))
+        false = sound.with_mac(bytes([sound.code[0] ^ 1]) + sound.code[1:])
+        since, begun_s = len(bench.heard), bench.now_s
+        sequence = bench.say(false)
+
+        def seen() -> records.Reply | None:
+            return bench.reply(type(false), sequence, since)
+
+        answer = bench.until(seen, bench.reply_s)
+        if answer is None or answer.refusal is not Refusal.MAC_INVALID:
+            raise DeviationError(shown(answer))
+        return f"{shown(answer)}; {latched(bench, since, begun_s, StopCause.AUTHENTICATION_FAILED)}"
+
+    return run
+
+
+def right_permit(bench: Bench) -> Permit:
+    bench.loaded()
+    return bench.permit()
+
+
+def right_start(bench: Bench) -> Start:
+    return bench.start(bench.permitted())
+
+
+def second_node(bench: Bench) -> str:
+    bench.open()
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.inject(IDS[ControllerHeartbeat], bytes(8))
+    return latched(bench, since, begun_s, StopCause.SECOND_NODE)
+
+
+def held_in_fault(bench: Bench) -> str:
+    """A latched fault is left by acknowledge and reset alone, in this order, and leads to OPEN."""
+    second_node(bench)
+    answer = bench.open_unacknowledged()
+    if answer.state is not ControllerState.FAULT:
+        raise DeviationError(f"a new session is in {answer.state.name}, must be in FAULT")
+    early = bench.ask(bench.signed(bench.reset(StopCause.SECOND_NODE)))
+    if early is None or early.refusal is not Refusal.UNACKNOWLEDGED_STOP:
+        raise DeviationError(f"Reset before Acknowledge: {shown(early)}")
+    bench.acknowledge(StopCause.SECOND_NODE)
+    bench.stays(ControllerState.FAULT)
+    latency = bench.ask(bench.signed(bench.reset(StopCause.SECOND_NODE)))
+    if latency is None or latency.refusal is not Refusal.ACCEPTED:
+        raise DeviationError(f"Reset: {shown(latency)}")
+    if not bench.reaches(ControllerState.OPEN):
+        raise DeviationError(f"after Reset {bench.state_name}")
+    return "FAULT in the new session; Reset UNACKNOWLEDGED_STOP; after Acknowledge ACCEPTED, OPEN"
+
+
+def nothing_moved(bench: Bench) -> str:
+    if bench.abnormal:
+        raise DeviationError("; ".join(dict.fromkeys(bench.abnormal)))
+    return f"joints within {bench.moved:.3f} deg or mm, cutting mode only in PERMITTED"

@@ -56,7 +56,7 @@ class Rig:
             ),
             Port(self.wire.nodes[CONTROLLER], endpoint),  # type: ignore[arg-type]
             memory_file,
-            options=Options(),
+            options=Options(announce_s=0.05),
             say=self.said.append,
             clock=self.clock,
             random=random,

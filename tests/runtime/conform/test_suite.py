@@ -1,0 +1,276 @@
+"""The suite against the simulated controller: whole, it passes; with one guard taken out, exactly its cases fail."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_sim import process as process_module
+from firmware_sim import rules, table
+from firmware_sim.process import Word
+from firmware_sim.state import PathChecked
+from protocol.link import Link, Violation
+from protocol.states import ControllerState, Refusal, StopCause
+from runtime.conform.suite import Verdict
+from runtime.conform.table import cases
+from tests.runtime.conform.rig import Rig, by_name, failing
+
+SLOW = (
+    "permit: after the nonce's lifetime",
+    "permit: expires",
+    "start: after the nonce's lifetime",
+    "cyclic frames",
+)
+"""Cases that wait for long; guards that have nothing to do with them are judged without."""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    made = Rig(tmp_path)
+    yield made
+    made.close()
+
+
+def quick(rig: Rig, *more: str) -> dict[str, str]:
+    names = [case.name for case in rig.cases() if case.name not in SLOW or case.name in more]
+    return failing(rig.run(*names))
+
+
+def test_the_simulated_controller_passes_every_case_and_is_left_inhibited(rig: Rig) -> None:
+    outcome = rig.run()
+    assert failing(outcome) == {}
+    assert outcome.passed
+    assert outcome.state is ControllerState.INHIBITED
+    assert not outcome.needs_reset
+    assert len(outcome.results) == len(cases())
+
+
+# ---------------------------------------------------------------- guards taken out of the controller
+
+
+def without(*refusals: Refusal) -> Callable[[Any], tuple[Any, ...]]:
+    return lambda table_of_rules: tuple(rule for rule in table_of_rules if rule[0] not in refusals)
+
+
+def test_every_rule_on_permits_that_a_test_takes_out_is_there() -> None:
+    assert {refusal for refusal, _ in PERMIT_GUARDS} <= {refusal for refusal, _ in rules.PERMIT_RULES}
+    assert {refusal for refusal, _ in START_GUARDS} <= {refusal for refusal, _ in rules.START_RULES}
+
+
+PERMIT_GUARDS = (
+    (Refusal.MAC_INVALID, {"permit: wrong code"}),
+    (Refusal.WRONG_SESSION, {"permit: wrong session digest"}),
+    (Refusal.WRONG_SERIAL, {"permit: wrong serial number"}),
+    (Refusal.WRONG_BOOT, {"permit: wrong boot nonce"}),
+    (Refusal.PROTOCOL_VERSION, {"permit: other protocol version"}),
+    (Refusal.EPOCH, {"permit: wrong epoch"}),
+    (Refusal.NONCE_MISMATCH, {"permit: old nonce"}),
+    (Refusal.LIMITS_DIGEST, {"permit: wrong limits digest"}),
+    (Refusal.CALIBRATION_DIGEST, {"permit: wrong calibration digest"}),
+    (Refusal.TOOL_DIGEST, {"permit: wrong tool digest"}),
+    (Refusal.PATH_DIGEST, {"permit: wrong path digest"}),
+    (Refusal.REGISTRATION_DIGEST, {"permit: wrong registration digest"}),
+    (Refusal.TIMING_OUT_OF_BOUNDS, {"permit: other lifetime"}),
+    (Refusal.BRANCH, {"permit: other branch"}),
+    (Refusal.APPROACH, {"permit: other entry", "permit: other exit", "permit: other entry joints"}),
+    (Refusal.APPROACH_SPEED, {"permit: other approach speed"}),
+    (Refusal.START_JOINTS, {"permit: start joints elsewhere"}),
+    (Refusal.REGISTRATION_WITHDRAWN, {"registration withdrawn"}),
+)
+START_GUARDS = (
+    (Refusal.MAC_INVALID, {"start: wrong code"}),
+    (Refusal.WRONG_SESSION, {"start: wrong session"}),
+    (Refusal.EPOCH, {"start: wrong epoch"}),
+    (Refusal.NONCE_MISMATCH, {"start: wrong nonce"}),
+    (Refusal.PERMIT_MISMATCH, {"start: other permit"}),
+    (Refusal.START_JOINTS, {"start: start joints elsewhere"}),
+)
+
+
+def judged(rig: Rig, begin: str, *more: str) -> set[str]:
+    """Names of the cases about one kind of request that fail."""
+    names = [c.name for c in rig.cases() if c.name not in SLOW and c.name.startswith((begin, *more))]
+    return set(failing(rig.run(*names)))
+
+
+@pytest.mark.parametrize(("guard", "fails"), PERMIT_GUARDS, ids=lambda value: getattr(value, "name", ""))
+def test_a_controller_without_one_rule_on_permits_fails_exactly_its_cases(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: set[str]
+) -> None:
+    monkeypatch.setattr(table, "PERMIT_RULES", without(guard)(rules.PERMIT_RULES))
+    assert judged(rig, "permit", "registration") == fails
+
+
+@pytest.mark.parametrize(("guard", "fails"), START_GUARDS, ids=lambda value: getattr(value, "name", ""))
+def test_a_controller_without_one_rule_on_starts_fails_exactly_its_cases(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: set[str]
+) -> None:
+    monkeypatch.setattr(table, "START_RULES", without(guard)(rules.START_RULES))
+    assert judged(rig, "start") == fails
+
+
+@pytest.mark.parametrize(
+    ("guard", "fails"),
+    [
+        (Refusal.PROTOCOL_VERSION, "open: other protocol version"),
+        (Refusal.WRONG_BOOT, "open: other boot nonce"),
+        (Refusal.SESSION_IN_USE, "open: during a session"),
+        (Refusal.TIMING_OUT_OF_BOUNDS, "open: timing out of bounds"),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_a_controller_without_one_rule_on_open_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: str
+) -> None:
+    judge = table._refuse_open
+
+    def lax(state: Any, request: Any) -> Refusal:
+        found = judge(state, request)
+        return Refusal.ACCEPTED if found is guard else found
+
+    monkeypatch.setattr(table, "_refuse_open", lax)
+    assert judged(rig, "open:") == {fails}
+
+
+@pytest.mark.parametrize(
+    ("guard", "fails"),
+    [
+        (Refusal.POSE_OUTSIDE_LIMITS, "path: pose outside the limits"),
+        (Refusal.WRONG_ELBOW, "path: wrong elbow"),
+        (Refusal.TOOL_LENGTH, "path: other tool"),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_a_controller_without_one_check_of_paths_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: str
+) -> None:
+    step = process_module.step
+
+    def lax(state: Any, event: Any, now_s: float) -> Any:
+        if isinstance(event, PathChecked) and event.refusal is guard:
+            event = replace(event, refusal=Refusal.ACCEPTED)
+        return step(state, event, now_s)
+
+    monkeypatch.setattr(process_module, "step", lax)
+    assert quick(rig).keys() == {fails}
+
+
+@pytest.mark.parametrize(
+    ("ignored", "fails"),
+    [
+        (StopCause.CORRUPTION, {"heartbeats: three corrupted", "heartbeats: other session tag"}),
+        (StopCause.SEQUENCE_ERROR, {"heartbeats: three lost", "heartbeats: counter used twice"}),
+        (StopCause.SECOND_NODE, {"second node", "latched fault: acknowledge, then reset"}),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_a_controller_that_ignores_what_its_link_finds_fails_exactly_its_cases(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, ignored: StopCause, fails: set[str]
+) -> None:
+    judge = rig.process._item
+
+    def lax(item: object) -> None:
+        if not (isinstance(item, Violation) and item.cause is ignored):
+            judge(item)
+
+    monkeypatch.setattr(rig.process, "_item", lax)
+    assert quick(rig).keys() == fails
+
+
+def test_a_controller_that_takes_stale_heartbeats_for_fresh_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge = Link._refresh
+
+    def lax(link: Link, echo: int, now_s: float) -> bool:
+        if link is not rig.process.port.endpoint.link:
+            return judge(link, echo, now_s)
+        link._heard, link._refreshed_s = True, now_s
+        return True
+
+    monkeypatch.setattr(Link, "_refresh", lax)
+    assert quick(rig).keys() == {"heartbeats: a stale burst"}
+
+
+def test_a_controller_whose_permit_never_expires_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "permit_ages", lambda state, _event, _now_s: (state, ()))
+    for key, handler in list(table.TABLE.items()):
+        if handler.__name__ == "permit_ages":
+            monkeypatch.setitem(table.TABLE, key, lambda state, _event, _now_s: (state, ()))
+    assert set(failing(rig.run(*SLOW))) == {"permit: expires"}
+
+
+@pytest.mark.parametrize(
+    ("guarded", "fails"),
+    [
+        ("PERMIT_RULES", "permit: after the nonce's lifetime"),
+        ("START_RULES", "start: after the nonce's lifetime"),
+    ],
+)
+def test_a_controller_whose_nonces_live_for_ever_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guarded: str, fails: str
+) -> None:
+    monkeypatch.setattr(table, guarded, without(Refusal.NONCE_EXPIRED)(getattr(rules, guarded)))
+    assert set(failing(rig.run(*SLOW))) == {fails}
+
+
+# ---------------------------------------------------------------- when the suite must not go on
+
+
+def test_motion_without_the_enabling_device_is_stopped_at_once_and_the_suite_says_no_more(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lax = without(Refusal.DEVICE_NOT_RELEASED_AND_PRESSED)(rules.START_RULES)
+    monkeypatch.setattr(table, "START_RULES", lax)
+    found = by_name(rig.run("start: enabling device released", "start: wrong nonce", "nothing moved"))
+    assert found["start: enabling device released"].verdict is Verdict.FAIL
+    assert found["start: wrong nonce"].verdict is Verdict.NOT_RUN
+    assert found["nothing moved"].verdict is Verdict.FAIL
+    assert rig.process.controller.state is ControllerState.INHIBITED
+
+
+def test_a_pressed_enabling_device_halts_the_suite_without_blaming_the_controller(rig: Rig) -> None:
+    rig.process.act(Word.HOLD)
+    outcome = rig.run("opens", "permit: right", "nothing moved")
+    found = by_name(outcome)
+    assert found["opens"].verdict is Verdict.NOT_RUN
+    assert "pressed" in found["opens"].came
+    assert found["permit: right"].verdict is Verdict.NOT_RUN
+    assert not outcome.passed
+
+
+def test_a_controller_with_another_key_refuses_the_right_permit(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, key=bytes(32))
+    try:
+        outcome = rig.run("permit: right", "nothing moved")
+    finally:
+        rig.close()
+    assert not outcome.passed
+    assert outcome.needs_reset, "the reset cannot be signed either"
+
+
+def test_a_controller_that_falls_silent_is_not_waited_for_without_end(rig: Rig) -> None:
+    rig.controller_turns = False
+    outcome = rig.run()
+    assert not outcome.passed
+    assert outcome.needs_reset
+    assert all(r.verdict is not Verdict.PASS for r in outcome.results)
+
+
+def test_a_latched_fault_found_at_the_beginning_is_reset(rig: Rig) -> None:
+    rig.process._feed(process_module.Fault(StopCause.SECOND_NODE))
+    found = by_name(rig.run("announces", "opens"))
+    assert found["announces"].verdict is Verdict.FAIL
+    assert found["opens"].verdict is Verdict.PASS
+
+
+def test_every_case_has_a_name_of_its_own_and_a_requirement() -> None:
+    all_cases = cases()
+    assert len({case.name for case in all_cases}) == len(all_cases)
+    assert all(case.requirement and case.sent and case.expected for case in all_cases)
+    latching = [case.latches for case in all_cases[:-1]]
+    assert latching == sorted(latching), "what latches comes last"

@@ -1,7 +1,9 @@
-"""Writes the annotated session of docs/controllers.md from a run against the simulated controller, in virtual time.
+"""Writes what docs/controllers.md takes from the program: an annotated session, and the bus load.
 
-``python docs/make_session.py`` rewrites the table between the two marks; random numbers are the same in every run.
+``python docs/make_session.py`` rewrites the tables between their marks. The session is a run against the simulated
+controller in virtual time; random numbers are the same in every run.
 """
+# ruff: noqa: INP001, PLR0911
 
 import sys
 import tempfile
@@ -13,14 +15,33 @@ from typing import Final
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from protocol import records
-from protocol.frames import FRAMES, ControllerHeartbeat, Frame, RuntimeHeartbeat, decode_frame
+from protocol.frames import (
+    FRAMES,
+    ControllerHeartbeat,
+    Frame,
+    Joint4,
+    Joints01,
+    Joints23,
+    Progress,
+    RuntimeHeartbeat,
+    decode_frame,
+    message_of,
+)
 from protocol.records import Record
 from protocol.states import StopCause, StopCode
 from runtime.conform.bench import Seen
 from tests.runtime.conform.rig import Rig
 
 PAGE: Final = Path(__file__).with_name("controllers.md")
-BEGIN, END = "<!-- session: docs/make_session.py -->", "<!-- end of session -->"
+MARK: Final = "<!-- {name}: docs/make_session.py -->"
+MARK_END: Final = "<!-- end of {name} -->"
+BITRATE_BIT_S: Final = 1_000_000
+FIXED_BITS: Final = 47
+"""A classic frame with an 11-bit identifier and no data, intermission of 3 bits included, without stuff bits."""
+STUFFED_BITS: Final = 34
+"""Of these, so many are subject to bit stuffing, as all data bits are."""
+CYCLIC: Final = (RuntimeHeartbeat, ControllerHeartbeat, Joints01, Joints23, Joint4, Progress)
+PERIODS_MS: Final = (5, 20, 50, 100)
 CYCLIC_SHOWN: Final = 1
 """Cyclic frames repeat; so many of each kind and content are shown."""
 
@@ -119,11 +140,47 @@ def session() -> str:
     return "\n".join(["| ms | | id | bytes | |", "|---|---|---|---|---|", *reading.rows])
 
 
+def frame_bits(data_bytes: int) -> tuple[int, int]:
+    """Bits of a classic frame on the bus: without stuff bits, and with the most there can be (one after four)."""
+    bits = FIXED_BITS + 8 * data_bytes
+    return bits, bits + (STUFFED_BITS + 8 * data_bytes - 1) // 4
+
+
+def load() -> str:
+    """The table of what the cyclic frames take of the bus, at the most stuff bits."""
+    bits = [frame_bits(message_of(kind).length) for kind in CYCLIC]
+    most = sum(stuffed for _, stuffed in bits)
+    rows = [
+        f"| {kind.__name__} | {message_of(kind).frame_id:03X} | {message_of(kind).length} | {plain} | {stuffed} |"
+        for kind, (plain, stuffed) in zip(CYCLIC, bits, strict=True)
+    ]
+    shares = [
+        f"| {period} | {len(CYCLIC) * 1000 // period} | {most * 1000 / period / 1000:.1f} "
+        f"| {100 * most * 1000 / period / BITRATE_BIT_S:.1f} % |"
+        for period in PERIODS_MS
+    ]
+    return "\n".join(
+        [
+            "| cyclic frame | id | data bytes | bits | bits, most stuffed |",
+            "|---|---|---|---|---|",
+            *rows,
+            f"| **one period** | | | {sum(plain for plain, _ in bits)} | {most} |",
+            "",
+            "| period, ms | frames/s | kbit/s | of 1 Mbit/s |",
+            "|---|---|---|---|",
+            *shares,
+        ]
+    )
+
+
 def page(text: str) -> str:
-    """The page with the table between the marks. Raises ValueError where a mark is missing."""
-    before, rest = text.split(BEGIN)
-    _, after = rest.split(END)
-    return f"{before}{BEGIN}\n\n{session()}\n\n{END}{after}"
+    """The page with each table between its marks. Raises ValueError where a mark is missing."""
+    for name, made in (("session", session()), ("load", load())):
+        begin, end = MARK.format(name=name), MARK_END.format(name=name)
+        before, rest = text.split(begin)
+        _, after = rest.split(end)
+        text = f"{before}{begin}\n\n{made}\n\n{end}{after}"
+    return text
 
 
 def main() -> None:

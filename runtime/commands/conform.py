@@ -144,6 +144,9 @@ def _open(interface: str, channel: str) -> can.BusABC:
         raise InputError("bus", "", None, str(error)) from None
     try:
         _refuse_a_session(bus)
+    except can.CanError as error:
+        bus.shutdown()
+        raise InputError("bus", "", None, f"failed: {error}") from None
     except BaseException:
         bus.shutdown()
         raise

@@ -457,7 +457,7 @@ class Bench:
         """A path for this arm. Raises InconclusiveError where there is none."""
         try:
             return sample(self.arm) if poses is None else sample(self.arm, poses)
-        except records.RecordError as error:
+        except ValueError as error:
             raise InconclusiveError(f"no sample path for this arm: {error}") from None
 
     def upload(self, blocks: list[records.PathBlock]) -> records.PathStored | None:
@@ -535,7 +535,7 @@ class Bench:
                 clearance_um=self.timing.approach_clearance_um,
                 speed_percent=self.timing.approach_speed_percent,
             )
-        except records.RecordError as error:
+        except ValueError as error:  # RecordError is one; so is a pose that the arm cannot reach
             raise InconclusiveError(f"no approach for this arm: {error}") from None
         return records.Permit(
             nonce=self.nonce(Purpose.PERMIT) if nonce is None else nonce,

@@ -671,14 +671,14 @@ def outside_session_heartbeats(bench: Bench) -> str:
 
 
 def withdrawn(bench: Bench) -> str:
-    """Last of those that need a permit: after it the throw-away registration serves no more."""
+    """Whatever comes of it, the cases after this one use another registration."""
     bench.loaded()
     since, begun_s = len(bench.heard), bench.now_s
     bench.stop(StopCause.REGISTRATION_WITHDRAWN)
-    stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
-    bench.finish()
-    bench.loaded()
     try:
+        stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
+        bench.finish()
+        bench.loaded()
         return refused(bench, bench.signed(bench.permit()), Refusal.REGISTRATION_WITHDRAWN)
     finally:
         bench.renew_registration()

@@ -10,7 +10,7 @@ import pytest
 from firmware_sim import process as process_module
 from firmware_sim import rules, table
 from firmware_sim.process import Word
-from firmware_sim.state import PathChecked
+from firmware_sim.state import Controller, PathChecked
 from protocol.link import Link, Violation
 from protocol.states import ControllerState, Refusal, StopCause
 from runtime.conform.suite import Verdict
@@ -218,7 +218,58 @@ def test_a_controller_whose_nonces_live_for_ever_fails_exactly_that_case(
     assert set(failing(rig.run(*SLOW))) == {fails}
 
 
+def test_a_controller_that_waits_twice_the_time_out_fails_exactly_the_cases_that_measure_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = rig.process.port.endpoint
+    agree = endpoint.use_timing
+
+    def lax(*, heartbeat_s: float, timeout_s: float) -> None:
+        agree(heartbeat_s=heartbeat_s, timeout_s=2 * timeout_s)
+
+    monkeypatch.setattr(endpoint, "use_timing", lax)
+    assert quick(rig).keys() == {
+        "heartbeats: silence in OPEN",
+        "heartbeats: silence in PERMITTED",
+        "heartbeats: a stale burst",
+        "heartbeats: no session tag",
+    }
+
+
+def test_a_controller_whose_epoch_stands_still_fails_exactly_the_cases_that_look_at_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    void = table._void
+    monkeypatch.setattr(table, "_void", lambda state: replace(void(state), epoch=state.epoch))
+    assert quick(rig).keys() == {
+        "heartbeats: silence in OPEN",
+        "heartbeats: silence in PERMITTED",
+        "heartbeats: a stale burst",
+        "stop frame",
+    }
+
+
+def test_cutting_mode_outside_permitted_fails_the_case_that_watches_the_whole_suite(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on = (ControllerState.OPEN, ControllerState.PERMITTED)
+    monkeypatch.setattr(Controller, "cutting_mode", property(lambda c: c.state in on))
+    assert failing(rig.run("opens", "permit: right", "nothing moved")).keys() == {"nothing moved"}
+
+
 # ---------------------------------------------------------------- when the suite must not go on
+
+
+def test_an_arm_that_moves_is_stopped_at_once_and_the_suite_says_no_more(rig: Rig) -> None:
+    assert rig.run("opens").passed
+    q0, *rest = rig.process._arm_state.joints
+    rig.process._arm_state = replace(rig.process._arm_state, joints=(q0 + 0.002, *rest))
+    found = by_name(rig.run("opens", "permit: right", "nothing moved"))
+    assert found["opens"].verdict is Verdict.FAIL
+    assert "moved" in found["opens"].came
+    assert found["permit: right"].verdict is Verdict.NOT_RUN
+    assert found["nothing moved"].verdict is Verdict.FAIL
+    assert rig.process.controller.state is ControllerState.INHIBITED
 
 
 def test_motion_without_the_enabling_device_is_stopped_at_once_and_the_suite_says_no_more(

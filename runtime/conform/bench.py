@@ -100,7 +100,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Stop:
-    """The first sign of a stop."""
+    """The first sign of a stop, and when it was heard."""
 
     after_s: float
     cause: StopCause
@@ -122,6 +122,19 @@ def shown(answer: Record | None) -> str:
             return f"PathStored {answer.refusal.name}, pose {answer.pose}"
         case _:
             return type(answer).__name__
+
+
+def _sign_of_a_stop(item: Item, now_s: float) -> Stop | None:
+    """A fault frame, a heartbeat that says so, an announcement; dated by the tester's clock."""
+    match item:
+        case Accepted(frame=ControllerFault(code=code, cause=cause)):
+            return Stop(now_s, cause, code is FaultCode.LATCHED)
+        case Accepted(frame=ControllerHeartbeat(state=state, cause=cause)) if state in STANDING:
+            return Stop(now_s, cause, state is ControllerState.FAULT)
+        case RecordReceived(record=records.Announce(state=state, cause=cause)):
+            return Stop(now_s, cause, state is ControllerState.FAULT)
+        case _:
+            return None
 
 
 class Bench:
@@ -171,6 +184,7 @@ class Bench:
     def begin(self) -> None:
         """Forget what the case before has heard and said."""
         self.heard: list[Heard] = []
+        self._signs: list[tuple[int, Stop]] = []
         self.frames: list[Seen] = []
         self.code = RuntimeCode.INHIBIT
         self.epoch = 0
@@ -210,6 +224,9 @@ class Bench:
         self.longest_gap_s = max(self.longest_gap_s, now_s - self._turn_s)
         self._turn_s = now_s
         for item in self.port.read(now_s):
+            sign = _sign_of_a_stop(item, now_s)
+            if sign is not None:
+                self._signs.append((len(self.heard), sign))
             self.heard.append(Heard(now_s, item))
             self._watch(item)
         self.endpoint.expire(now_s)
@@ -330,17 +347,9 @@ class Bench:
         return answer
 
     def stop_sign(self, since: int, begun_s: float) -> Stop | None:
-        """The first sign of a stop: a fault frame, a heartbeat that says so, an announcement."""
-        for heard in self.heard[since:]:
-            after_s = heard.at_s - begun_s
-            match heard.item:
-                case Accepted(frame=ControllerFault(code=code, cause=cause)):
-                    return Stop(after_s, cause, code is FaultCode.LATCHED)
-                case Accepted(frame=ControllerHeartbeat(state=state, cause=cause)) if state in STANDING:
-                    return Stop(after_s, cause, state is ControllerState.FAULT)
-                case RecordReceived(record=records.Announce(state=state, cause=cause)):
-                    return Stop(after_s, cause, state is ControllerState.FAULT)
-        return None
+        """The first sign of a stop among what was heard from this place on."""
+        found = next((sign for place, sign in self._signs if place >= since), None)
+        return None if found is None else replace(found, after_s=found.after_s - begun_s)
 
     # ------------------------------------------------------------ to a place in the conversation
 

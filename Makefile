@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean
+.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean docs
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
@@ -43,6 +43,9 @@ demo: $(READY)
 
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py
+
+docs: $(READY)
+	$(BIN)/python -m docs.make_error_matrix
 
 check: lint types imports
 

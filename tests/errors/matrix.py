@@ -161,7 +161,8 @@ def observe(row: Row, pair: Pair) -> Observed:
 HEARTBEATS = tuple(Message(kind.__name__, kind) for kind in (RuntimeHeartbeat, ControllerHeartbeat))
 JOINTS = tuple(Message(kind.__name__, kind) for kind in (Joints01, Joints23, Joint4))
 PROGRESS = Message("Progress", Progress)
-CYCLIC = (*HEARTBEATS, *JOINTS, PROGRESS)
+STATUS = (*JOINTS, PROGRESS)
+CYCLIC = (*HEARTBEATS, *STATUS)
 STOP, FAULT = Message("RuntimeStop", RuntimeStop), Message("ControllerFault", ControllerFault)
 
 ANNOUNCE, OPEN, OPENED = (Message(k.__name__, k) for k in (r.Announce, r.Open, r.Opened))
@@ -235,6 +236,13 @@ def _heartbeats() -> Iterator[Row]:
                 do.delay_frames(0.0, growing_s=HEARTBEAT_S), "echo", stops(StopCause.HEARTBEAT_LOST), BY_AGE),
         ):  # fmt: skip
             yield replace(row, stage=Scene.cutting)
+
+
+def _unwatched() -> Iterator[Row]:
+    """While the arm cuts the runtime shows joints and progress and decides nothing by them; the controller does."""
+    for message in STATUS:
+        yield Row(message, Error.LOSS, True, "every frame while the arm cuts", do.lose_frames(10_000), "nobody",
+                  stage=Scene.cutting)  # fmt: skip
 
 
 def _joints() -> Iterator[Row]:
@@ -439,6 +447,7 @@ def rows() -> tuple[Row, ...]:
         *_cyclic(),
         *_heartbeats(),
         *_joints(),
+        *_unwatched(),
         *_misaddressed(),
         *_stop(),
         *_fault(),
@@ -452,7 +461,6 @@ ROWS = rows()
 
 # ---------------------------------------------------------------- where there is no row
 
-STATUS = (*JOINTS, PROGRESS)
 ONCE = (STOP, FAULT)
 NO_ROW: tuple[tuple[tuple[Message, ...], Error, bool, str], ...] = (
     (STATUS, Error.REPETITION, False, "any number of repetitions is discarded; a sample that never changes any more is an old one, as after its loss"),

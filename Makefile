@@ -41,6 +41,11 @@ bench: $(READY)
 demo: $(READY)
 	$(BIN)/cutgate demo
 
+# What is generated from the code: tables of constants, state machines, pictures.
+docs: $(READY) pictures
+	$(BIN)/python -m config.constants > docs/constants.md
+	$(BIN)/python -m docs.make_state_machines
+
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py
 

@@ -1,0 +1,393 @@
+"""Any sequence of events, right and wrong in every argument, on a clock that jumps: what must hold after each.
+
+The machine keeps its own books (which nonce is out, which permit was accepted, how the device moved, what the last
+heartbeat said) and never asks the controller's rules; a failing sequence is shrunk to the shortest one.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+
+from firmware_sim.state import (
+    AcknowledgeReceived,
+    BoneMoved,
+    CollectReceived,
+    Controller,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    Inputs,
+    InputsChanged,
+    JointsMeasured,
+    LimitsChanged,
+    NonceRequested,
+    OpenReceived,
+    PathChecked,
+    PathFinished,
+    PermitReceived,
+    Persist,
+    ResetReceived,
+    StartReceived,
+    StopReceived,
+    Tick,
+)
+from firmware_sim.table import WITHDRAWING, step
+from protocol import permit as permits
+from protocol import records
+from protocol.states import LATCHING, ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from tests.firmware_sim.controllers import (
+    ENDS,
+    KEY,
+    LIMITS,
+    NOW,
+    OPEN,
+    OTHER_KEY,
+    OTHER_LIMITS,
+    PATH,
+    PERMIT,
+    POWERED_UP,
+    RESET,
+    START,
+    START_JOINTS,
+    faults,
+    is_void,
+    replies,
+)
+
+C = ControllerState
+OTHER = b"o" * 16
+JUMPS_S = (0.0, 0.001, 0.02, 0.09, 0.3, 1.9, 2.1, 119.0, 400.0, -0.001, -0.5, -100.0)
+ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 600_000, *START_JOINTS[3:])
+"""0.6 mm off the start joints: beyond the tolerance."""
+OTHER_REGISTRATION = records.digest(b"another registration")
+causes = st.sampled_from(StopCause)
+
+
+def mostly(right: Any, *wrong: Any) -> st.SearchStrategy[Any]:
+    """The right value, or one of the wrong ones."""
+    return st.one_of(st.just(right), st.just(right), st.sampled_from(wrong))
+
+
+class AnyLife(RuleBasedStateMachine):
+    """One controller from power-up, followed from outside."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.state, self.now_s = POWERED_UP, NOW
+        self.nonces = 0
+        self.out: tuple[Purpose, bytes, float] | None = None
+        """The nonce that was given out last, and when."""
+        self.spent: set[bytes] = set()
+        self.permit: records.Permit | None = None
+        self.permit_at_s = 0.0
+        self.cycle = ""
+        """How the enabling device moved since the permit: r, then p."""
+        self.says_cut = False
+        self.started = False
+
+    # ------------------------------------------------------------ one step, and what must hold after it
+
+    def feed(self, event: Event) -> None:
+        before = self.state
+        after, effects = step(before, event, self.now_s)
+        self.state = after
+        self._a_request_is_accepted_only_if(before, event, effects)
+        self._books(before, event, effects)
+        self._a_stop_voids(before, event, effects)
+        self._a_latch_is_left_by_a_reset_only(before, event, effects)
+        self._cutting_and_moving()
+        assert before.withdrawn <= after.withdrawn
+        if before.withdrawn != after.withdrawn:
+            assert Persist(after.withdrawn) in effects
+
+    def _a_request_is_accepted_only_if(self, before: Controller, event, effects) -> None:
+        if not isinstance(event, PermitReceived | StartReceived | ResetReceived):
+            return
+        if replies(effects) != [Refusal.ACCEPTED]:
+            assert replies(effects), "a refusal has its reason"
+            if not faults(effects):
+                assert self.state == replace(before, issued=None)
+            return
+        request, purpose = {
+            PermitReceived: lambda e: (e.permit, Purpose.PERMIT),
+            StartReceived: lambda e: (e.start, Purpose.START),
+            ResetReceived: lambda e: (e.reset, Purpose.RESET),
+        }[type(event)](event)
+        assert permits.sign(KEY, request) == request
+        assert request.nonce not in self.spent, "a nonce serves once"
+        self.spent.add(request.nonce)
+        assert self.out is not None
+        assert (purpose, request.nonce) == self.out[:2]
+        assert 0.0 <= self.now_s - self.out[2] <= (120.0 if purpose is Purpose.PERMIT else 2.0)
+        assert request.epoch == before.epoch
+        assert before.heartbeat_fresh
+        assert before.inputs.emergency_stop_clear
+        assert before.cause is StopCause.NONE
+        if purpose is not Purpose.RESET:
+            assert before.measured_u == START_JOINTS
+        if purpose is Purpose.PERMIT:
+            self.permit, self.permit_at_s, self.cycle = request, self.out[2], ""
+        if purpose is Purpose.START:
+            assert self.cycle.startswith("r")
+            assert self.cycle.endswith("p")
+            assert 0.0 <= self.now_s - self.permit_at_s <= 120.0
+            self.started, self.says_cut = True, False
+
+    def _books(self, before: Controller, event, effects) -> None:
+        match event:
+            case NonceRequested(purpose, fresh) if effects:
+                self.out = (purpose, fresh, self.now_s)
+            case HeartbeatReceived(code, epoch, cause, fresh):
+                sound = cause is StopCause.NONE and fresh and epoch == self.state.epoch
+                self.says_cut = sound and code is RuntimeCode.CUT
+            case InputsChanged(inputs):
+                if self.permit and self.cycle[-1:] != "rp"[inputs.device_pressed]:
+                    self.cycle += "rp"[inputs.device_pressed]
+                    # held since before the permit: no release was seen yet
+                    self.cycle = self.cycle.removeprefix("p") if self.cycle.startswith("p") else self.cycle
+        if faults(effects) or self.state.session is None or not before.session:
+            self.out, self.permit, self.started, self.says_cut = None, None, False, False
+        if isinstance(event, PermitReceived) and self.state.state is C.PERMITTED and not faults(effects):
+            self.cycle = self.cycle or ("" if self.state.inputs.device_pressed else "r")
+
+    def _a_stop_voids(self, before: Controller, event, effects) -> None:
+        after, sent = self.state, faults(effects)
+        if sent:
+            assert is_void(after)
+            assert after.epoch == (before.epoch + 1) % 256
+            assert after.cause is (before.cause if before.cause is not StopCause.NONE else sent[0].cause)
+            assert after.cause is not StopCause.NONE
+            assert (after.state is C.FAULT) == (before.state is C.FAULT or sent[0].cause in LATCHING)
+        elif after.cause is not before.cause:
+            assert isinstance(event, AcknowledgeReceived), "the first cause is kept"
+            assert (event.cause, after.cause) == (before.cause, StopCause.NONE)
+        if self._must_stop(before, event):
+            assert sent
+        if isinstance(event, BoneMoved) or getattr(event, "cause", None) in WITHDRAWING and sent:
+            assert before.last_registration is None or before.last_registration in after.withdrawn
+
+    @staticmethod
+    def _must_stop(before: Controller, event) -> bool:
+        match event:
+            case Fault() | BoneMoved() | LimitsChanged() | StopReceived(StopCode.STOP, _):
+                return True
+            case StopReceived():
+                return before.state is C.CUTTING
+            case HeartbeatLost():
+                return before.session is not None and before.session.live
+            case InputsChanged(inputs):
+                pressed = before.inputs.emergency_stop_clear and not inputs.emergency_stop_clear
+                return pressed or (before.state is C.CUTTING and not inputs.device_pressed)
+        return False
+
+    def _a_latch_is_left_by_a_reset_only(self, before: Controller, event, effects) -> None:
+        if before.state is C.FAULT and self.state.state is not C.FAULT:
+            assert isinstance(event, ResetReceived)
+            assert self.state.state is C.OPEN
+            assert before.cause is StopCause.NONE
+        assert not (before.state is C.FAULT and self.state.cutting_mode)
+
+    def _cutting_and_moving(self) -> None:
+        state, permit = self.state, self.permit
+        assert state.cutting_mode == (state.permit is not None)
+        if not state.cutting_mode:
+            return
+        held, session = state.holdings, state.session
+        assert permit == state.permit
+        assert permit is not None
+        assert session is not None
+        assert held.path is not None
+        assert session.live
+        assert [permit.limits_digest, permit.calibration_digest, permit.tool_digest, permit.path_digest] == [
+            records.digest(part) for part in (held.limits, held.calibration, held.tool, held.path)
+        ]
+        assert (permit.session_digest, permit.epoch) == (session.digest, state.epoch)
+        assert permit.registration_digest == session.registration
+        assert permit.registration_digest not in state.withdrawn
+        assert state.inputs.emergency_stop_clear
+        assert state.cause is StopCause.NONE
+        if state.may_move:
+            assert self.started
+            assert self.says_cut
+            assert state.inputs.device_pressed
+
+    # ------------------------------------------------------------ what can happen
+
+    def _nonce(self, purpose: Purpose) -> None:
+        self.nonces += 1
+        self.feed(NonceRequested(purpose, self.nonces.to_bytes(16, "big")))
+
+    def _beat(self, code: RuntimeCode) -> None:
+        self.feed(HeartbeatReceived(code, self.state.epoch, StopCause.NONE, fresh=True))
+
+    @initialize(steps=st.integers(0, 7))
+    def some_way(self, steps) -> None:
+        for _ in range(steps):
+            self.onward()
+
+    @rule()
+    def onward(self) -> None:
+        """What a sound runtime and a patient person do next."""
+        self.now_s += 0.01
+        match self.state.state:
+            case _ if self.state.session is None:
+                self.open(self._right_open())
+            case _ if not self.state.session.live:
+                self.feed(HeartbeatLost())
+            case C.FAULT:
+                self._beat(RuntimeCode.INHIBIT)
+                self.feed(AcknowledgeReceived(self.state.cause, 2))
+                self._nonce(Purpose.RESET)
+                self.reset({}, KEY)
+            case C.OPEN:
+                self._beat(RuntimeCode.INHIBIT)
+                self.feed(AcknowledgeReceived(self.state.cause, 2))
+                self.path(Refusal.ACCEPTED)
+            case C.LOADED:
+                self._beat(RuntimeCode.INHIBIT)
+                self.feed(InputsChanged(Inputs()))
+                self.feed(JointsMeasured(START_JOINTS))
+                self._nonce(Purpose.PERMIT)
+                self.permitted({}, KEY)
+            case C.PERMITTED:
+                self._beat(RuntimeCode.READY)
+                self.feed(InputsChanged(Inputs(device_pressed=False)))
+                self.feed(InputsChanged(Inputs(device_pressed=True)))
+                self._nonce(Purpose.START)
+                self.start({}, KEY)
+            case C.CUTTING:
+                self._beat(RuntimeCode.CUT)
+            case C.DONE:
+                self.feed(StopReceived(StopCode.END, StopCause.SESSION_ENDED))
+
+    def _right_open(self) -> records.Open:
+        """An OPEN for a registration that was not withdrawn."""
+        fits = OPEN.registration_digest not in self.state.withdrawn
+        return OPEN if fits else replace(OPEN, registration_digest=OTHER_REGISTRATION)
+
+    @rule(by_s=st.sampled_from(JUMPS_S))
+    def the_clock_jumps(self, by_s) -> None:
+        self.now_s += by_s
+        self.feed(Tick())
+
+    @rule(
+        request=mostly(
+            OPEN,
+            replace(OPEN, boot_nonce=OTHER),
+            replace(OPEN, runtime_nonce=OTHER),
+            replace(OPEN, protocol_version=0),
+            replace(OPEN, timing=replace(OPEN.timing, permit_lifetime_s=9)),
+            replace(OPEN, registration_digest=OTHER_REGISTRATION),
+        )
+    )
+    def open(self, request) -> None:
+        self.feed(OpenReceived(request, 1))
+
+    @rule()
+    def collect(self) -> None:
+        self.feed(CollectReceived())
+
+    @rule(refusal=mostly(Refusal.ACCEPTED, Refusal.POSE_OUTSIDE_LIMITS))
+    def path(self, refusal) -> None:
+        accepted = refusal is Refusal.ACCEPTED
+        self.feed(PathChecked(PATH.body(), refusal, 0, ENDS if accepted else None))
+
+    @rule(purpose=st.sampled_from(Purpose))
+    def nonce(self, purpose) -> None:
+        self._nonce(purpose)
+
+    def _named(self, record: Any, wrong: dict[str, Any], key: bytes) -> Any:
+        """The record as it would fit now, with some of it wrong, signed."""
+        session = self.state.session.digest if self.state.session else bytes(32)
+        nonce = self.out[1] if self.out else OTHER
+        fitting = replace(record, nonce=nonce, epoch=self.state.epoch, session_digest=session)
+        return permits.sign(key, replace(fitting, **wrong))
+
+    @rule(
+        wrong=mostly(
+            {},
+            {"nonce": OTHER},
+            {"epoch": 77},
+            {"session_digest": bytes(32)},
+            {"boot_nonce": OTHER},
+            {"serial": "SIM-2"},
+            {"limits_digest": bytes(32)},
+            {"calibration_digest": bytes(32)},
+            {"tool_digest": bytes(32)},
+            {"path_digest": bytes(32)},
+            {"registration_digest": bytes(32)},
+            {"start_joints_u": ELSEWHERE},
+            {"branch": records.Branch("left", 0, 1)},
+            {"lifetime_s": 600},
+        ),
+        key=mostly(KEY, OTHER_KEY),
+    )
+    def permitted(self, wrong, key) -> None:
+        registration = self.state.session.registration if self.state.session else bytes(32)
+        fitting = replace(PERMIT, registration_digest=registration)
+        self.feed(PermitReceived(self._named(fitting, wrong, key), 2))
+
+    @rule(
+        wrong=mostly({}, {"nonce": OTHER}, {"epoch": 77}, {"permit_digest": bytes(32)}, {"session_digest": OTHER * 2}),
+        key=mostly(KEY, OTHER_KEY),
+    )
+    def start(self, wrong, key) -> None:
+        permit = self.permit.digest if self.permit else bytes(32)
+        self.feed(StartReceived(self._named(replace(START, permit_digest=permit), wrong, key), 3))
+
+    @rule(wrong=mostly({}, {"nonce": OTHER}, {"epoch": 77}), key=mostly(KEY, OTHER_KEY))
+    def reset(self, wrong, key) -> None:
+        self.feed(ResetReceived(self._named(RESET, wrong, key), 4))
+
+    @rule(cause=st.one_of(st.none(), causes))
+    def acknowledge(self, cause) -> None:
+        self.feed(AcknowledgeReceived(self.state.cause if cause is None else cause, 5))
+
+    @rule(
+        code=st.sampled_from(RuntimeCode),
+        off=mostly(0, 1, -1),
+        cause=mostly(StopCause.NONE, *StopCause),
+        fresh=mostly(True, False),
+    )
+    def beat(self, code, off, cause, fresh) -> None:
+        self.feed(HeartbeatReceived(code, self.state.epoch + off, cause, fresh))
+
+    @rule(pressed=st.booleans())
+    def device(self, pressed) -> None:
+        inputs = replace(self.state.inputs, device_pressed=pressed)
+        self.feed(InputsChanged(inputs))
+
+    @rule(clear=mostly(True, False))
+    def emergency_stop(self, clear) -> None:
+        self.feed(InputsChanged(replace(self.state.inputs, emergency_stop_clear=clear)))
+
+    @rule(joints_u=mostly(START_JOINTS, ELSEWHERE))
+    def measured(self, joints_u) -> None:
+        self.feed(JointsMeasured(joints_u))
+
+    @rule()
+    def finished(self) -> None:
+        self.feed(PathFinished())
+
+    @precondition(lambda self: self.state.session is not None)
+    @rule(
+        event=st.one_of(
+            st.builds(StopReceived, st.sampled_from(StopCode), causes),
+            st.builds(Fault, causes),
+            st.just(HeartbeatLost()),
+            st.just(BoneMoved()),
+            st.sampled_from([LimitsChanged(LIMITS.body()), LimitsChanged(OTHER_LIMITS.body())]),
+        )
+    )
+    def something_stops(self, event) -> None:
+        self.feed(event)
+
+
+AnyLife.TestCase.settings = settings(
+    max_examples=250, stateful_step_count=25, deadline=None, derandomize=True
+)
+TestAnyLife = AnyLife.TestCase

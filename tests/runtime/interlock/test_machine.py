@@ -1,0 +1,339 @@
+"""Any sequence of events, right and wrong in every argument, on a clock that jumps: what must hold after each.
+
+The machine keeps its own books (what was committed, what is durable, what the controller last said) and never asks
+the interlock's permissives; a failing sequence is shrunk to the shortest one.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from protocol import records
+from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from runtime.interlock.state import (
+    ENDED,
+    Announced,
+    BlockStored,
+    Commit,
+    Event,
+    Failed,
+    FaultReceived,
+    HeartbeatLost,
+    HeartbeatReceived,
+    JointsMeasured,
+    LogChanged,
+    LogHealth,
+    NonceReceived,
+    ParameterReceived,
+    PathStored,
+    Phase,
+    RecordDurable,
+    ReplyReceived,
+    Said,
+    SendStop,
+    SessionOpened,
+    Stored,
+    Tick,
+    VerdictReady,
+    Word,
+)
+from runtime.interlock.table import step
+from tests.runtime.interlock.builders import (
+    ANNOUNCE,
+    BOOT_NONCE,
+    CALIBRATION,
+    FRESH,
+    LIMITS,
+    NONCE,
+    PATH,
+    PATH_BLOCKS,
+    RUNTIME_NONCE,
+    START_JOINTS,
+    STRAIGHT_ON,
+    TIMING,
+    TOOL,
+    VERDICT,
+    code,
+    enabled,
+    events,
+    sound_beat,
+    view,
+)
+
+OTHER = b"o" * 16
+JUMPS_S = (0.0, 0.001, 0.02, 0.09, 0.3, 1.1, 2.1, 30.0, 400.0, -0.001, -0.5, -100.0)
+ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 600_000, *START_JOINTS[3:])
+"""0.6 mm off the start joints: beyond the tolerance."""
+AUTHORISED_BY = {
+    Purpose.PERMIT: Phase.AUTHORISING_PERMIT,
+    Purpose.START: Phase.AUTHORISING_START,
+    Purpose.RESET: Phase.AUTHORISING_RESET,
+}
+HELD = {Phase.HELD, Phase.NONCE_RESET, Phase.AUTHORISING_RESET, Phase.RESETTING}
+goals = st.sampled_from(
+    [*AUTHORISED_BY.values(), *sorted({*STRAIGHT_ON} - {Phase.ADMITTED, Phase.STOPPING} - HELD)]
+)
+causes = st.sampled_from(StopCause)
+refusals = st.sampled_from([Refusal.ACCEPTED, *Refusal])
+
+
+def mostly(right: Any, *wrong: Any) -> st.SearchStrategy[Any]:
+    """The right value, or one of the wrong ones."""
+    return st.one_of(st.just(right), st.sampled_from(wrong))
+
+
+class AnySession(RuleBasedStateMachine):
+    """One session of the runtime, followed from outside."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 1000.0
+        self.begin()
+
+    def begin(self) -> None:
+        """The interlock as it is made, nothing in the books."""
+        self.state = FRESH
+        self.committed: dict[int, records.Record] = {}
+        self.pending: int | None = None
+        self.committed_at_s = 0.0
+        self.started = False
+        self.alive = False
+        """The last heartbeat was fresh, in the session's epoch, without cause, the emergency stop clear."""
+        self.pressed = False
+        self.withdrawn = False
+        self.joints_u: tuple[int, ...] | None = None
+
+    # ------------------------------------------------------------ one step, and what must hold after it
+
+    def feed(self, event: Event) -> None:
+        before = self.state
+        self._see(event)
+        after, effects = step(before, event, self.now_s)
+        self.state = after
+        self._nothing_enables_but_the_pending_durable_record(event, effects)
+        self._books(effects)
+        self._a_stop_stops(before, event, effects)
+        self._the_order_to_cut_needs_its_start(effects)
+        assert after.job is before.job
+        assert after.token >= before.token
+
+    def _see(self, event: Event) -> None:
+        match event:
+            case HeartbeatReceived(seen, fresh):
+                sound = seen.cause is StopCause.NONE and seen.emergency_stop_clear
+                self.alive = fresh and sound and seen.epoch == self.state.epoch
+                self.pressed = seen.device_pressed
+            case JointsMeasured(joints_u):
+                self.joints_u = joints_u
+            case Said(Word.WITHDRAW):
+                self.withdrawn = True
+
+    def _nothing_enables_but_the_pending_durable_record(self, event, effects) -> None:
+        for record in enabled(effects):
+            assert isinstance(event, RecordDurable)
+            assert event.token == self.pending
+            assert 0.0 <= self.now_s - self.committed_at_s <= TIMING.commit_deadline_s
+            assert record == self.committed[event.token]
+            assert record.nonce == self.state.nonce
+            assert self.alive
+            assert self.state.log.writable
+            if not isinstance(record, records.Reset):
+                assert not self.withdrawn
+                assert self.joints_u == VERDICT.start_joints_u
+            if isinstance(record, records.Start):
+                assert self.pressed
+                self.started = True
+
+    def _books(self, effects) -> None:
+        if self.state.phase not in AUTHORISED_BY.values():
+            self.pending = None
+        for effect in effects:
+            if isinstance(effect, Commit):
+                assert effect.token not in self.committed, "a token serves once"
+                assert self.state.phase is AUTHORISED_BY[effect.purpose]
+                self.committed[effect.token] = effect.record
+                self.pending, self.committed_at_s = effect.token, self.now_s
+
+    def _a_stop_stops(self, before, event, effects) -> None:
+        after, sent = self.state, [effect for effect in effects if isinstance(effect, SendStop)]
+        over = {Phase.STOPPING, *ENDED}
+        if before.phase in ENDED:
+            assert (after, effects) == (before, ())
+            return
+        if before.phase is Phase.STOPPING:
+            assert after.phase in (Phase.STOPPING, Phase.STOPPED)
+            assert (after.cause, after.reason) == (before.cause, before.reason), "the first cause is kept"
+        elif after.phase in over:
+            assert sent, "nothing ends without a word to the controller"
+            assert after.phase is Phase.DONE or after.permit is None
+            assert (after.cause is StopCause.NONE) == (after.phase is Phase.DONE)
+        if any(stop.code is StopCode.STOP for stop in sent):
+            assert after.phase in (Phase.STOPPING, Phase.STOPPED)
+            assert (after.permit, after.nonce) == (None, None)
+            assert step(after, RecordDurable(after.token), self.now_s)[0] == after, "its record is dead"
+        if self._must_stop(before, event):
+            assert after.phase in over
+        if sent:
+            self.started = False
+
+    @staticmethod
+    def _must_stop(before, event) -> bool:
+        match event:
+            case Said(Word.STOP) | Said(Word.WITHDRAW) | HeartbeatLost() | FaultReceived() | Failed():
+                return True
+            case LogChanged(log):
+                return before.log.writable and not log.writable
+        return False
+
+    def _the_order_to_cut_needs_its_start(self, effects) -> None:
+        if code(self.state) is RuntimeCode.CUT:
+            assert self.started
+            assert self.state.permit is not None
+            assert self.state.cause is StopCause.NONE
+        if code(self.state) is RuntimeCode.READY:
+            assert self.state.permit in self.committed.values()
+
+    @invariant()
+    def what_was_withdrawn_stays_withdrawn(self) -> None:
+        assert self.state.registration_withdrawn >= (self.withdrawn and self.state.phase not in ENDED)
+
+    # ------------------------------------------------------------ what can happen
+
+    @initialize(goal=goals)
+    def as_far_as(self, goal) -> None:
+        if goal is Phase.AUTHORISING_RESET:
+            self.as_far_as(Phase.OPENING)
+            self.the_controller_is_held(StopCause.SECOND_NODE)
+        while self.state.phase is not goal:
+            self.onward(goal)
+
+    @precondition(lambda self: self.state.phase in ENDED)
+    @rule(goal=goals)
+    def an_ended_session_answers_to_nothing_and_another_begins(self, goal) -> None:
+        for event in events(self.state):
+            self.feed(event)
+        self.begin()
+        self.as_far_as(goal)
+
+    @precondition(lambda self: self.state.phase is Phase.OPENING)
+    @rule(cause=causes)
+    def the_controller_is_held(self, cause) -> None:
+        self.feed(SessionOpened(3, ControllerState.FAULT, cause))
+
+    @rule(goal=st.none())
+    def onward(self, goal) -> None:
+        """What a sound controller and a patient operator do next, up to ``goal``."""
+        for event in STRAIGHT_ON.get(self.state.phase, lambda _state: ())(self.state):
+            if self.state.phase is not goal:
+                self.now_s += 0.01
+                self.feed(event)
+
+    @rule(by_s=st.sampled_from(JUMPS_S))
+    def the_clock_jumps(self, by_s) -> None:
+        self.now_s += by_s
+        self.feed(Tick())
+
+    @rule(
+        boot=mostly(BOOT_NONCE, OTHER, bytes(16)),
+        nonce=mostly(RUNTIME_NONCE, OTHER, bytes(16)),
+        version=mostly(records.PROTOCOL_VERSION, 0),
+        serial=mostly("SIM-1", "SIM-2"),
+    )
+    def announced(self, boot, nonce, version, serial) -> None:
+        announce = replace(ANNOUNCE, boot_nonce=boot, protocol_version=version, serial=serial)
+        self.feed(Announced(announce, nonce))
+
+    @rule(epoch=mostly(3, 0, 255), state=st.sampled_from(ControllerState), cause=causes)
+    def opened(self, epoch, state, cause) -> None:
+        self.feed(SessionOpened(epoch, state, cause))
+
+    @rule(record=mostly(TOOL, LIMITS, CALIBRATION, replace(TOOL, length_u=1)))
+    def parameter(self, record) -> None:
+        self.feed(ParameterReceived(record))
+
+    @rule(index=st.integers(0, PATH_BLOCKS))
+    def block_stored(self, index) -> None:
+        self.feed(BlockStored(index))
+
+    @rule(digest=mostly(PATH.digest, bytes(32)), refusal=refusals)
+    def path_stored(self, digest, refusal) -> None:
+        self.feed(PathStored(Stored(digest, refusal, 0)))
+
+    @rule(
+        late=mostly(0, 1, -1),
+        admissible=st.booleans(),
+        path=mostly(VERDICT.path, bytes(32)),
+        approach=mostly(VERDICT.approach, None),
+    )
+    def verdict(self, late, admissible, path, approach) -> None:
+        changes = {"request": self.state.token + late, "admissible": admissible, "path": path}
+        self.feed(VerdictReady(replace(VERDICT, **changes, approach=approach)))
+
+    @rule(purpose=st.sampled_from(Purpose), nonce=mostly(NONCE, OTHER), off=mostly(0, 1, -1))
+    def nonce(self, purpose, nonce, off) -> None:
+        self.feed(NonceReceived(purpose, nonce, self.state.epoch + off))
+
+    @rule(
+        request=st.sampled_from(
+            [records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge]
+        ),
+        refusal=refusals,
+        pressed=st.booleans(),
+    )
+    def reply(self, request, refusal, pressed) -> None:
+        self.feed(ReplyReceived(request.TYPE, refusal, StopCause.NONE, pressed))
+
+    @rule(
+        state=st.sampled_from(ControllerState),
+        cause=mostly(StopCause.NONE, *StopCause),
+        off=mostly(0, 1, -1),
+        pressed=st.booleans(),
+        clear=mostly(True, False),
+        fresh=mostly(True, False),
+    )
+    def any_beat(self, state, cause, off, pressed, clear, fresh) -> None:
+        changes = {"cause": cause, "epoch": self.state.epoch + off, "device_pressed": pressed}
+        self.feed(HeartbeatReceived(view(state, **changes, emergency_stop_clear=clear), fresh))
+
+    @rule(pressed=st.booleans(), clear=mostly(True, False), fresh=mostly(True, False))
+    def a_beat_that_fits(self, pressed, clear, fresh) -> None:
+        beat = sound_beat(self.state, device_pressed=pressed, emergency_stop_clear=clear)
+        self.feed(replace(beat, fresh=fresh))
+
+    @rule(
+        event=st.one_of(
+            st.builds(FaultReceived, st.sampled_from(FaultCode), causes),
+            st.builds(Failed, causes, st.just("the shell found something")),
+            st.just(HeartbeatLost()),
+            st.just(LogChanged(LogHealth(False, 2000, 1000))),
+            st.sampled_from([Said(Word.STOP), Said(Word.WITHDRAW), Said(Word.QUIT)]),
+        )
+    )
+    def something_stops(self, event) -> None:
+        self.feed(event)
+
+    @rule(joints_u=mostly(START_JOINTS, ELSEWHERE))
+    def measured(self, joints_u) -> None:
+        self.feed(JointsMeasured(joints_u))
+
+    @rule(off=mostly(0, 1, -1), after_s=mostly(0.01, 0.0, 0.5, 1.5, -0.01))
+    def durable(self, off, after_s) -> None:
+        self.now_s += after_s
+        self.feed(RecordDurable(self.state.token + off))
+
+    @rule(reserved=mostly(2000, 0, 1999))
+    def log(self, reserved) -> None:
+        self.feed(LogChanged(LogHealth(True, reserved, 1000)))
+
+    @rule(word=st.sampled_from([Word.START, Word.RESET, Word.ACKNOWLEDGE]))
+    def said(self, word) -> None:
+        self.feed(Said(word))
+
+
+AnySession.TestCase.settings = settings(
+    max_examples=250, stateful_step_count=25, deadline=None, derandomize=True
+)
+TestAnySession = AnySession.TestCase

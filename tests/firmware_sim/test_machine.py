@@ -85,7 +85,7 @@ class AnyLife(RuleBasedStateMachine):
         self.permit: records.Permit | None = None
         self.permit_at_s = 0.0
         self.cycle = ""
-        """How the enabling device moved since the permit: r, then p."""
+        """How the enabling device moved since the permit; held since before it counts as nothing."""
         self.says_cut = False
         self.started = False
 
@@ -130,10 +130,10 @@ class AnyLife(RuleBasedStateMachine):
         if purpose is not Purpose.RESET:
             assert before.measured_u == START_JOINTS
         if purpose is Purpose.PERMIT:
-            self.permit, self.permit_at_s, self.cycle = request, self.out[2], ""
+            self.permit, self.permit_at_s = request, self.out[2]
+            self.cycle = "" if before.inputs.device_pressed else "released"
         if purpose is Purpose.START:
-            assert self.cycle.startswith("r")
-            assert self.cycle.endswith("p")
+            assert self.cycle == "released, then pressed"
             assert 0.0 <= self.now_s - self.permit_at_s <= 120.0
             self.started, self.says_cut = True, False
 
@@ -145,14 +145,12 @@ class AnyLife(RuleBasedStateMachine):
                 sound = cause is StopCause.NONE and fresh and epoch == self.state.epoch
                 self.says_cut = sound and code is RuntimeCode.CUT
             case InputsChanged(inputs):
-                if self.permit and self.cycle[-1:] != "rp"[inputs.device_pressed]:
-                    self.cycle += "rp"[inputs.device_pressed]
-                    # held since before the permit: no release was seen yet
-                    self.cycle = self.cycle.removeprefix("p") if self.cycle.startswith("p") else self.cycle
+                if not inputs.device_pressed:
+                    self.cycle = "released"
+                elif self.cycle:
+                    self.cycle = "released, then pressed"
         if faults(effects) or self.state.session is None or not before.session:
             self.out, self.permit, self.started, self.says_cut = None, None, False, False
-        if isinstance(event, PermitReceived) and self.state.state is C.PERMITTED and not faults(effects):
-            self.cycle = self.cycle or ("" if self.state.inputs.device_pressed else "r")
 
     def _a_stop_voids(self, before: Controller, event, effects) -> None:
         after, sent = self.state, faults(effects)
@@ -167,7 +165,7 @@ class AnyLife(RuleBasedStateMachine):
             assert (event.cause, after.cause) == (before.cause, StopCause.NONE)
         if self._must_stop(before, event):
             assert sent
-        if isinstance(event, BoneMoved) or getattr(event, "cause", None) in WITHDRAWING and sent:
+        if isinstance(event, BoneMoved) or (getattr(event, "cause", None) in WITHDRAWING and sent):
             assert before.last_registration is None or before.last_registration in after.withdrawn
 
     @staticmethod
@@ -332,7 +330,9 @@ class AnyLife(RuleBasedStateMachine):
         self.feed(PermitReceived(self._named(fitting, wrong, key), 2))
 
     @rule(
-        wrong=mostly({}, {"nonce": OTHER}, {"epoch": 77}, {"permit_digest": bytes(32)}, {"session_digest": OTHER * 2}),
+        wrong=mostly(
+            {}, {"nonce": OTHER}, {"epoch": 77}, {"permit_digest": bytes(32)}, {"session_digest": OTHER * 2}
+        ),
         key=mostly(KEY, OTHER_KEY),
     )
     def start(self, wrong, key) -> None:

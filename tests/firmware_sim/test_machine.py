@@ -72,6 +72,25 @@ def mostly(right: Any, *wrong: Any) -> st.SearchStrategy[Any]:
     return st.one_of(st.just(right), st.just(right), st.sampled_from(wrong))
 
 
+one_wrong = mostly(
+    {},
+    {"nonce": OTHER},
+    {"epoch": 77},
+    {"session_digest": bytes(32)},
+    {"boot_nonce": OTHER},
+    {"serial": "SIM-2"},
+    {"limits_digest": bytes(32)},
+    {"calibration_digest": bytes(32)},
+    {"tool_digest": bytes(32)},
+    {"path_digest": bytes(32)},
+    {"registration_digest": bytes(32)},
+    {"start_joints_u": ELSEWHERE},
+    {"branch": records.Branch("left", 0, 1)},
+    {"lifetime_s": 600},
+)
+"""Nothing, or one field of a permit, wrong."""
+
+
 class AnyLife(RuleBasedStateMachine):
     """One controller from power-up, followed from outside."""
 
@@ -225,22 +244,28 @@ class AnyLife(RuleBasedStateMachine):
     @initialize(steps=st.integers(0, 7))
     def some_way(self, steps) -> None:
         for _ in range(steps):
-            self.onward()
+            self.onward({}, KEY, True, 0.01)
 
-    @rule()
-    def onward(self) -> None:
-        """What a sound runtime and a patient person do next."""
+    @rule(
+        wrong=one_wrong,
+        key=mostly(KEY, OTHER_KEY),
+        cycled=mostly(True, False),
+        after_s=mostly(0.01, 3.0, 121.0),
+    )
+    def onward(self, wrong, key, cycled, after_s) -> None:
+        """What a sound runtime and a patient person do next, with one thing wrong in the request."""
         self.now_s += 0.01
         match self.state.state:
             case _ if self.state.session is None:
-                self.open(self._right_open())
+                self.open(self._right_open() if cycled else OPEN)
             case _ if not self.state.session.live:
                 self.feed(HeartbeatLost())
             case C.FAULT:
                 self._beat(RuntimeCode.INHIBIT)
                 self.feed(AcknowledgeReceived(self.state.cause, 2))
                 self._nonce(Purpose.RESET)
-                self.reset({}, KEY)
+                self.now_s += after_s
+                self.reset(wrong if {*wrong} <= {"nonce", "epoch"} else {}, key)
             case C.OPEN:
                 self._beat(RuntimeCode.INHIBIT)
                 self.feed(AcknowledgeReceived(self.state.cause, 2))
@@ -250,15 +275,18 @@ class AnyLife(RuleBasedStateMachine):
                 self.feed(InputsChanged(Inputs()))
                 self.feed(JointsMeasured(START_JOINTS))
                 self._nonce(Purpose.PERMIT)
-                self.permitted({}, KEY)
+                self.now_s += after_s
+                self.permitted(wrong, key)
             case C.PERMITTED:
                 self._beat(RuntimeCode.READY)
-                self.feed(InputsChanged(Inputs(device_pressed=False)))
+                if cycled:
+                    self.feed(InputsChanged(Inputs(device_pressed=False)))
                 self.feed(InputsChanged(Inputs(device_pressed=True)))
                 self._nonce(Purpose.START)
-                self.start({}, KEY)
+                self.now_s += after_s
+                self.start(wrong if {*wrong} <= {"nonce", "epoch"} else {}, key)
             case C.CUTTING:
-                self._beat(RuntimeCode.CUT)
+                self.beat(RuntimeCode.CUT, 0 if cycled else 1, StopCause.NONE, fresh=True)
             case C.DONE:
                 self.feed(StopReceived(StopCode.END, StopCause.SESSION_ENDED))
 
@@ -306,22 +334,7 @@ class AnyLife(RuleBasedStateMachine):
         return permits.sign(key, replace(fitting, **wrong))
 
     @rule(
-        wrong=mostly(
-            {},
-            {"nonce": OTHER},
-            {"epoch": 77},
-            {"session_digest": bytes(32)},
-            {"boot_nonce": OTHER},
-            {"serial": "SIM-2"},
-            {"limits_digest": bytes(32)},
-            {"calibration_digest": bytes(32)},
-            {"tool_digest": bytes(32)},
-            {"path_digest": bytes(32)},
-            {"registration_digest": bytes(32)},
-            {"start_joints_u": ELSEWHERE},
-            {"branch": records.Branch("left", 0, 1)},
-            {"lifetime_s": 600},
-        ),
+        wrong=one_wrong,
         key=mostly(KEY, OTHER_KEY),
     )
     def permitted(self, wrong, key) -> None:

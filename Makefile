@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean docs
+.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean docs coverage-own mutation
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
@@ -34,6 +34,15 @@ c-sources: $(READY)
 	$(BIN)/cantools generate_c_source --use-round protocol/cutgate.dbc -o $(OUT)
 
 # Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
+# Each deciding module reached to the last branch by its own tests alone.
+coverage-own: $(READY)
+	$(BIN)/python -m mutation.modules
+
+# Tests of the tests, an hour or two; fails on a survivor that mutation/survivors.toml does not list.
+mutation: $(READY)
+	$(BIN)/python -m mutation.run $(if $(SAMPLE),--sample $(SAMPLE)) $(MODULES)
+
+# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well.
 bench: $(READY)
 	$(BIN)/python benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
 	$(BIN)/python benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))

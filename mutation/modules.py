@@ -18,7 +18,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "firmware_sim/rules.py": ("tests/firmware_sim/test_rules.py",),
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),
-    "protocol/permit.py": ("tests/protocol/test_permit.py",),
+    "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
 }
 """Module to the test files that must cover and guard it without help from any other."""

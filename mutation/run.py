@@ -1,4 +1,4 @@
-"""Mutation testing: ``python -m mutation.run [--sample N] [MODULE]...``; 1 if a mutant survives that is not listed.
+"""Mutation testing: ``python -m mutation.run [--sample N] [--match TEXT] [MODULE]...``; 1 if a mutant survives that is not listed.
 
 Each mutant is put in the module's place in a forked process, which runs the module's own tests. A mutant that fails
 them, or takes far longer than the module does, is killed. ``survivors.toml`` lists those that live, each with its reason.
@@ -104,10 +104,12 @@ def main(words: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m mutation.run", description=__doc__)
     parser.add_argument("modules", nargs="*", metavar="MODULE", help=", ".join(OWN_TESTS))
     parser.add_argument("--sample", type=int, default=0, metavar="N", help="only N mutants, always the same")
+    parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose name has this in it")
     asked = parser.parse_args(words)
     os.chdir(ROOT)
     sources = {module: (ROOT / module).read_text(encoding="utf-8") for module in asked.modules or OWN_TESTS}
     found = [(module, mutant) for module, source in sources.items() for mutant in mutants(source)]
+    found = [pair for pair in found if asked.match in pair[1].name]
     if asked.sample:
         found = sample(found, asked.sample)
     known, new = listed(), 0
@@ -118,12 +120,14 @@ def main(words: Sequence[str]) -> int:
             print(f"{module}: its own tests fail without any mutant", flush=True)  # noqa: T201
             return 1
         timeout_s = 10.0 + SLOWER * (time.monotonic() - began_s)
-        alive = [mutant for mutant in mine if survives(module, mutant.source, timeout_s)]
-        for mutant in alive:
-            reason = known.get((module, mutant.name))
-            new += reason is None
-            print(f"{'NEW ' if reason is None else ''}survivor {module} {mutant.name}", flush=True)  # noqa: T201
-        print(f"{module}: {len(mine)} mutants, {len(mine) - len(alive)} killed", flush=True)  # noqa: T201
+        alive = 0
+        for mutant in mine:
+            if survives(module, mutant.source, timeout_s):
+                fresh = (module, mutant.name) not in known
+                alive, new = alive + 1, new + fresh
+                print(f"{'NEW ' if fresh else ''}survivor {module} {mutant.name}", flush=True)  # noqa: T201
+        if mine:
+            print(f"{module}: {len(mine)} mutants, {len(mine) - alive} killed", flush=True)  # noqa: T201
     return int(new > 0)
 
 

@@ -272,7 +272,7 @@ class AnyLife(RuleBasedStateMachine):
                 self.path(Refusal.ACCEPTED)
             case C.LOADED:
                 self._beat(RuntimeCode.INHIBIT)
-                self.feed(InputsChanged(Inputs()))
+                self.feed(InputsChanged(Inputs(device_pressed=not cycled)))
                 self.feed(JointsMeasured(START_JOINTS))
                 self._nonce(Purpose.PERMIT)
                 self.now_s += after_s

@@ -126,7 +126,8 @@ def runtime_edges() -> tuple[Edge, ...]:
             state.joints_u is None,
             state.block == 0,
         )
-        return state.phase, seen, state.device, healthy, *got
+        cycle = state.device if state.permit else None  # what came before the permit does not count
+        return state.phase, seen, cycle, healthy, *got
 
     began, _ = interlock_table.step(builders.FRESH, interlock_state.Tick(), builders.NOW)
 

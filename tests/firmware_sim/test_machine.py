@@ -96,8 +96,12 @@ class AnyLife(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.state, self.now_s = POWERED_UP, NOW
-        self.nonces = 0
+        self.now_s, self.nonces = NOW, 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Power-up, nothing in the books."""
+        self.state = POWERED_UP
         self.out: tuple[Purpose, bytes, float] | None = None
         """The nonce that was given out last, and when."""
         self.spent: set[bytes] = set()
@@ -240,6 +244,12 @@ class AnyLife(RuleBasedStateMachine):
 
     def _beat(self, code: RuntimeCode) -> None:
         self.feed(HeartbeatReceived(code, self.state.epoch, StopCause.NONE, fresh=True))
+
+    @rule(wrong=one_wrong, cycled=st.booleans())
+    def from_power_up_with_one_thing_wrong(self, wrong, cycled) -> None:
+        self.begin()
+        for asked in ({}, {}, wrong, {}):
+            self.onward(asked, KEY, cycled, 0.01)
 
     @initialize(steps=st.integers(0, 7))
     def some_way(self, steps) -> None:

@@ -33,7 +33,6 @@ c-sources: $(READY)
 	mkdir -p $(OUT)
 	$(BIN)/cantools generate_c_source --use-round protocol/cutgate.dbc -o $(OUT)
 
-# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 # Each deciding module reached to the last branch by its own tests alone.
 coverage-own: $(READY)
 	$(BIN)/python -m mutation.modules
@@ -42,7 +41,7 @@ coverage-own: $(READY)
 mutation: $(READY)
 	$(BIN)/python -m mutation.run $(if $(SAMPLE),--sample $(SAMPLE)) $(MODULES)
 
-# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well.
+# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 bench: $(READY)
 	$(BIN)/python benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
 	$(BIN)/python benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))
@@ -50,16 +49,14 @@ bench: $(READY)
 demo: $(READY)
 	$(BIN)/cutgate demo
 
-# What is generated from the code: tables of constants, state machines, pictures.
+# What is generated from the code: constants, state machines, error matrix, pictures.
 docs: $(READY) pictures
 	$(BIN)/python -m config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
+	$(BIN)/python -m docs.make_error_matrix
 
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py
-
-docs: $(READY)
-	$(BIN)/python -m docs.make_error_matrix
 
 check: lint types imports
 

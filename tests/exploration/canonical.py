@@ -26,7 +26,7 @@ from tests.firmware_sim.controllers import KEY, START_JOINTS
 NOW = 1000.0
 EPOCH = 10
 TOKEN = 5
-GENERATIONS = 4
+GENERATIONS = 6
 
 DEAD_NONCE = b"dead".ljust(16, b".")
 NONCES: dict[bytes, int] = {
@@ -72,6 +72,7 @@ def cause_class(cause: StopCause) -> StopCause:
 def canonical_controller(state: c.Controller) -> c.Controller:
     """Without clock values and without what only a live session or a permit gives meaning."""
     live = state.session is not None and state.session.live
+    last = frozenset({state.last_registration} if state.last_registration else ())
     return replace(
         state,
         cause=cause_class(state.cause),
@@ -81,6 +82,7 @@ def canonical_controller(state: c.Controller) -> c.Controller:
         measured_u=None,
         device=state.device if state.permit else c.DeviceCycle.UNSEEN,
         heartbeat_fresh=state.heartbeat_fresh and live,
+        withdrawn=state.withdrawn & last,
     )
 
 
@@ -101,7 +103,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
             stops_sent=frozenset(map(cause_class, state.stops_sent)),
         )
         side = replace(side, commits=())
-    view = state.controller
+    state = _canonical_view(state)
     state = replace(
         state,
         since_s=NOW,
@@ -109,11 +111,32 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         nonce_at_s=NOW if state.permit or state.nonce or state.verdict else 0.0,
         measured_s=NOW if state.joints_u else 0.0,
         joints_u=START_JOINTS if state.joints_u else None,
-        controller=replace(view, cause=cause_class(view.cause)) if view else None,
         nonce=state.nonce if state.phase in AUTHORISING else None,
         reason="",
     )
     return _canonical_tokens(state, side.commits)
+
+
+def _canonical_view(state: r.Interlock) -> r.Interlock:
+    """What the last heartbeat said, as far as this phase or a later one looks at it.
+
+    The device and the permitted state count from the permit on, and once the arm moves only what comes next counts.
+    """
+    view = state.controller
+    if state.phase is r.Phase.CUTTING or view is None:
+        return replace(state, controller=None, device=r.DeviceCycle.UNSEEN, heartbeat_fresh=False)
+    view = replace(view, cause=cause_class(view.cause))
+    if state.phase in BEFORE_PERMIT:
+        latched = view.state is ControllerState.FAULT
+        seen = view.state if latched else ControllerState.LOADED
+        view = replace(view, state=seen, device_pressed=False, cutting_mode=False)
+    device = state.device if state.phase in DEVICE_COUNTS else r.DeviceCycle.UNSEEN
+    return replace(state, controller=view, device=device)
+
+
+P = r.Phase
+DEVICE_COUNTS = frozenset({P.PERMITTED, P.NONCE_START, P.AUTHORISING_START, P.STARTING})
+BEFORE_PERMIT = frozenset(P) - r.ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.STOPPING}
 
 
 def _canonical_tokens(state: r.Interlock, commits: tuple[r.Commit, ...]) -> RuntimeSide:
@@ -178,7 +201,9 @@ def rename(thing: Any, epochs: Renaming, dead: int = 0) -> Any:
         case None:
             return None
         case c.Controller():
-            return replace(thing, epoch=new.get(thing.epoch, thing.epoch), permit=rename(thing.permit, epochs))
+            return replace(
+                thing, epoch=new.get(thing.epoch, thing.epoch), permit=rename(thing.permit, epochs)
+            )
         case RuntimeSide(interlock=state, commits=commits):
             view = state.controller
             renamed = replace(

@@ -49,19 +49,25 @@ def must_stand_after(event: c.Event) -> bool:
 def controller_step(
     before: c.Controller, event: c.Event, after: c.Controller, message: Message | None
 ) -> str | None:
-    """Invariants 3, 4 and 6 at the controller, then those of the state reached."""
+    """Those of the state reached, then invariants 3, 4 and 6 at the controller."""
+    wrong = controller_state(after)
+    if wrong:
+        return wrong
     if must_stand_after(event) and after.may_move:
         return f"3: motion after {type(event).__name__}"
     if before.state is ControllerState.FAULT and after.state is not ControllerState.FAULT:
         authentic = isinstance(event, c.ResetReceived) and signed(_bare(event.reset)) == event.reset
         if not authentic:
             return f"4: a latch was left by {type(event).__name__}"
-    if isinstance(event, c.ResetReceived) and (after.may_move or after.cutting_mode):
+    if isinstance(event, c.ResetReceived) and (after.may_move, after.cutting_mode) > (
+        before.may_move,
+        before.cutting_mode,
+    ):
         return "4: a reset started something"
     acted = isinstance(event, SIGNS) and after.state is not before.state
     if acted and message is not None and message.old and after.state is not ControllerState.FAULT:
         return f"6: a {type(message.content).__name__} from before a stop was acted upon"
-    return controller_state(after)
+    return None
 
 
 def _bare(record: Any) -> Any:
@@ -92,9 +98,7 @@ def _stop_cause(before: r.Interlock, event: r.Event) -> bool:
     """Whether the runtime must not uphold motion after this event."""
     match event:
         case r.Said(word=word):
-            return word in (r.Word.STOP, r.Word.WITHDRAW) or (
-                word is r.Word.QUIT and before.phase in MOVING
-            )
+            return word in (r.Word.STOP, r.Word.WITHDRAW) or (word is r.Word.QUIT and before.phase in MOVING)
         case r.HeartbeatReceived(view=view):
             released = before.phase in MOVING and not view.device_pressed
             return view.cause is not StopCause.NONE or (released and view.state is not ControllerState.DONE)

@@ -37,7 +37,7 @@ import firmware_sim.table
 import runtime.interlock.table
 from firmware_sim import state as c
 from protocol import records
-from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
 from runtime.interlock import state as r
 from tests.exploration import invariants
 from tests.exploration.canonical import (
@@ -50,12 +50,22 @@ from tests.exploration.canonical import (
     RuntimeSide,
     canonical_controller,
     canonical_runtime,
+    cause_class,
     digest_of,
     epochs_of,
     nonces_of,
     ranks,
     rename,
     signed,
+)
+from tests.exploration.words import (
+    COMMIT_OLD,
+    LATE,
+    NONCE_OLD,
+    PERMIT_OLD,
+    SAMPLE_OLD,
+    describe,
+    lateness,
 )
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
@@ -95,8 +105,6 @@ OFF_START = (0, *fixed.START_JOINTS[1:])
 OTHER_LIMITS = fixed.OTHER_LIMITS.body()
 FLIPPED_PATH = fixed.PATH.body()[:-1] + bytes([fixed.PATH.body()[-1] ^ 1])
 
-SAMPLE_OLD, PERMIT_OLD, COMMIT_OLD, NONCE_OLD, LATE = 0.2, 121.0, 1.5, 3.0, 1e6
-"""How late something is looked at, s: each beyond the bound it is named after."""
 BITS = 20
 MASK = (1 << BITS) - 1
 
@@ -121,7 +129,8 @@ class World:
 
     Attributes:
         queue: how much may be under way in each direction.
-        attacker: somebody without the key speaks on the bus.
+        attacker: somebody without the key says again to the controller what was said before.
+        answers: he says old answers to the runtime as well.
         reboots: the controller loses power.
         crashes: the runtime's process dies.
         changes: limits, path and registration change, the bone moves.
@@ -133,6 +142,7 @@ class World:
 
     queue: int = 1
     attacker: bool = False
+    answers: bool = False
     reboots: bool = False
     crashes: bool = False
     changes: bool = False
@@ -247,12 +257,18 @@ class Model:
             rest = self._cached("less", up, message, 0, self._less)
             yield self._lost(message), self._pack(run, con, rest, down, heard)
             for change in self._cached("to controller", con, message, fresh, self._to_controller):
-                yield change.move, self._pack(run, change.side, rest, self._add(down, change.sent), heard, change)
+                yield (
+                    change.move,
+                    self._pack(run, change.side, rest, self._add(down, change.sent), heard, change),
+                )
         for message in self.sets.values[down]:
             rest = self._cached("less", down, message, 0, self._less)
             yield self._lost(message), self._pack(run, con, up, rest, heard)
             for change in self._cached("to runtime", run, message, 0, self._to_runtime):
-                yield change.move, self._pack(change.side, con, self._add(up, change.sent), rest, heard, change)
+                yield (
+                    change.move,
+                    self._pack(change.side, con, self._add(up, change.sent), rest, heard, change),
+                )
         for change in self._cached("both", run, con, 0, self._both):
             yield change.move, self._pack(change.side, con, self._add(up, change.sent), down, heard, change)
         if self.world.attacker:
@@ -261,14 +277,30 @@ class Model:
     def _attacks(
         self, run: int, con: int, up: int, down: int, heard: int, fresh: int
     ) -> Iterable[tuple[Move, int]]:
-        for message in (*self.sets.values[heard], *self._cached("requests", con, 0, 0, self._forged)):
-            for change in self._cached("to controller", con, message, fresh, self._to_controller):
-                move = change.move._replace(actor="attacker > controller", sound=False)
-                yield move, self._pack(run, change.side, up, self._add(down, change.sent), heard, change)
-        for message in self._cached("answers", run, 0, 0, self._forged_answers):
-            for change in self._cached("to runtime", run, message, 0, self._to_runtime):
-                move = change.move._replace(actor="attacker > runtime", sound=False)
-                yield move, self._pack(change.side, con, self._add(up, change.sent), down, heard, change)
+        for change in self._cached("attacks", con, heard, fresh, self._attacks_on_controller):
+            yield change.move, self._pack(run, change.side, up, self._add(down, change.sent), heard, change)
+        answers = self._cached("answers", run, 0, 0, self._attacks_on_runtime) if self.world.answers else ()
+        for change in answers:
+            yield change.move, self._pack(change.side, con, self._add(up, change.sent), down, heard, change)
+
+    def _attacks_on_controller(self, con: int, heard: int, fresh: int) -> list[Change]:
+        said = (*self.sets.values[heard], *self._forged(con))
+        changes = [change for message in said for change in self._to_controller(con, message, fresh)]
+        return self._by_attacker("attacker > controller", con, changes)
+
+    def _attacks_on_runtime(self, run: int, *_: int) -> list[Change]:
+        changes = [
+            change for message in self._forged_answers(run) for change in self._to_runtime(run, message, 0)
+        ]
+        return self._by_attacker("attacker > runtime", run, changes)
+
+    def _by_attacker(self, actor: str, side: int, changes: list[Change]) -> list[Change]:
+        """One of each different outcome."""
+        different = {(one.side, one.sent, one.stopped, one.move.wrong): one for one in reversed(changes)}
+        return [
+            one._replace(move=one.move._replace(actor=actor, sound=False))
+            for one in self._distinct(side, different.values())
+        ]
 
     def _cached(self, what: str, one: int, two: int, three: int, make: Callable[..., Any]) -> Any:
         key = (what, one, two, three)
@@ -388,7 +420,11 @@ class Model:
         signed_ones = {
             one for one in sent if isinstance(self.messages.values[one].content, records.SignedRecord)
         }
-        return self.sets.number(tuple(sorted(signed_ones | set(self.sets.values[heard])))) if signed_ones else heard
+        return (
+            self.sets.number(tuple(sorted(signed_ones | set(self.sets.values[heard]))))
+            if signed_ones
+            else heard
+        )
 
     def _forget(self, heard: int, run: int, con: int) -> int:
         """Of sessions that neither side is in, ``_forged`` says one of each kind."""
@@ -490,9 +526,11 @@ class Model:
                     record = signed(record)
                 return [self._message(after, record)]
             case r.SendBlock():
-                return [self._message(after, c.PathChecked(fixed.PATH.body(), Refusal.ACCEPTED, 0, fixed.ENDS))]
+                return [
+                    self._message(after, c.PathChecked(fixed.PATH.body(), Refusal.ACCEPTED, 0, fixed.ENDS))
+                ]
             case r.SendStop(code=code, cause=cause) if link_open(before):
-                return [self._message(RuntimeSide(before), c.StopReceived(code, invariant_cause(cause)))]
+                return [self._message(RuntimeSide(before), c.StopReceived(code, cause_class(cause)))]
         return []
 
     def _message(self, side: RuntimeSide | c.Controller, content: Any) -> int:
@@ -507,7 +545,9 @@ class Model:
     def _controller_events(self, state: c.Controller) -> Iterable[Change]:
         world, inputs = self.world, state.inputs
         feed = partial(self._feed_controller, state)
-        yield feed("person", c.InputsChanged(replace(inputs, device_pressed=not inputs.device_pressed)), sound=True)
+        yield feed(
+            "person", c.InputsChanged(replace(inputs, device_pressed=not inputs.device_pressed)), sound=True
+        )
         if world.emergency_stop:
             clear = not inputs.emergency_stop_clear
             yield feed("person", c.InputsChanged(replace(inputs, emergency_stop_clear=clear)), sound=clear)
@@ -593,7 +633,7 @@ class Model:
             case c.Send(record=record, session=tag):
                 return [self.messages.number(Message(tag, record))]
             case c.SendFault(code=code, cause=cause) if before.session is not None:
-                return [self._message(before, r.FaultReceived(code, invariant_cause(cause)))]
+                return [self._message(before, r.FaultReceived(code, cause_class(cause)))]
         return []
 
     # ------------------------------------------------------------ arrivals
@@ -603,7 +643,6 @@ class Model:
         if message.tag != 0 and message.tag != tag_of(state):
             return []
         feed = partial(self._feed_controller, state, "runtime > controller", message=message)
-        standing = c.JointsMeasured(fixed.START_JOINTS)
         match message.content:
             case c.HeartbeatReceived() as beat:
                 found = [feed(beat, sound=True), feed(replace(beat, fresh=False))]
@@ -615,18 +654,8 @@ class Model:
                 found = []
             case records.NonceRequest(purpose=purpose):
                 found = [feed(c.NonceRequested(purpose, fresh_nonce(purpose, taken)), sound=True)]
-            case records.Permit() as permit:
-                event = c.PermitReceived(permit, 1)
-                found = [feed(event, sound=True, first=standing)]
-                found += [feed(event, first=standing, late_s=PERMIT_OLD)]
-                found += [feed(event, first=c.JointsMeasured(OFF_START))]
-            case records.Start() as start:
-                event = c.StartReceived(start, 1)
-                found = [feed(event, sound=True, first=standing)]
-                found += [feed(event, first=standing, late_s=NONCE_OLD)]
-                found += [feed(event, first=c.JointsMeasured(OFF_START))]
-            case records.Reset() as reset:
-                found = [feed(c.ResetReceived(reset, 1), sound=True), feed(c.ResetReceived(reset, 1), late_s=LATE)]
+            case records.SignedRecord() as record:
+                found = self._signed(feed, record)
             case records.Acknowledge(cause=cause):
                 found = [feed(c.AcknowledgeReceived(cause, 1), sound=True)]
             case records.Collect():
@@ -634,6 +663,21 @@ class Model:
             case event:
                 found = [feed(event, sound=True)]
         return found
+
+    def _signed(self, feed: Callable[..., Change], record: Any) -> list[Change]:
+        """Permit, start and reset: looked at in time or too late, the arm at its start or away from it."""
+        if isinstance(record, records.Reset):
+            reset = c.ResetReceived(record, 1)
+            return [feed(reset, sound=True), feed(reset, late_s=NONCE_OLD)]
+        standing, away = c.JointsMeasured(fixed.START_JOINTS), c.JointsMeasured(OFF_START)
+        permit = isinstance(record, records.Permit)
+        event = c.PermitReceived(record, 1) if permit else c.StartReceived(record, 1)
+        too_late_s = PERMIT_OLD if permit else NONCE_OLD
+        return [
+            feed(event, sound=True, first=standing),
+            feed(event, first=standing, late_s=too_late_s),
+            feed(event, first=away),
+        ]
 
     def _to_runtime(self, run: int, number: int, _: int) -> list[Change]:
         side, message = self.runtimes.values[run], self.messages.values[number]
@@ -654,8 +698,15 @@ class Model:
             case Stored(stored=stored):
                 mid, _ = self.runtime_step(state, r.BlockStored(0), NOW)
                 event = r.PathStored(r.Stored(stored.digest, stored.refusal, stored.pose))
-                return [self._feed_runtime(replace(side, interlock=mid), "controller > runtime", event,
-                                           sound=True, first=standing)]
+                return [
+                    self._feed_runtime(
+                        replace(side, interlock=mid),
+                        "controller > runtime",
+                        event,
+                        sound=True,
+                        first=standing,
+                    )
+                ]
             case records.Opened():
                 return [feed(r.SessionOpened(content.epoch, content.state, content.cause))]
             case records.Nonce():
@@ -675,29 +726,23 @@ class Model:
         event = r.ParameterReceived(records.Limits.parse(limits))
         if state.phase is not side.interlock.phase:  # it stopped at the first one
             return self._feed_runtime(side, "controller > runtime", event, sound=True)
-        return self._feed_runtime(
-            replace(side, interlock=state), "controller > runtime", event, sound=True
-        )
+        return self._feed_runtime(replace(side, interlock=state), "controller > runtime", event, sound=True)
 
     def _both(self, run: int, con: int, _: int) -> list[Change]:
         """An announcement, and a person who starts another session: what needs a look at both sides."""
         side, state = self.runtimes.values[run], self.controllers.values[con]
-        found = []
         if side is None:
             last = state.last_registration or REGISTRATIONS[0]
-            again = [last] if last not in state.withdrawn else []
-            found = [("starts a session", registration) for registration in again]
-            if self.world.changes:
-                found = [("starts a session", last)]
-                found += [
-                    ("starts a session with another registration", registration)
-                    for registration in REGISTRATIONS
-                    if registration not in state.withdrawn and registration != last
-                ]
+            other = next(one for one in REGISTRATIONS if one != last)
+            found = [("starts a session", last)] if last not in state.withdrawn or self.world.changes else []
+            if self.world.changes or not found:
+                found.append(("starts a session with a new registration", other))
             return [
                 Change(
                     Move("person", text, True),
-                    self.runtimes.number(RuntimeSide(replace(FRESH, job=replace(JOB, registration=registration)))),
+                    self.runtimes.number(
+                        RuntimeSide(replace(FRESH, job=replace(JOB, registration=registration)))
+                    ),
                 )
                 for text, registration in found
             ]
@@ -735,8 +780,7 @@ class Model:
         ]
         for of_boot in (boot, OLD_BOOT):
             said += [Message(tag, record, old=True) for record in earlier_records(of_boot)]
-        forged = earlier_records(boot)[0].with_mac(bytes(15) + b"x")
-        said.append(Message(tag, forged, old=True))
+        said += [Message(tag, forged) for forged in _forged_records(state)]
         return [self.messages.number(message) for message in said] if tag else [self.messages.number(said[0])]
 
     def _forged_answers(self, run: int, *_: int) -> list[int]:
@@ -788,19 +832,10 @@ def link_open(state: r.Interlock) -> bool:
     return state.phase not in (r.Phase.WAITING, r.Phase.OPENING, *r.ENDED)
 
 
-def invariant_cause(cause: StopCause) -> StopCause:
-    """The cause's class: the frame carries no more than what the other side decides by."""
-    from tests.exploration.canonical import cause_class
-
-    return cause_class(cause)
-
-
 def fresh_nonce(purpose: Purpose, taken: int) -> bytes:
     """The first name of this purpose that nothing refers to."""
     return next(
-        nonce
-        for nonce, bit in NONCES.items()
-        if nonce.startswith(purpose.name.encode()) and not bit & taken
+        nonce for nonce, bit in NONCES.items() if nonce.startswith(purpose.name.encode()) and not bit & taken
     )
 
 
@@ -812,9 +847,7 @@ def announce(boot: bytes) -> records.Announce:
 def earlier_records(boot: bytes) -> list[Any]:
     """Permit, start and reset of an earlier session of ``boot``, for the same job; the epoch is the present one."""
     session = records.session_digest(boot, EARLIER_NONCE)
-    permit = replace(
-        fixed.PERMIT, nonce=DEAD_NONCE, boot_nonce=boot, session_digest=session, epoch=EPOCH
-    )
+    permit = replace(fixed.PERMIT, nonce=DEAD_NONCE, boot_nonce=boot, session_digest=session, epoch=EPOCH)
     start = replace(
         fixed.START, nonce=DEAD_NONCE, session_digest=session, permit_digest=digest_of(permit), epoch=EPOCH
     )
@@ -822,57 +855,19 @@ def earlier_records(boot: bytes) -> list[Any]:
     return [signed(permit), signed(start), signed(reset)]
 
 
+def _forged_records(state: c.Controller) -> list[Any]:
+    """Permit, start and reset for the present session, epoch and nonce, which all can be read on the bus; wrong code."""
+    if state.session is None or state.issued is None:
+        return []
+    names = {"nonce": state.issued.nonce, "epoch": state.epoch, "session_digest": state.session.digest}
+    permit = replace(fixed.PERMIT, boot_nonce=state.identity.boot_nonce, **names)
+    held = state.permit.digest if state.permit else permit.digest
+    digest_of(permit)
+    found = (permit, replace(fixed.START, permit_digest=held, **names), replace(fixed.RESET, **names))
+    return [record.with_mac(bytes(15) + b"x") for record in found]
+
+
 def _reply(reply: records.Reply) -> records.Reply:
     """Without what the runtime does not look at."""
     refusal = reply.refusal if reply.refusal is Refusal.ACCEPTED else Refusal.NOT_IN_STATE
     return replace(reply, request_sequence=1, refusal=refusal, cause=StopCause.NONE)
-
-
-def lateness(late_s: float, first: Any) -> str:
-    """What was chosen about age and place."""
-    late = {
-        0.0: "",
-        1.0: ", late",
-        SAMPLE_OLD: ", joints too old",
-        PERMIT_OLD: ", too late",
-        COMMIT_OLD: ", too late",
-        NONCE_OLD: ", too late",
-        LATE: ", deadline passed",
-    }[late_s]
-    off = getattr(first, "joints_u", fixed.START_JOINTS) != fixed.START_JOINTS
-    return late + (", the arm away from the start" if off else "")
-
-
-def describe(event: Any) -> str:
-    """An event, record or frame in a few words."""
-    name = type(event).__name__
-    match event:
-        case r.Said(word=word):
-            return f"says {word}"
-        case c.HeartbeatReceived(code=code, cause=cause, fresh=fresh):
-            return f"heartbeat {code.name}{_named(cause)}{'' if fresh else ', stale'}"
-        case r.HeartbeatReceived(view=view, fresh=fresh):
-            pressed = "pressed" if view.device_pressed else "released"
-            return f"heartbeat {view.state.name}{_named(view.cause)}, device {pressed}{'' if fresh else ', stale'}"
-        case c.InputsChanged(inputs=inputs):
-            pressed = "pressed" if inputs.device_pressed else "released"
-            return f"device {pressed}{'' if inputs.emergency_stop_clear else ', emergency stop pressed'}"
-        case r.FaultReceived(code=code, cause=cause) | c.StopReceived(code=code, cause=cause):
-            return f"{'fault' if isinstance(code, FaultCode) else 'stop'} {code.name}{_named(cause)}"
-        case c.Fault(cause=cause) | r.Failed(cause=cause):
-            return f"fault{_named(cause)}"
-        case r.ReplyReceived(request_type=kind, refusal=refusal) | records.Reply(request_type=kind, refusal=refusal):
-            return f"reply to {records.RECORDS[kind].__name__}: {refusal.name}"
-        case records.NonceRequest() | c.NonceRequested() | records.Nonce() | r.NonceReceived():
-            return f"{name} {event.purpose.name}"
-        case c.AcknowledgeReceived() | records.Acknowledge():
-            return f"{name}{_named(event.cause)}"
-        case r.VerdictReady(verdict=verdict):
-            return f"verdict {'admissible' if verdict.admissible and verdict.approach else 'inadmissible'}"
-        case r.RecordDurable(token=token):
-            return f"{'record' if token == TOKEN else 'older record'} durable"
-    return name
-
-
-def _named(cause: StopCause) -> str:
-    return "" if cause is StopCause.NONE else f" ({cause.name})"

@@ -3,6 +3,7 @@
 import time
 from array import array
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from tests.exploration.model import Model, Move
 
@@ -32,9 +33,7 @@ class Found:
     @property
     def figures(self) -> str:
         """States, transitions, depth, seconds."""
-        return (
-            f"{len(self.states)} states, {self.transitions} transitions, depth {self.depth}, {self.seconds:.0f} s"
-        )
+        return f"{len(self.states)} states, {self.transitions} transitions, depth {self.depth}, {self.seconds:.0f} s"
 
     def way_to(self, number: int) -> list[int]:
         """The numbers of the states from the beginning to this one: a shortest way."""
@@ -48,14 +47,14 @@ class Found:
         way = [self.states[one] for one in self.way_to(number)]
         return [
             (next(move for move, reached in self.model.moves(source) if reached == target), target)
-            for source, target in zip(way, way[1:], strict=False)
+            for source, target in pairwise(way)
         ]
 
 
-def explore(model: Model, *, most: int | None = None) -> Found:
-    """Every state that can be reached; stops at the first broken invariant, or at ``most`` states."""
+def explore(model: Model, *, begin: int | None = None, most: int | None = None) -> Found:
+    """Every state that can be reached from ``begin``; stops at the first broken invariant, or at ``most`` states."""
     began_s, found = time.perf_counter(), Found(model)
-    start = model.begin()
+    start = model.begin() if begin is None else begin
     numbers, found.before = {start: 0}, array("i", [-1])
     states, before, sources, targets = found.states, found.before, found.sources, found.targets
     states.append(start)
@@ -106,17 +105,30 @@ def cannot_reach(found: Found, goal: set[int]) -> list[int]:
     return [number for number in range(count) if not reaches[number]]
 
 
-def chart(moves: list[tuple[Move, int]], model: Model, last: Move | None = None) -> str:
+def follow(model: Model, texts: list[str]) -> int:
+    """The state after these moves, each named as ``who: what``, from the beginning."""
+    key = model.begin()
+    for text in texts:
+        key = next(reached for move, reached in model.moves(key) if f"{move.actor}: {move.text}" == text)
+    return key
+
+
+def chart(model: Model, begin: int, moves: list[tuple[Move, int]], last: Move | None = None) -> str:
     """A way as a sequence chart in plain text: who, what, and where both sides stand after it."""
-    rows = [("", "", *_stand(model, model.begin()))]
+    rows = [("", "", *_stand(model, begin))]
     rows += [(move.actor, move.text, *_stand(model, reached)) for move, reached in moves]
     if last is not None:
         rows.append((last.actor, last.text, "", ""))
         rows.append(("", f"breaks {last.wrong}", "", ""))
     heads = ("who", "what", "runtime", "controller")
     widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(4)]
-    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in (heads, *rows)]
-    return "\n".join(f"{'' if index < 2 else index - 1!s:>3}  {line}".rstrip() for index, line in enumerate(lines))
+    lines = [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True))
+        for row in (heads, *rows)
+    ]
+    return "\n".join(
+        f"{'' if index < 2 else index - 1!s:>3}  {line}".rstrip() for index, line in enumerate(lines)
+    )
 
 
 def _stand(model: Model, key: int) -> tuple[str, str]:
@@ -130,4 +142,4 @@ def trace(found: Found) -> str:
     """The shortest way to the broken invariant."""
     assert found.wrong is not None
     number, move = found.wrong
-    return chart(found.moves_to(number), found.model, move)
+    return chart(found.model, found.states[0], found.moves_to(number), move)

@@ -133,10 +133,12 @@ class World:
         answers: he says old answers to the runtime as well.
         reboots: the controller loses power.
         crashes: the runtime's process dies.
-        changes: limits, path and registration change, the bone moves.
+        limits: limits change, with a word and without; a bit of the stored path flips.
+        bone: it moves, the registration is withdrawn, and there is another one.
         latches: causes that latch occur.
         emergency_stop: it is pressed and released.
         disk: records late, log failing, the arm away from where it was verified, verdicts against the path.
+        again: another session is started when the first has ended.
         begin: the controller at the beginning.
     """
 
@@ -145,10 +147,12 @@ class World:
     answers: bool = False
     reboots: bool = False
     crashes: bool = False
-    changes: bool = False
+    limits: bool = False
+    bone: bool = False
     latches: bool = False
     emergency_stop: bool = False
     disk: bool = False
+    again: bool = True
     begin: c.Controller = POWERED_UP
 
 
@@ -466,7 +470,7 @@ class Model:
         if world.disk:
             yield feed("operator", r.Said(r.Word.QUIT))
             yield feed("disk", r.LogChanged(replace(state.log, writable=False)))
-        if world.changes:
+        if world.bone:
             yield feed("operator", r.Said(r.Word.WITHDRAW))
         if world.latches:
             yield feed("shell", r.Failed(StopCause.SECOND_NODE, ""))
@@ -558,8 +562,9 @@ class Model:
         yield feed("shell", c.Fault(StopCause.SEQUENCE_ERROR))
         if world.latches:
             yield feed("shell", c.Fault(StopCause.SECOND_NODE))
-        if world.changes:
+        if world.bone:
             yield feed("sensor", c.BoneMoved())
+        if world.limits:
             original = fixed.LIMITS.body()
             changed = OTHER_LIMITS if state.holdings.limits == original else original
             yield feed("person", c.LimitsChanged(changed), sound=changed == original)
@@ -587,7 +592,7 @@ class Model:
             )
             move = Move("controller", "reboots", False)
             yield Change(move, self.controllers.number(again), (), True)
-        if self.world.changes and state.state is not ControllerState.CUTTING:
+        if self.world.limits and state.state is not ControllerState.CUTTING:
             yield from self._silent_changes(state)
 
     def _silent_changes(self, state: c.Controller) -> Iterable[Change]:
@@ -731,11 +736,13 @@ class Model:
     def _both(self, run: int, con: int, _: int) -> list[Change]:
         """An announcement, and a person who starts another session: what needs a look at both sides."""
         side, state = self.runtimes.values[run], self.controllers.values[con]
+        if side is None and state.last_registration and not self.world.again:
+            return []
         if side is None:
             last = state.last_registration or REGISTRATIONS[0]
             other = next(one for one in REGISTRATIONS if one != last)
-            found = [("starts a session", last)] if last not in state.withdrawn or self.world.changes else []
-            if self.world.changes or not found:
+            found = [("starts a session", last)] if last not in state.withdrawn or self.world.bone else []
+            if self.world.bone or not found:
                 found.append(("starts a session with a new registration", other))
             return [
                 Change(

@@ -28,6 +28,7 @@ LATCHED = replace(
 WORLDS: dict[str, World] = {
     "disk and verdicts": World(disk=True),
     "limits": World(limits=True),
+    "latched faults": World(latches=True),
 }
 """Explored to the last state in every run of the tests."""
 
@@ -39,6 +40,9 @@ LONG_WORLDS: dict[str, World] = {
 
 WITHOUT_THE_WAY_BACK = frozenset({"bone, registrations and limits"})
 """Where invariant 5 is not judged."""
+
+NEAREST = 20_000
+"""States visited around the permit and the cut, with an attacker and with two under way."""
 
 DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
 
@@ -93,6 +97,19 @@ def _keeps_the_invariants(name: str, world: World) -> None:
 @pytest.mark.parametrize("name", WORLDS)
 def test_every_state_of_the_world_keeps_the_invariants(name):
     _keeps_the_invariants(name, WORLDS[name])
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "world", [World(attacker=True, answers=True), World(queue=2)], ids=["attacker", "two"]
+)
+@pytest.mark.parametrize("way", ["TO_PERMITTED", "TO_MOVING"])
+def test_the_states_nearest_to_permit_and_cut_keep_the_invariants(world, way):
+    """Not to a fixed point: an attacker, and two under way in each direction, have more states than a test visits."""
+    model = Model(world)
+    found = explore(model, begin=follow(model, globals()[way]), most=NEAREST)
+    print(f"{way}: {found.figures}")  # noqa: T201 - the figures are the result
+    assert found.wrong is None, "\n" + trace(found)
 
 
 @pytest.mark.long

@@ -29,6 +29,7 @@ WORLDS: dict[str, World] = {
     "disk and verdicts": World(disk=True),
     "limits": World(limits=True),
     "latched faults": World(latches=True),
+    "emergency stop": World(emergency_stop=True),
 }
 """Explored to the last state in every run of the tests."""
 

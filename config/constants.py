@@ -51,6 +51,8 @@ TABLE: Final[tuple[Constant, ...]] = (
         "entry and exit pose beyond everything that is cut, along the tool axis there",
     ),
     Constant("approach_speed_percent", "%", 25, 1, 100, True, "of the joint speed limits, on the joint lines of approach and retract"),
+    Constant("tracking_tolerance_mm", "mm", 0.5, 0.05, 5, False, "wrist centre off the verified path while the arm moves"),
+    Constant("tracking_tolerance_deg", "deg", 0.25, 0.02, 2, False, "turning joints off the verified path while the arm moves"),
     Constant("transfer_timeout_s", "s", 20, 1, 120, False, "one whole bulk transfer (limits, calibration, tool, path)"),
     Constant("counter_step", "frames", 3, 1, 15, False, "largest accepted counter step; a larger gap inhibits"),
     Constant("crc_failures", "frames", 2, 0, 10, False, "corrupt frames tolerated in one crc_window_ms; one more inhibits"),

@@ -245,6 +245,13 @@ class Approach(Strictly):
     approach_speed_percent: Integer = _constant("approach_speed_percent")
 
 
+class Tracking(Strictly):
+    """How far the moving arm may be off the verified path."""
+
+    tracking_tolerance_mm: Real = _constant("tracking_tolerance_mm")
+    tracking_tolerance_deg: Real = _constant("tracking_tolerance_deg")
+
+
 class Log(Strictly):
     """Where session logs go and how late their records may be durable."""
 
@@ -277,6 +284,7 @@ class Site(Strictly):
     permit: Permit = Permit()
     start: Start = Start()
     approach: Approach = Approach()
+    tracking: Tracking = Tracking()
     log: Log = Log()
     files: Files = Files()
     controller: ExpectedController = ExpectedController()
@@ -285,6 +293,15 @@ class Site(Strictly):
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""
-        tables = (self.timing, self.link, self.permit, self.start, self.approach, self.log, self.files)
+        tables = (
+            self.timing,
+            self.link,
+            self.permit,
+            self.start,
+            self.approach,
+            self.tracking,
+            self.log,
+            self.files,
+        )
         values = {name: value for table in tables for name, value in table.model_dump().items()}
         return {name: values[name] for name, c in CONSTANTS.items() if c.exchanged or not exchanged_only}

@@ -24,6 +24,12 @@ class FaultName(StrEnum):
     """A joint limit changes without a word."""
     REBOOT = "reboot"
     """Power is lost and comes back: a new boot nonce, nothing loaded, the withdrawn list kept."""
+    DRIFT = "drift"
+    """q0 creeps away from where the controller believes it to be, 1 deg/s; its own checks see nothing."""
+    FREEZE = "freeze"
+    """The reported joints stand still while the arm goes on."""
+    RUSH = "rush"
+    """The plant runs three times as fast as it says, within its joint speed limits."""
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,8 @@ FIRMWARE_VERSION = "sim-0.1"
 CHECK_POSES_PER_TURN = 512
 OFF_START_DEG = 2.0
 HANG_S = 1.0
+DRIFT_DEG_S = 1.0
+RUSH = 3.0
 IDLE_HEARTBEAT_S = 0.02
 
 
@@ -149,6 +151,9 @@ class Process:
         self._arm_state = PlantState(options.joints or middle_of(self._plant.limits))
         self._executed = 0
         self._speed_ratio = 0.0
+        self._drifts_since_s: float | None = None
+        self._frozen: Joints | None = None
+        self._rush = 1.0
 
     # ------------------------------------------------------------ the loop
 
@@ -475,6 +480,14 @@ class Process:
         """Where the arm stands, for PERMIT and START."""
         self._feed(JointsMeasured(records.joints_to_counts(self._arm_state.joints)))
 
+    @property
+    def _reported(self) -> Joints:
+        """The joints as the bus hears them; others than the controller goes by only with a fault."""
+        q0, q1, q2, q3, q4 = self._frozen or self._arm_state.joints
+        if self._drifts_since_s is not None:
+            q0 += math.radians(DRIFT_DEG_S) * (self._clock() - self._drifts_since_s)
+        return q0, q1, q2, q3, q4
+
     def _move(self, gap_s: float) -> None:
         if self.controller.state is not ControllerState.CUTTING:
             return
@@ -486,7 +499,7 @@ class Process:
             dt_s=gap_s if self.controller.may_move else 0.0,
             moving=self.controller.may_move,
             cutter=self.controller.cutting_mode,
-            time_scale=self._options.time_scale,
+            time_scale=self._options.time_scale * self._rush,
         )
         self._arm_state = advance.state
         self._executed += len(advance.executed)
@@ -522,7 +535,7 @@ class Process:
             ),
             now_s,
         )
-        for frame in joint_frames(self._arm_state.joints):
+        for frame in joint_frames(self._reported):
             endpoint.send_frame(frame, now_s)
         if controller.state in (ControllerState.CUTTING, ControllerState.DONE):
             segment, fraction = self._arm_state.progress
@@ -573,6 +586,12 @@ class Process:
                 self.controller = replace(self.controller, holdings=changed)
             case FaultName.REBOOT:
                 self._reboot()
+            case FaultName.DRIFT:
+                self._drifts_since_s = self._clock()
+            case FaultName.FREEZE:
+                self._frozen = self._arm_state.joints
+            case FaultName.RUSH:
+                self._rush = RUSH
             case _:
                 assert_never(name)
 

@@ -84,6 +84,8 @@ class Timing:
     start_tolerance_deg: float
     approach_clearance_mm: float
     approach_speed_percent: int
+    tracking_tolerance_mm: float
+    tracking_tolerance_deg: float
     announce_wait_s: float
     reply_timeout_s: float
     transfer_timeout_s: float
@@ -134,6 +136,8 @@ class Session:
     protocol_version: int
     digest: bytes
     tag: int
+    time_scale: float = 1.0
+    """Seconds of the plant in one of the clock; other than 1 for a simulated one that says so."""
 
 
 @dataclass(frozen=True)

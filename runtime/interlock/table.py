@@ -67,6 +67,7 @@ from runtime.interlock.state import (
     Withheld,
     Word,
 )
+from runtime.interlock.tracking import time_scale
 
 Outcome = tuple[Interlock, tuple[Effect, ...]]
 
@@ -179,6 +180,7 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
         protocol_version=announce.protocol_version,
         digest=records.session_digest(announce.boot_nonce, event.nonce),
         tag=records.session_tag(announce.boot_nonce, event.nonce),
+        time_scale=time_scale(announce.firmware_version),
     )
     if not records.nonce_serves(announce.boot_nonce, event.nonce):
         return state, ()  # the next announcement brings another nonce

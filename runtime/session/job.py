@@ -98,6 +98,8 @@ def _timing(site: Site) -> Timing:
         start_tolerance_deg=site.start.start_tolerance_deg,
         approach_clearance_mm=site.approach.approach_clearance_mm,
         approach_speed_percent=site.approach.approach_speed_percent,
+        tracking_tolerance_mm=site.tracking.tracking_tolerance_mm,
+        tracking_tolerance_deg=site.tracking.tracking_tolerance_deg,
         announce_wait_s=float(timing.announce_wait_s),
         reply_timeout_s=timing.reply_timeout_ms / 1000,
         transfer_timeout_s=float(timing.transfer_timeout_s),

@@ -28,7 +28,7 @@ from protocol.frames import (
 )
 from protocol.link import Accepted, Violation
 from protocol.port import Port
-from protocol.states import RuntimeCode, StopCause, StopCode
+from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from runtime.audit import names
 from runtime.audit.commit import Durable, Reserved
 from runtime.audit.commit import Failed as LogFailed
@@ -72,7 +72,8 @@ from runtime.interlock.state import (
     Withheld,
     Word,
 )
-from runtime.interlock.table import step
+from runtime.interlock.table import MOVING, step
+from runtime.interlock.tracking import Watch
 from runtime.kinematics.arm import TURN
 from runtime.session.journal import Journal
 from runtime.session.worker import Answer, Broken, Request, Worker
@@ -161,6 +162,7 @@ class Session:
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
         self._sample_s = -1.0
+        self._watch: Watch | None = None
         self._interrupted = False
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
@@ -256,12 +258,16 @@ class Session:
         if not log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))
+        cutting_since_s = self.state.since_s if self.state.phase is Phase.CUTTING else None
+        self._look(lambda watch: (watch, watch.overdue(now_s, cutting_since_s)))
 
     # ------------------------------------------------------------ what arrives
 
     def _item(self, item: object) -> None:
         match item:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
+                if beat.state is ControllerState.DONE:
+                    self._look(lambda watch: (watch, watch.finished(self._turn_s)))
                 self._feed(HeartbeatReceived(_view_of(beat), fresh))
             case Accepted(frame=Joint4()):
                 self._measure()
@@ -269,6 +275,7 @@ class Session:
                 self._feed(FaultReceived(fault.code, fault.cause))
             case Accepted(frame=Progress() as progress):
                 self._view.progress(progress.segment, self._segments)
+                self._look(lambda watch: watch.report(progress.segment, progress.fraction, self._turn_s))
             case Violation():
                 self._feed(Failed(item.cause, item.detail))
             case RecordReceived():
@@ -288,6 +295,27 @@ class Session:
             return
         self._sample_s = sample.received_s
         self._feed(JointsMeasured(records.joints_to_counts(sample.joints)))
+        self._look(lambda watch: watch.sample(sample.joints, self._turn_s))
+
+    def _begin_watch(self) -> None:
+        """The arm is watched against the course of the very verdict that was permitted; without one it stops."""
+        answer, state = self.answer, self.state
+        self._watch = None
+        if answer is None or answer.verdict is not state.verdict or state.session is None:
+            return
+        if answer.course is not None:
+            scale = state.session.time_scale
+            self._watch = Watch.begin(answer.course, state.job.timing, scale, self._turn_s)
+
+    def _look(self, look: Callable[[Watch], tuple[Watch, str]]) -> None:
+        """What the watch says while the arm may move; what deviates stops in this turn."""
+        if self.state.phase not in MOVING:
+            return
+        deviates = "there is no verified course to watch the arm against"
+        if self._watch is not None:
+            self._watch, deviates = look(self._watch)
+        if deviates:
+            self._feed(Failed(StopCause.TRACKING_DEVIATION, deviates))
 
     def _read_disk(self, now_s: float) -> None:
         log = self._journal.log
@@ -362,6 +390,8 @@ class Session:
     def _feed(self, event: Event) -> None:
         before, now_s = self.state, self._clock()
         self.state, effects = step(before, event, now_s)
+        if self.state.phase is Phase.STARTING and before.phase is not Phase.STARTING:
+            self._begin_watch()
         for effect in effects:
             self._carry_out(effect)
         self._journal.step(before, event, self.state, effects, now_s)

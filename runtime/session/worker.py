@@ -17,7 +17,9 @@ from typing import Any
 from config.model import Robot
 from protocol import records
 from runtime.interlock.state import Timing, Verdict
+from runtime.interlock.tracking import Course
 from runtime.plan.prepare import Quantise
+from runtime.session.course import course_of
 from runtime.verification import approach, certificate, certified
 from runtime.verification import verdict as verdicts
 from runtime.verification.document import Digests, verdict_document
@@ -71,6 +73,8 @@ class Answer:
     approach: approach.Approach | None
     approach_document: dict[str, Any] | None
     proof: bytes | None = None
+    course: Course | None = None
+    """What the moving arm is watched against; None unless approach and retract are admissible."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,8 @@ def prove(request: Request) -> Answer:
     )
     proof = _checked_proof(problem, verdict)
     ways = approach.verify(problem, request.start) if verdict.admissible else None
+    bound = approach.bound(ways, request.timing.approach_speed_percent) if ways else None
+    course = course_of(problem, request.start_joints_u, bound) if bound else None
     answer = Verdict(
         request=request.number,
         admissible=verdict.admissible,
@@ -112,11 +118,11 @@ def prove(request: Request) -> Answer:
         tool=records.digest(request.tool),
         start_joints_u=request.start_joints_u,
         reason=summary(verdict),
-        approach=approach.bound(ways, request.timing.approach_speed_percent) if ways else None,
+        approach=bound,
         approach_reason=approach.summary(ways) if ways else "not verified: the cut is not admissible",
     )
     told = approach.document(ways, request.start) if ways else None
-    return Answer(answer, verdict, guidance, digests, document, ways, told, proof)
+    return Answer(answer, verdict, guidance, digests, document, ways, told, proof, course)
 
 
 def _checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes | None:

@@ -1,0 +1,155 @@
+"""The verified course of the arm, for the tracking watch: computed in the worker, once, from what was verified."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol import records
+from protocol.records import joints_to_memory
+from runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Course, Floats
+from runtime.kinematics.arm import TURN, TrueArm, turns
+from runtime.kinematics.pose import slerp, turn_angles
+from runtime.verification.geometry import VERTICAL
+from runtime.verification.problem import Problem
+
+Ints = NDArray[np.int64]
+
+PIECE_MM: Final = 2.0
+PIECE_RAD: Final = math.radians(1.0)
+"""First pieces of a segment; halved where the joints bend more than a chord may."""
+HALVINGS: Final = 16
+KNOT_S: Final = 0.005
+"""Knots that lie closer in time are left out where the chord allows: a look costs by the knots within its reach."""
+THINNINGS: Final = 8
+AGREE: Final = np.array(
+    (math.radians(0.01), math.radians(0.01), 0.01, math.radians(0.01), math.radians(0.01))
+)
+"""How far the joints at entry and exit may be from those that the permit binds."""
+_CHORD: Final = np.array((CHORD_RAD, CHORD_RAD, CHORD_MM, CHORD_RAD, CHORD_RAD))
+
+
+def course_of(problem: Problem, start_joints_u: tuple[int, ...], bound: records.Approach) -> Course:
+    """The course from the start joints through the cut and back.
+
+    Args:
+        problem: the verified cut, with its joint branch.
+        start_joints_u: where the arm stands, 1e-6 deg | mm.
+        bound: approach and retract as the permit binds them.
+
+    Raises:
+        ValueError: the joints along the path are not those that were verified.
+    """
+    tips, axes = _with_entry_and_exit(problem, bound)
+    theta = turn_angles(axes[:-1], axes[1:])
+    length_mm = np.maximum(np.linalg.norm(np.diff(tips, axis=0), axis=1), problem.tool_length_mm * theta)
+    pieces = np.maximum(np.ceil(np.maximum(length_mm / PIECE_MM, theta / PIECE_RAD)), 1.0).astype(np.int64)
+    pieces, straight = _followed(problem, tips, axes, theta, pieces)
+    straight = _in_branch(problem, straight, int(pieces[0]))
+    _agree(straight, bound)
+    start = joints_to_memory(start_joints_u)
+    joints = np.concatenate((start[None], straight, start[None]))
+    line_s = np.abs(joints[[1, -1]] - joints[[0, -2]]) / problem.speed * 100.0 / bound.speed_percent
+    seconds = np.repeat(length_mm / problem.feed_mm_s / pieces, pieces)
+    steps = np.concatenate(([0.0, line_s[0].max()], seconds, [line_s[1].max()]))
+    times_s = np.cumsum(steps)
+    kept = _kept(times_s, joints)
+    calibration = problem.calibration
+    return Course(
+        times_s=times_s[kept],
+        joints=joints[kept],
+        poses_s=times_s[np.cumsum(pieces)[: len(problem.tips_mm)] + 1],
+        links_mm=(
+            problem.arm.upper_mm + calibration.upper_link_error_mm,
+            problem.arm.forearm_mm + calibration.forearm_link_error_mm,
+        ),
+    )
+
+
+def _with_entry_and_exit(problem: Problem, bound: records.Approach) -> tuple[Floats, Floats]:
+    tips, axes = problem.tips_mm, problem.axes
+    entry, leaving = (
+        tips[pose] + length_um / 1000.0 * axes[pose]
+        for pose, length_um in ((0, bound.entry_um), (-1, bound.exit_um))
+    )
+    return np.vstack((entry, tips, leaving)), np.vstack((axes[:1], axes, axes[-1:]))
+
+
+def _followed(
+    problem: Problem, tips: Floats, axes: Floats, theta: Floats, pieces: Ints
+) -> tuple[Ints, Floats]:
+    """Joints at the ends of all pieces, followed continuously, and how many pieces each segment needs.
+
+    Halfway along every piece the exact joints are compared with the chord's; a full turn lost shows there as well.
+
+    Raises:
+        ValueError: a pose without joints, or joints that bend more than any piece can follow.
+    """
+    for _ in range(HALVINGS):
+        segment = np.repeat(np.arange(len(pieces)), 2 * pieces)
+        first = np.repeat(np.cumsum(2 * pieces) - 2 * pieces, 2 * pieces)
+        fraction = (np.arange(len(segment)) - first) / np.repeat(2.0 * pieces, 2 * pieces)
+        tip = tips[segment] + fraction[:, None] * (tips[segment + 1] - tips[segment])
+        axis = slerp(axes[segment], axes[segment + 1], theta[segment], fraction)
+        joints = _joints(problem, np.vstack((tip, tips[-1:])), np.vstack((axis, axes[-1:])))
+        if not np.isfinite(joints).all():
+            raise ValueError("the verified path has a place without joints")
+        bend = np.abs(joints[1::2] - (joints[:-1:2] + joints[2::2]) / 2.0) > _CHORD
+        wanting = np.unique(segment[::2][bend.any(axis=1)])
+        if len(wanting) == 0:
+            return pieces, joints[::2]
+        pieces = pieces.copy()
+        pieces[wanting] *= 2
+    raise ValueError(f"the verified path bends too much to be followed on segment {int(wanting[0]) - 1}")
+
+
+def _joints(problem: Problem, tips: Floats, axes: Floats) -> Floats:
+    """Reported joints of consecutive poses, roll and shoulder without jumps, shape (k, 5)."""
+    found = problem.calibration
+    arm = TrueArm(
+        problem.arm.upper_mm + found.upper_link_error_mm,
+        problem.arm.forearm_mm + found.forearm_link_error_mm,
+        1.0 if problem.arm.elbow == "right" else -1.0,
+        found.joint_offset,
+        found.slide_tilt,
+    )
+    joints = arm.joints(tips, axes, problem.tool_length_mm)
+    for joint in (0, 3):
+        joints[:, joint] = np.unwrap(joints[:, joint])
+    return joints
+
+
+def _kept(times_s: Floats, joints: Floats) -> NDArray[np.bool_]:
+    """The knots that are needed: one each KNOT_S, and every one that is off the chord between its neighbours."""
+    kept = np.diff(np.floor(times_s / KNOT_S), prepend=-1.0) > 0.0
+    kept[[0, 1, -2, -1]] = True
+    for _ in range(THINNINGS):
+        chord = np.stack([np.interp(times_s, times_s[kept], joints[kept, j]) for j in range(5)], axis=1)
+        off = (np.abs(joints - chord) > _CHORD).any(axis=1)
+        if not off.any():
+            return kept
+        kept |= off
+    return np.ones_like(kept)
+
+
+def _in_branch(problem: Problem, joints: Floats, first_pose: int) -> Floats:
+    """The same joints with the full turns of the branch at the first pose, or with the held roll."""
+    if problem.branch is None:
+        raise ValueError("the cut names no joint branch")
+    for joint, asked in ((0, problem.branch[0]), (3, problem.branch[1])):
+        joints[:, joint] += TURN * (asked - turns(joints[first_pose : first_pose + 1, joint]))
+    level = np.hypot(problem.axes[:, 0], problem.axes[:, 1])
+    if problem.hold_roll is not None and (level < VERTICAL).all():
+        joints[:, 3] = problem.hold_roll
+    return joints
+
+
+def _agree(joints: Floats, bound: records.Approach) -> None:
+    ends = (("entry", 0, bound.entry_joints_u), ("exit", -1, bound.exit_joints_u))
+    for name, at, counts in ends:
+        off = np.abs(joints[at] - joints_to_memory(counts))
+        if not (off <= AGREE).all():
+            raise ValueError(
+                f"the course's joints at the {name} are not the verified ones: off by {off.tolist()}"
+            )

@@ -1,0 +1,215 @@
+"""Whole sessions under the tracking watch: sound ones never trip it, every deviation stops in the turn that shows it."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from firmware_sim import process as controller_side
+from firmware_sim.faults import FaultName
+from firmware_sim.plant import Leg
+from firmware_sim.process import Process
+from protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
+from protocol.states import StopCause
+from runtime.audit.inspect import Status
+from runtime.audit.replay import Outcome
+from runtime.interlock.state import Phase
+from tests.runtime.session.pair import proved
+from tests.runtime.session.wire import lose, nth, of
+
+JOINTS = (Joints01, Joints23, Joint4)
+
+
+def on(pair, leg, fraction=0.3):
+    """Turn until the arm is so far on a leg."""
+    return pair.to(Phase.CUTTING).until(
+        lambda: pair.process._arm_state.leg is leg and pair.process._arm_state.fraction >= fraction
+    )
+
+
+def stopped_by_the_watch(pair):
+    """The session has ended for a deviation that the runtime alone has seen."""
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.TRACKING_DEVIATION
+    assert pair.controller.cause is StopCause.TRACKING_DEVIATION
+    assert not any("the arm stopped by itself" in line for line in pair.said)
+    assert not pair.controller.may_move
+    return pair.state.reason
+
+
+# ---------------------------------------------------------------- sound sessions
+
+
+@pytest.mark.parametrize("time_scale", [0.3, 1.0, 4.0, 60.0])
+def test_a_sound_session_never_trips_it(pair, time_scale):
+    pair.power_up(time_scale=time_scale)
+    assert pair.begin().end(limit_s=60.0) is Phase.DONE
+
+
+class Jitter:
+    """Each frame of the controller is late by its own delay; the order of what one node sends is kept."""
+
+    def __init__(self, pair, delays):
+        self._pair, self._delays, self._last_s, self._count = pair, delays, 0.0, 0
+
+    def __call__(self, message):
+        if message.arbitration_id in {of(kind) for kind in (ControllerHeartbeat, *JOINTS, Progress)}:
+            self._count += 1
+            due_s = self._pair.clock() + self._delays[self._count % len(self._delays)]
+            self._last_s = max(self._last_s, due_s)
+            self._pair.wire.delay_s[message.arbitration_id] = self._last_s - self._pair.clock()
+        return [message]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_neither_jitter_nor_tolerated_losses_trip_it(pair, seed):
+    """Delays up to what the heartbeat's echo allows; every fifth frame and its neighbour may be lost."""
+    draw = random.Random(seed)
+    percent, latest_s = draw.randint(10, 100), draw.choice([0.03, 0.06, 0.085])
+    pair.power_up(time_scale=draw.choice([1.0, 2.0, 7.0, 60.0]))
+    pair.begin(replace(pair.job, timing=replace(pair.job.timing, approach_speed_percent=percent)))
+    pair.to(Phase.STARTING)
+    pair.wire.rules.append(Jitter(pair, [draw.uniform(0.0, latest_s) for _ in range(17)]))
+    for kind in (*JOINTS, Progress):
+        lost = {
+            5 * at + more for at in range(100) if draw.random() < 0.3 for more in range(draw.randint(1, 2))
+        }
+        pair.wire.rules += [nth(of(kind), range(at, at + 1), lose) for at in lost]
+    assert pair.end(limit_s=40.0) is Phase.DONE, pair.state.reason
+
+
+# ---------------------------------------------------------------- what deviates
+
+
+@pytest.mark.parametrize("leg", Leg)
+def test_a_drift_that_the_controller_does_not_see_is_stopped_on_every_leg(pair, leg):
+    pair.power_up(time_scale=1.0)
+    on(pair, leg, 0.0 if leg is Leg.RETRACT else 0.3)
+    pair.process._happen(FaultName.DRIFT)
+    began_s = pair.clock()
+    reason = stopped_by_the_watch(pair)
+    assert "deg off the verified path near" in reason
+    assert "at most 0.618 mm and 0.255 deg" in reason or leg is Leg.APPROACH
+    turned = math.radians(controller_side.DRIFT_DEG_S) * (pair.clock() - began_s)
+    assert turned * 900.0 < 6.0, "mm: far less than the deadbands leave"
+    pair.close()
+    assert pair.read().report.status is Status.OK
+    assert pair.replayed().outcome is Outcome.IDENTICAL
+    (entry,) = [fault for fault in pair.read().of("/audit/fault") if fault["cause"] == "TRACKING_DEVIATION"][
+        :1
+    ]
+    assert entry["detail"] == reason
+
+
+def test_the_stop_leaves_in_the_turn_in_which_the_deviation_is_seen(pair):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT)
+    q0, *rest = pair.process._arm_state.joints
+    pair.process._frozen = (
+        q0 + math.radians(0.2),
+        *rest,
+    )  # 0.2 deg of a shoulder that carries 900 mm at most
+    pair.until(lambda: pair.phase is Phase.STOPPING)
+    shown = [seen for seen, _ in pair.wire.frames(Joint4)][-1]
+    (stop, _) = pair.wire.frames(RuntimeStop)[0]
+    assert stop.at_s == shown.at_s
+    stopped_by_the_watch(pair)
+
+
+def test_joints_that_stand_still_while_the_progress_goes_on_are_stopped(pair):
+    pair.power_up("freeze@cutting", time_scale=1.0)
+    pair.to(Phase.CUTTING).until(
+        lambda: pair.process._arm_state.leg is Leg.CUT or pair.phase is Phase.STOPPED, 20.0
+    )
+    stopped_by_the_watch(pair)
+
+
+@pytest.mark.parametrize("leg", [Leg.APPROACH, Leg.CUT, Leg.RETRACT])
+def test_an_arm_that_runs_faster_than_it_may_is_stopped(pair, leg):
+    pair.power_up(time_scale=1.0)
+    on(pair, leg, 0.1)
+    pair.process._happen(FaultName.RUSH)
+    began_s = pair.clock()
+    reason = stopped_by_the_watch(pair)
+    gained_s = 2.0 * (pair.clock() - began_s)
+    assert gained_s < 0.5, reason
+
+
+def test_a_time_scale_that_is_not_announced_is_stopped(pair, monkeypatch):
+    monkeypatch.setattr("runtime.interlock.table.time_scale", lambda _: 1.0)
+    pair.power_up(time_scale=4.0)
+    pair.begin().end()
+    stopped_by_the_watch(pair)
+
+
+def test_progress_that_jumps_while_the_joints_do_not_is_stopped(pair, monkeypatch):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.APPROACH)
+    honest = Process._heartbeat
+
+    def jumps(process, now_s):
+        there = process._arm_state
+        process._frozen, process._arm_state = there.joints, replace(there, leg=Leg.CUT, segment=3)
+        honest(process, now_s)
+        process._frozen, process._arm_state = None, there
+
+    monkeypatch.setattr(Process, "_heartbeat", jumps)
+    assert "progress is segment 3, fraction" in stopped_by_the_watch(pair)
+
+
+def test_a_controller_that_says_done_too_early_is_not_believed(pair):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT, 0.1)
+    pair.process._arm_state = replace(pair.process._arm_state, done=True)
+    pair.turn()
+    assert pair.end() is Phase.STOPPED
+    assert "the controller reports the end, at most" in pair.state.reason
+
+
+@pytest.mark.parametrize("kind", [*JOINTS, Progress])
+def test_silence_of_joints_or_progress_alone_is_stopped_within_two_time_outs(pair, kind):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT, 0.1)
+    pair.wire.rules.append(lambda message: [] if message.arbitration_id == of(kind) else [message])
+    began_s = pair.clock()
+    reason = stopped_by_the_watch(pair)
+    assert ("no progress" if kind is Progress else "no measured joints") in reason
+    assert "at most 200 ms" in reason
+    (stop, _) = pair.wire.frames(RuntimeStop)[0]
+    assert stop.at_s - began_s <= 0.200 + 2 * pair.turn_s
+
+
+def test_joints_that_are_late_are_stopped(pair):
+    """The heartbeats are on time, the joints are three time-outs old: no safe age for what is watched."""
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT, 0.1)
+    for kind in JOINTS:
+        pair.wire.delay_s[of(kind)] = 0.3
+    stopped_by_the_watch(pair)
+
+
+# ---------------------------------------------------------------- the watch itself is a condition
+
+
+def test_without_a_course_nothing_is_cut(pair):
+    pair.begin().prover.answer = lambda request: replace(proved(request), course=None)
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.reason == "there is no verified course to watch the arm against"
+    assert pair.process._arm_state.leg is Leg.APPROACH
+
+
+def test_a_course_of_another_verdict_does_not_count(pair):
+    pair.to(Phase.PERMITTED)
+    pair.session.answer = replace(pair.session.answer, verdict=replace(pair.session.answer.verdict))
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.reason == "there is no verified course to watch the arm against"
+
+
+def test_the_sites_tolerances_are_used(pair):
+    timing = replace(pair.job.timing, tracking_tolerance_mm=4.0, tracking_tolerance_deg=1.5)
+    pair.power_up(time_scale=1.0)
+    pair.begin(replace(pair.job, timing=timing))
+    on(pair, Leg.CUT)
+    pair.process._happen(FaultName.DRIFT)
+    assert "at most 4.118 mm and 1.505 deg" in stopped_by_the_watch(pair)

@@ -38,9 +38,9 @@ class WordReader(Generic[W]):
             return []
         except OSError:
             data = b""
-        if not data:
+        if not data:  # the end of the file ends its last line
             self.descriptor = None
-            return []
+            data = b"\n"
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LINE_BYTES_MAX:  # no word is so long; what is cut off must not make one of it
             self._rest = self._rest[:LINE_BYTES_MAX] + CUT

@@ -28,8 +28,8 @@ from firmware_sim.kinematics import (
     nearest_turns,
     turn_rad,
 )
-from protocol.path import HEADER_BYTES, POSE_BYTES, decode_axes
-from protocol.records import BLOCK_BYTES, Calibration, Limits, Path, block_of_pose, split
+from protocol.path import HEADER_BYTES, POSE_BYTES, PathHeader, decode_axes
+from protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose, split
 from protocol.states import StopCause
 
 STEP_MM: Final = 5.0
@@ -43,6 +43,10 @@ OFF_PATH_MM: Final = 1.0
 OFF_PATH_RAD: Final = math.radians(0.5)
 
 
+MEASURED: Final = 1e-6
+"""Rounding of a measured joint, rad or mm."""
+
+
 class BlockError(Exception):
     """A block of the stored path no longer has the CRC-32 with which it was received."""
 
@@ -51,27 +55,29 @@ class StoredPath:
     """The path as it lies in the controller's memory: blocks, each checked again whenever it is read for execution.
 
     Args:
-        path: the path as parsed when it was stored; header fields are taken from it.
+        path: the header of the path as it was stored.
         blocks: the stored blocks, in order.
         crc32s: their CRC-32s as received.
     """
 
-    def __init__(self, path: Path, blocks: Sequence[bytes | bytearray], crc32s: Sequence[int]) -> None:
+    def __init__(self, path: PathHeader, blocks: Sequence[bytes | bytearray], crc32s: Sequence[int]) -> None:
         self.elbow = path.elbow
         self.q0_turns = path.q0_turns
         self.roll_turns = path.roll_turns
         self.feed_mm_s = path.feed_mm_s
         self.tool_length_mm = path.tool_length_mm
-        self._poses = len(path)
+        self._poses = path.count
         self._blocks = blocks
         self._crc32s = crc32s
         self._decoded: dict[int, list[Pose]] = {}
 
     @classmethod
-    def of(cls, path: Path) -> Self:
-        """A stored path whose blocks are the ones the wire would carry."""
-        blocks = split(path.body())
-        return cls(path, [block.data for block in blocks], [block.block_crc32 for block in blocks])
+    def of(cls, body: bytes) -> Self:
+        """The stored path of canonical bytes, in the blocks that the wire would carry."""
+        blocks = split(body)
+        return cls(
+            PathHeader.of(body), [block.data for block in blocks], [block.block_crc32 for block in blocks]
+        )
 
     def __len__(self) -> int:
         """How many poses."""
@@ -244,6 +250,18 @@ class Plant:
         if state.done or not moving or budget_s == 0.0:
             return Advance(standing, range(state.segment, state.segment), 0.0, False, None)
         return _Motion(self, path, approach, standing).run(budget_s)
+
+    def too_fast(self, before: Joints, after: Joints, plant_s: float) -> PlantFault | None:
+        """A fault if a measured joint turned faster than its limit between two turns, whoever moved it."""
+        for joint, (old, new, limit) in enumerate(
+            zip(before, after, as_joints(self.limits.speed), strict=True)
+        ):
+            if not abs(new - old) <= limit * plant_s + MEASURED:
+                return PlantFault(
+                    StopCause.LIMIT_EXCEEDED,
+                    f"q{joint} moved by {abs(new - old):.6f} in {plant_s:.6f} s, at most {limit:.6f} a second",
+                )
+        return None
 
     def _arm(self, path: StoredPath) -> Arm:
         return calibrated_arm(

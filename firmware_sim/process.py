@@ -55,7 +55,7 @@ from firmware_sim.state import (
 )
 from firmware_sim.table import step
 from protocol import records
-from protocol.endpoint import RecordReceived
+from protocol.endpoint import Item, RecordReceived
 from protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
@@ -67,6 +67,7 @@ from protocol.frames import (
     joint_frames,
 )
 from protocol.link import Accepted, Violation
+from protocol.path import PathHeader
 from protocol.port import Port
 from protocol.states import ControllerState, Refusal, StopCause
 
@@ -153,6 +154,7 @@ class Process:
         self._speed_ratio = 0.0
         self._drifts_since_s: float | None = None
         self._frozen: Joints | None = None
+        self._measured_joints = self._arm_state.joints
         self._rush = 1.0
 
     # ------------------------------------------------------------ the loop
@@ -197,7 +199,7 @@ class Process:
         now_s = self._clock()
         gap_s, self._turn_s = now_s - self._turn_s, now_s
         self._look_at_clocks(gap_s, now_s)
-        for item in self.port.read(now_s):
+        for item in self._read_bus(now_s):
             self._item(item)
         self._read_words(ready)
         self._continue_check()
@@ -245,6 +247,16 @@ class Process:
             self._feed(HeartbeatLost() if lost else Fault(violation.cause))
 
     # ------------------------------------------------------------ what arrives
+
+    def _read_bus(self, now_s: float) -> list[Item]:
+        """What waits on the bus; nothing of it counts if the loop stood still since it looked at the clock."""
+        items, link = self.port.read(now_s), self.port.endpoint.link
+        gap_s = self._clock() - now_s
+        if not link.is_open or gap_s <= link.timeout_s:
+            return items
+        self._say(f"loop stalled for {gap_s * 1000:.0f} ms at the bus, {len(items)} items discarded")
+        self._feed(Fault(StopCause.LOOP_STALLED))
+        return []
 
     def _item(self, item: object) -> None:
         match item:
@@ -446,7 +458,10 @@ class Process:
     def _reply(self, effect: Send) -> None:
         if isinstance(effect.record, records.Reply) and effect.record.refusal is not Refusal.ACCEPTED:
             self._say(f"refused: {effect.record.refusal.name}")
-        self.port.endpoint.send_record(effect.record, self._clock(), session=effect.session)
+        now_s = self._clock()
+        self.port.endpoint.send_record(effect.record, now_s, session=effect.session)
+        if not self._link_open:  # a refusal of OPEN: the next announcement would cut it off
+            self._next_announce_s = max(self._next_announce_s, now_s + self._options.announce_s)
 
     def _send(self, record: records.Record) -> None:
         self.port.endpoint.send_record(record, self._clock())
@@ -465,7 +480,7 @@ class Process:
         """The stored path has changed; the arm keeps its place."""
         stored = self.controller.holdings.path
         self._plant = self._new_plant()
-        self._stored = StoredPath.of(records.Path.parse(stored)) if stored is not None else None
+        self._stored = StoredPath.of(stored) if stored is not None else None
         self._approach = None
 
     def _begin(self) -> None:
@@ -475,6 +490,7 @@ class Process:
         self._approach = Approach.of(permit)
         self._arm_state = PlantState(self._arm_state.joints)
         self._executed, self._speed_ratio = 0, 0.0
+        self._measured_joints = self._arm_state.joints
 
     def _measure(self) -> None:
         """Where the arm stands, for PERMIT and START."""
@@ -504,9 +520,12 @@ class Process:
         self._arm_state = advance.state
         self._executed += len(advance.executed)
         self._speed_ratio = max(self._speed_ratio, advance.speed_ratio)
-        if advance.fault is not None:
-            self._say(f"the arm stopped by itself: {advance.fault.detail}")
-            self._feed(Fault(advance.fault.cause))
+        before, self._measured_joints = self._measured_joints, self._arm_state.joints
+        plant_s = gap_s * self._options.time_scale
+        fault = advance.fault or self._plant.too_fast(before, self._measured_joints, plant_s)
+        if fault is not None:
+            self._say(f"the arm stopped by itself: {fault.detail}")
+            self._feed(Fault(fault.cause))
         elif advance.state.done:
             self._feed(PathFinished())
 
@@ -603,9 +622,8 @@ class Process:
         received = records.split(stored)
         flipped = stored[:-1] + bytes([stored[-1] ^ 1])
         blocks = [flipped[block.offset : block.offset + len(block.data)] for block in received]
-        self._stored = StoredPath(
-            records.Path.parse(stored), blocks, [block.block_crc32 for block in received]
-        )
+        crc32s = [block.block_crc32 for block in received]
+        self._stored = StoredPath(PathHeader.of(stored), blocks, crc32s)
         holdings = replace(self.controller.holdings, path=flipped)
         self.controller = replace(self.controller, holdings=holdings)
 

@@ -11,6 +11,7 @@ from firmware_sim.approach import agrees, inside, start_offset
 from firmware_sim.state import Controller, DeviceCycle
 from protocol import permit as permits
 from protocol import records
+from protocol.path import PathHeader
 from protocol.records import digest
 from protocol.states import ControllerState, Purpose, Refusal, StopCause
 
@@ -102,7 +103,7 @@ def _same_branch(case: Case) -> bool:
     held = case.controller.holdings.path
     if held is None:
         return False
-    path = records.Path.parse(held)
+    path = PathHeader.of(held)
     return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
 
 

@@ -76,8 +76,8 @@ def decode_axes(mapped: NDArray[np.int32]) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Header(Block):
-    """The first 40 bytes."""
+class PathHeader(Block):
+    """The first 40 bytes: everything about a path but its poses, read without looking at these."""
 
     magic: Annotated[bytes, Blob(12)]
     version: U8
@@ -105,6 +105,24 @@ class _Header(Block):
             raise RecordError(f"path tool length is {self.tool_length_u / UNIT} mm, must be >= 0")
         if not 2 <= self.count <= POSES_MAX:
             raise RecordError(f"path has {self.count} poses, must have 2..{POSES_MAX}")
+
+    @classmethod
+    def of(cls, body: bytes) -> Self:
+        """The header of a path's canonical bytes, whose poses were judged when they came. Raises RecordError."""
+        header = cls.parse(body[:HEADER_BYTES])
+        if len(body) != HEADER_BYTES + POSE_BYTES * header.count:
+            raise RecordError(f"path of {header.count} poses is {len(body)} bytes long")
+        return header
+
+    @property
+    def feed_mm_s(self) -> float:
+        """Programmed feed, mm/s."""
+        return self.feed_u / UNIT
+
+    @property
+    def tool_length_mm(self) -> float:
+        """Wrist centre to tip, mm."""
+        return self.tool_length_u / UNIT
 
 
 @dataclass(frozen=True)
@@ -140,8 +158,8 @@ class Path:
             ~(half_sum >= _HALF_SUM_MIN), f"axis is more than {TURN_MAX_DEG} deg from the next pose's"
         )
 
-    def _header(self) -> _Header:
-        return _Header(
+    def _header(self) -> PathHeader:
+        return PathHeader(
             magic=MAGIC,
             version=FORMAT,
             interpolation=LINE_AND_GREAT_CIRCLE,
@@ -205,9 +223,7 @@ class Path:
     @classmethod
     def parse(cls, body: bytes) -> Self:
         """The path of canonical bytes; raises RecordError for anything wrong with them."""
-        header = _Header.parse(body[:HEADER_BYTES])
-        if len(body) != HEADER_BYTES + POSE_BYTES * header.count:
-            raise RecordError(f"path of {header.count} poses is {len(body)} bytes long")
+        header = PathHeader.of(body)
         return cls(
             elbow=header.elbow,
             q0_turns=header.q0_turns,

@@ -109,7 +109,12 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     stopped = _enter(
         state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None, stops_sent=sent
     )
-    return stopped, (SendStop(StopCode.STOP, cause), *withheld)
+    return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withheld)
+
+
+def _link(state: Interlock) -> tuple[Effect, ...]:
+    """While OPEN is on its way the controller may have opened already: a stop is sent under the new session's tag."""
+    return (OpenLink(state.session),) if state.phase is Phase.OPENING and state.session else ()
 
 
 def refuse(state: Interlock, reason: str, now_s: float) -> Outcome:
@@ -165,7 +170,7 @@ def quit_session(state: Interlock, now_s: float) -> Outcome:
     left = _enter(
         state, Phase.STOPPED, now_s, cause=StopCause.OPERATOR_QUIT, reason="the operator quit", permit=None
     )
-    return left, (SendStop(StopCode.END, StopCause.OPERATOR_QUIT), *withheld)
+    return left, (*_link(state), SendStop(StopCode.END, StopCause.OPERATOR_QUIT), *withheld)
 
 
 # ---------------------------------------------------------------- opening

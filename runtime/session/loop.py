@@ -17,7 +17,7 @@ import numpy as np
 from config.terminal import WordReader
 from protocol import permit as permits
 from protocol import records
-from protocol.endpoint import RecordReceived
+from protocol.endpoint import Item, RecordReceived
 from protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -27,6 +27,7 @@ from protocol.frames import (
     RuntimeStop,
 )
 from protocol.link import Accepted, Violation
+from protocol.path import PathHeader
 from protocol.port import Port
 from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from runtime.audit import names
@@ -158,7 +159,7 @@ class Session:
         self._clock = clock
         self._random = random
         self._blocks = records.split(state.job.path)
-        self._segments = len(records.Path.parse(state.job.path)) - 1
+        self._segments = PathHeader.of(state.job.path).count - 1
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
         self._sample_s = -1.0
@@ -216,7 +217,7 @@ class Session:
         gap_s, self._turn_s = now_s - self._turn_s, now_s
         try:
             self._look_at_clocks(gap_s, now_s)
-            for item in self._port.read(now_s):
+            for item in self._read_bus(now_s):
                 self._item(item)
             self._read_disk(now_s)
             self._read_worker(ready)
@@ -262,6 +263,16 @@ class Session:
         self._look(lambda watch: (watch, watch.overdue(now_s, cutting_since_s)))
 
     # ------------------------------------------------------------ what arrives
+
+    def _read_bus(self, now_s: float) -> list[Item]:
+        """What waits on the bus; nothing of it counts if the loop stood still since it looked at the clock."""
+        items, link = self._port.read(now_s), self._port.endpoint.link
+        gap_s = self._clock() - now_s
+        if not link.is_open or gap_s <= link.timeout_s:
+            return items
+        reason = f"the loop stood still for {gap_s * 1000:.0f} ms at the bus; {len(items)} items discarded"
+        self._feed(Failed(StopCause.LOOP_STALLED, reason))
+        return []
 
     def _item(self, item: object) -> None:
         match item:

@@ -77,6 +77,20 @@ def test_the_end_of_the_file_ends_the_reading(typing):
     typing.writing = os.open(os.devnull, os.O_WRONLY)
 
 
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [(b"stop", [Word.STOP]), (b"stop\n", []), (b"sto", ["sto"]), (b"start" + b" " * 300, None)],
+)
+def test_the_end_of_the_file_ends_its_last_line(typing, left, words):
+    typing.words(left)
+    os.close(typing.writing)
+    found = typing.reader.read()
+    assert found == words if words is not None else not isinstance(found[0], Word)
+    assert typing.reader.descriptor is None
+    assert typing.reader.read() == []
+    typing.writing = os.open(os.devnull, os.O_WRONLY)
+
+
 def test_a_descriptor_that_fails_ends_the_reading():
     reading, writing = os.pipe()
     reader = WordReader(writing, Word)  # cannot be read

@@ -22,6 +22,7 @@ from firmware_sim.kinematics import (
 )
 from firmware_sim.path_check import PathCheck
 from firmware_sim.plant import BlockError, Leg, Plant, PlantFault, PlantState, StoredPath
+from protocol.path import PathHeader
 from protocol.records import UNIT, Path, split
 from protocol.states import StopCause
 from tests.firmware_sim.arms import (
@@ -38,7 +39,7 @@ from tests.firmware_sim.arms import (
 )
 
 PLANT = Plant(LIMITS, NOMINAL)
-STORED = StoredPath.of(PATH)
+STORED = StoredPath.of(PATH.body())
 DT_S = 0.02
 
 
@@ -127,13 +128,15 @@ def planned_s(path):
 def test_the_path_takes_the_planned_time(time_scale):
     for path in (PATH, line_path((500, 0, 100), (500, 5, 100), polar=(30, 60))):  # tip bound, tool bound
         took_s = (
-            len(drive(PLANT, StoredPath.of(path), dt_s=0.005, time_scale=time_scale)) * 0.005 * time_scale
+            len(drive(PLANT, StoredPath.of(path.body()), dt_s=0.005, time_scale=time_scale))
+            * 0.005
+            * time_scale
         )
         assert planned_s(path) <= took_s <= planned_s(path) * 1.001 + 0.01 * time_scale
 
 
 def test_joint_speeds_hold_the_feed_back_where_it_would_exceed_them():
-    path = StoredPath.of(dataclasses.replace(PATH, feed_u=5_000 * UNIT))
+    path = StoredPath.of(dataclasses.replace(PATH, feed_u=5_000 * UNIT).body())
     steps = drive(PLANT, path, dt_s=0.001)
     before = first_joints(PLANT, path)
     for step in steps:
@@ -152,7 +155,7 @@ def test_an_axis_that_passes_close_to_the_vertical_is_slowed_to_the_rolls_limit(
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     tips = np.array([[500.0, 50.0, 100.0], [500.0, 52.0, 100.0]])
     path = Path.quantised(tips, axes, feed_mm_s=100, tool_length_mm=TOOL_MM, elbow="right")
-    steps = drive(Plant(WIDE, NOMINAL), StoredPath.of(path), dt_s=0.002)
+    steps = drive(Plant(WIDE, NOMINAL), StoredPath.of(path.body()), dt_s=0.002)
     rolls = [step.state.joints[3] for step in steps]
     assert abs(rolls[-1] - rolls[0]) > 2.5
     assert np.max(np.abs(np.diff(rolls))) <= WIDE.speed[3] * 0.002 * (1 + 1e-9)
@@ -162,7 +165,7 @@ def test_an_axis_that_passes_close_to_the_vertical_is_slowed_to_the_rolls_limit(
 @given(st.lists(st.tuples(st.floats(0, 0.2), st.booleans()), min_size=1, max_size=60), st.floats(0.1, 50))
 @settings(max_examples=25)
 def test_whatever_the_ticks_nothing_is_skipped_and_no_joint_is_too_fast(ticks, time_scale):
-    path = StoredPath.of(dataclasses.replace(PATH, feed_u=300 * UNIT))
+    path = StoredPath.of(dataclasses.replace(PATH, feed_u=300 * UNIT).body())
     state, executed = at_cut(PLANT, path), []
     for dt_s, moving in ticks:
         step = PLANT.advance(
@@ -222,7 +225,7 @@ def test_a_time_that_is_none_is_refused(dt_s, time_scale):
 
 
 def test_a_limit_that_would_be_exceeded_stops_the_arm_before_it():
-    path = StoredPath.of(line_path((500, 0, 100), (500, 0, -150), polar=(30, 30), azimuth=(0, 0)))
+    path = StoredPath.of(line_path((500, 0, 100), (500, 0, -150), polar=(30, 30), azimuth=(0, 0)).body())
     steps = drive(PLANT, path, time_scale=10)
     last = steps[-1]
     assert last.fault.cause is StopCause.LIMIT_EXCEEDED
@@ -241,7 +244,7 @@ def test_the_middle_of_a_segment_is_watched_too():
     wrists = np.array([[700.0, -400.0, 200.0], [700.0, 400.0, 200.0]])
     path = Path.quantised(wrists - TOOL_MM * axes, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right")
     assert PathCheck(path, limits, NOMINAL, TOOL).run().detail == ""
-    fault = drive(Plant(limits, NOMINAL), StoredPath.of(path), time_scale=50)[-1].fault
+    fault = drive(Plant(limits, NOMINAL), StoredPath.of(path.body()), time_scale=50)[-1].fault
     assert fault.cause is StopCause.LIMIT_EXCEEDED
     assert "q1" in fault.detail
 
@@ -255,13 +258,13 @@ def test_a_short_excursion_within_a_long_segment_is_seen_even_in_one_step():
     axes = tilted([30.0, 30.0])
     wrists = np.array([[700.0, -400.0, 200.0], [700.0, 300.0, 200.0]])
     path = Path.quantised(wrists - TOOL_MM * axes, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right")
-    step = drive(Plant(limits, NOMINAL), StoredPath.of(path), dt_s=1000.0)[-1]
+    step = drive(Plant(limits, NOMINAL), StoredPath.of(path.body()), dt_s=1000.0)[-1]
     assert step.fault.cause is StopCause.LIMIT_EXCEEDED
     assert step.state.fraction == pytest.approx(390 / 700, abs=5 / 700)
 
 
 def test_a_path_that_leaves_the_reach_stops_the_arm():
-    path = StoredPath.of(line_path((500, 0, 100), (1500, 0, 100), poses=3))
+    path = StoredPath.of(line_path((500, 0, 100), (1500, 0, 100), poses=3).body())
     fault = drive(Plant(WIDE, NOMINAL), path, time_scale=50)[-1].fault
     assert fault.cause is StopCause.LIMIT_EXCEEDED
     assert "out of reach" in fault.detail
@@ -271,7 +274,7 @@ def test_a_path_through_the_column_stops_the_arm():
     axes = tilted([90.0, 90.0], 0.0)
     tips = np.array([[-200.0, 0.0, 0.0], [200.0, 0.0, 0.0]]) - TOOL_MM * axes
     path = Path.quantised(tips, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right")
-    steps = drive(Plant(WIDE, NOMINAL), StoredPath.of(path), time_scale=50)
+    steps = drive(Plant(WIDE, NOMINAL), StoredPath.of(path.body()), time_scale=50)
     assert steps[-1].fault.cause is StopCause.LIMIT_EXCEEDED
     assert "jumps" in steps[-1].fault.detail
     assert steps[-1].state.fraction < 0.5 + 1e-6
@@ -294,7 +297,7 @@ def test_an_arm_off_its_path_does_not_move(offset, moves):
 
 def test_every_pose_of_every_block_is_read_as_the_record_says():
     path = pocket(poses=777)
-    stored = StoredPath.of(path)
+    stored = StoredPath.of(path.body())
     assert len(split(path.body())) == 4
     assert len(stored) == 777
     order = np.random.default_rng(1).permutation(777)
@@ -308,7 +311,7 @@ def test_every_pose_of_every_block_is_read_as_the_record_says():
 def test_a_flipped_bit_stops_the_arm_before_its_block_is_executed(block):
     path = pocket(poses=777)
     blocks = [bytearray(part.data) for part in split(path.body())]
-    stored = StoredPath(path, blocks, [part.block_crc32 for part in split(path.body())])
+    stored = StoredPath(PathHeader.of(path.body()), blocks, [part.block_crc32 for part in split(path.body())])
     if block == 0:
         blocks[0][100] ^= 1
         with pytest.raises(BlockError, match="block 0 of 4"):
@@ -484,7 +487,7 @@ def test_a_held_roll_carries_a_vertical_tool():
     path = Path.quantised(
         tips, np.tile([0.0, 0, 1], (5, 1)), feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right"
     )
-    steps = drive(Plant(LIMITS, NOMINAL, hold_roll_rad=0.3), StoredPath.of(path))
+    steps = drive(Plant(LIMITS, NOMINAL, hold_roll_rad=0.3), StoredPath.of(path.body()))
     assert {step.state.joints[3] for step in steps} == {0.3}
     assert steps[-1].state.leg is Leg.EXIT
 
@@ -492,13 +495,13 @@ def test_a_held_roll_carries_a_vertical_tool():
 def test_duplicate_poses_take_no_time_and_are_executed():
     tips = np.repeat([[500.0, 0, 100], [510.0, 0, 100]], 3, axis=0)
     path = Path.quantised(tips, tilted([30.0] * 6), feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right")
-    steps = drive(PLANT, StoredPath.of(path))
+    steps = drive(PLANT, StoredPath.of(path.body()))
     assert [segment for step in steps for segment in step.executed] == list(range(5))
     assert len(steps) * DT_S == pytest.approx(1.0, abs=0.05)
 
 
 def test_five_metres_of_path_cost_little():
-    path = StoredPath.of(pocket())
+    path = StoredPath.of(pocket().body())
     begin = time.process_time()
     steps = drive(PLANT, path, time_scale=80)
     cost_s = time.process_time() - begin

@@ -187,3 +187,17 @@ def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
     other.line("permitted:")
     other.say("quit")
     assert other.exit() == 3
+
+
+def test_an_arm_that_drifts_unseen_by_its_controller_is_stopped_by_the_runtime(rig):
+    sim, run = rig.permitted("drift@cutting")
+    sim.say("hold")
+    run.line("enabling device is held")
+    run.say("start")
+    assert run.exit() == 3
+    stopped = rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.TRACKING_DEVIATION)
+    assert rig.at_rest(sim) == "INHIBITED (TRACKING_DEVIATION)"
+    assert "off the verified path near" in run.told
+    assert not any("the arm stopped by itself" in line for line in sim.told.splitlines())
+    assert stopped
+    assert rig.log().report.status is Status.OK

@@ -110,3 +110,38 @@ def test_a_session_without_a_terminal_can_be_waited_for(pair):
     assert pair.session.run(reading).cause is StopCause.OPERATOR_QUIT
     os.close(reading)
     os.close(writing)
+
+
+# ---------------------------------------------------------------- standing still at the bus
+
+
+def stands_at_the_bus(pair, port, seconds):
+    """The next read of this port takes so long, with what is on the bus by then."""
+    honest = port.read
+
+    def read(now_s):
+        port.read = honest
+        pair.clock.now_s += seconds
+        return honest(now_s)
+
+    port.read = read
+
+
+@pytest.mark.parametrize("seconds", [0.09, 0.11])
+def test_a_runtime_that_stands_still_at_the_bus_says_so_in_the_same_turn(cutting, seconds):
+    stands_at_the_bus(cutting, cutting.session._port, seconds)
+    cutting.controller_turns = False
+    cutting.turn()
+    stalled = seconds > 0.1
+    assert (cutting.state.cause is StopCause.LOOP_STALLED) is stalled
+    assert ("at the bus" in cutting.state.reason) is stalled
+
+
+@pytest.mark.parametrize("seconds", [0.09, 0.11])
+def test_a_controller_that_stands_still_at_the_bus_stops_in_the_same_turn(cutting, seconds):
+    stands_at_the_bus(cutting, cutting.process.port, seconds)
+    cutting.runtime_turns = False
+    cutting.turn()
+    stalled = seconds > 0.1
+    assert (cutting.controller.cause is StopCause.LOOP_STALLED) is stalled
+    assert cutting.controller.may_move is not stalled

@@ -154,6 +154,19 @@ def test_timing_outside_the_controllers_bounds_is_refused(pair):
     assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
 
 
+def test_a_refusal_is_not_cut_off_by_the_next_announcement(pair):
+    """Whenever the next announcement was due: the refusal needs several frames, and each of them a turn."""
+    timing = replace(pair.job.timing, heartbeat_ms=4)
+    pair.turn_s = 0.02
+    pair.begin(replace(pair.job, timing=timing))
+    pair.until(lambda: "refused: TIMING_OUT_OF_BOUNDS" in pair.said)
+    refused_s = pair.clock()
+    assert pair.process._next_announce_s >= refused_s + pair.options.announce_s - 1e-9
+    assert pair.end() is Phase.REFUSED
+    assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
+    assert pair.clock() - refused_s <= pair.options.announce_s
+
+
 def test_another_controller_than_the_configured_one_is_refused(pair):
     pair.begin(replace(pair.job, serial="SIM-2"))
     assert pair.end() is Phase.REFUSED

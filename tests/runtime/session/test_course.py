@@ -52,7 +52,7 @@ def test_the_controllers_plant_is_on_the_course_at_every_moment_at_full_speed(as
         speed=bound.speed_percent / 100,
     )
     state, passed_s, legs = PlantState(start), 0.0, set()
-    stored = StoredPath.of(path)
+    stored = StoredPath.of(path.body())
     chord = np.array([CHORD_RAD, CHORD_RAD, CHORD_MM, CHORD_RAD, CHORD_RAD])
     while not state.done:
         state = plant.advance(state, stored, approach, dt_s=0.02, moving=True, cutter=True).state

@@ -5,11 +5,12 @@ from dataclasses import replace
 import pytest
 
 from protocol import records
-from protocol.frames import ControllerHeartbeat
+from protocol.frames import ControllerHeartbeat, RuntimeStop
 from protocol.states import ControllerState, StopCause
 from runtime.interlock.state import Dropped, Phase, Refused, Word
 from runtime.session.worker import Broken
 from tests.runtime.session.test_session import first_frames
+from tests.runtime.session.wire import RUNTIME
 
 QUIET = [
     Phase.WAITING,
@@ -211,3 +212,30 @@ def test_a_stop_before_any_session_was_held_names_the_cause_in_the_heartbeats(pa
     pair.controller_terminal.type("bone-motion")
     pair.end()
     assert pair.wire.frames(ControllerHeartbeat)[-1][1].cause is StopCause.BONE_MOVED
+
+
+# ---------------------------------------------------------------- while OPEN is on its way
+
+
+@pytest.mark.parametrize(
+    ("word", "cause"),
+    [
+        ("stop", StopCause.OPERATOR_STOP),
+        ("withdraw", StopCause.REGISTRATION_WITHDRAWN),
+        ("quit", StopCause.NONE),
+    ],
+)
+def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
+    """It has opened, its answer has not come: what is said leaves under the new session's tag."""
+    pair.begin().until(lambda: pair.controller.state is ControllerState.OPEN)
+    assert pair.phase is Phase.OPENING
+    pair.wire.nodes[RUNTIME].inbox.clear()
+    pair.say(word)
+    sent = pair.clock()
+    assert pair.wire.frames(RuntimeStop)
+    pair.turn()
+    assert pair.clock() <= sent + 2 * pair.turn_s
+    assert pair.controller.state is ControllerState.INHIBITED
+    assert pair.controller.cause is cause
+    assert (pair.job.registration in pair.controller.withdrawn) is (word == "withdraw")
+    assert pair.end() is Phase.STOPPED

@@ -11,7 +11,7 @@ from firmware_sim.faults import FaultName
 from firmware_sim.plant import Leg
 from firmware_sim.process import Process
 from protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
-from protocol.states import StopCause
+from protocol.states import ControllerState, StopCause
 from runtime.audit.inspect import Status
 from runtime.audit.replay import Outcome
 from runtime.interlock.state import Phase
@@ -213,3 +213,33 @@ def test_the_sites_tolerances_are_used(pair):
     on(pair, Leg.CUT)
     pair.process._happen(FaultName.DRIFT)
     assert "at most 4.118 mm and 1.505 deg" in stopped_by_the_watch(pair)
+
+
+# ---------------------------------------------------------------- the controller's own
+
+
+@pytest.mark.parametrize("joint", range(5))
+def test_a_joint_that_is_measured_faster_than_its_limit_stops_the_controller_by_itself(pair, joint):
+    """A knock within its position tolerance: less than 1 mm and 0.5 deg, in one turn of 5 ms."""
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT)
+    for part, stopped in ((0.5, False), (1.1, True)):
+        joints = list(pair.process._arm_state.joints)
+        limit = (1.0, 1.0, 200.0, 2.0, 2.0)[joint] * pair.turn_s
+        joints[joint] += min(part * limit, 0.99 if joint == 2 else math.radians(0.49))
+        if stopped and joint > 1:  # no knock within the tolerance of position is as fast
+            pair.process._plant = replace(pair.process._plant, limits=slower(pair.process._plant.limits))
+        said = len(pair.said)
+        fault = pair.process._plant.too_fast(pair.process._arm_state.joints, tuple(joints), pair.turn_s)
+        assert (fault is not None) is stopped
+        assert len(pair.said) == said
+    pair.process._measured_joints = tuple(joints)
+    pair.turn()
+    assert any(f"the arm stopped by itself: q{joint} moved by" in line for line in pair.said)
+    assert pair.controller.cause is StopCause.LIMIT_EXCEEDED
+    assert pair.controller.state is ControllerState.FAULT
+    assert pair.end() is Phase.STOPPED
+
+
+def slower(limits):
+    return replace(limits, speed_u=tuple(speed // 4 for speed in limits.speed_u))

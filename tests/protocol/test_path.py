@@ -20,6 +20,7 @@ from protocol.path import (
     Assembly,
     Path,
     PathBlock,
+    PathHeader,
     block_of_pose,
     decode_axes,
     encode_axes,
@@ -219,3 +220,22 @@ def test_block_that_does_not_lie_where_it_says_is_refused(change: dict[str, obje
     block = split(long_path(2000).body())[3]
     with pytest.raises(RecordError, match=why):
         replace(block, **change)
+
+
+def test_the_header_alone_says_what_the_path_says_and_looks_at_no_pose():
+    path = Path.quantised(TIPS, [UP, UP], feed_mm_s=3.5, tool_length_mm=160.25, elbow="left", roll_turns=-2)
+    header = PathHeader.of(path.body()[:HEADER_BYTES] + bytes([255]) * 40)
+    for name in ("elbow", "q0_turns", "roll_turns", "feed_u", "tool_length_u", "feed_mm_s", "tool_length_mm"):
+        assert getattr(header, name) == getattr(path, name)
+    assert header.count == len(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda b: b[:-1], lambda b: b + b"\0", lambda b: b"x" + b[1:], lambda _: b""],
+    ids=["shorter", "longer", "another magic", "nothing"],
+)
+def test_a_header_that_does_not_fit_its_path_is_refused(change):
+    path = Path.quantised(TIPS, [UP, UP], feed_mm_s=3.5, tool_length_mm=160.0, elbow="right")
+    with pytest.raises(RecordError):
+        PathHeader.of(change(path.body()))

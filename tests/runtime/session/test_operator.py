@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from protocol import records
-from protocol.frames import ControllerHeartbeat, RuntimeStop
+from protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
 from protocol.states import ControllerState, StopCause
 from runtime.interlock.state import Dropped, Phase, Refused, Word
 from runtime.session.worker import Broken
 from tests.runtime.session.test_session import first_frames
-from tests.runtime.session.wire import RUNTIME
+from tests.runtime.session.wire import CONTROLLER
 
 QUIET = [
     Phase.WAITING,
@@ -227,10 +227,12 @@ def test_a_stop_before_any_session_was_held_names_the_cause_in_the_heartbeats(pa
 )
 def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
     """It has opened, its answer has not come: what is said leaves under the new session's tag."""
-    pair.begin().until(lambda: pair.controller.state is ControllerState.OPEN)
+    answers = CONTROL_IDS[CONTROLLER]
+    pair.wire.rules.append(lambda m: [] if pair.controller.session and m.arbitration_id == answers else [m])
+    pair.begin().until(lambda: pair.controller.state is ControllerState.OPEN).run(0.05)
     assert pair.phase is Phase.OPENING
-    pair.wire.nodes[RUNTIME].inbox.clear()
     pair.say(word)
+    assert pair.phase is not Phase.OPENING
     sent = pair.clock()
     assert pair.wire.frames(RuntimeStop)
     pair.turn()

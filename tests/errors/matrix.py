@@ -125,6 +125,7 @@ FOUND: dict[str, str] = {
     "record's channel": r"does not belong on",
     "level in the heartbeat": r"",
     "nobody": r"",
+    "tracking watch": r"no measured joints|no progress|progress",
 }
 """What detects an error, and what either side must have said for it."""
 
@@ -201,6 +202,12 @@ MESSAGES = (*CYCLIC, STOP, FAULT, *RECORDS)
 def _cyclic() -> Iterator[Row]:
     """Frames that come with every heartbeat, while the arm cuts."""
     for message in CYCLIC:
+        # a sound Progress that nobody sent is off the course before its successor's counter is wrong
+        unlike = (
+            ("tracking watch", stops(StopCause.TRACKING_DEVIATION), AT_ONCE)
+            if message is PROGRESS
+            else ("counter", stops(StopCause.SEQUENCE_ERROR), BY_LEVEL)
+        )
         for row in (
             Row(message, Error.CORRUPTION, True, "one bit of two frames", do.corrupt_frames(2), "CRC-16"),
             Row(message, Error.CORRUPTION, False, "one bit of three frames within a second", do.corrupt_frames(3),
@@ -213,8 +220,7 @@ def _cyclic() -> Iterator[Row]:
                 stops(StopCause.SEQUENCE_ERROR), BY_GAP),
             Row(message, Error.DELAY, True, "every frame by half a heartbeat", do.delay_frames(HEARTBEAT_S / 2), "nobody"),
             Row(message, Error.INSERTION, True, "a frame from outside the session", do.insert_from_outside, "session tag"),
-            Row(message, Error.INSERTION, False, "a sound frame under the next counter", do.insert_sound, "counter",
-                stops(StopCause.SEQUENCE_ERROR), BY_LEVEL),
+            Row(message, Error.INSERTION, False, "a sound frame under the next counter", do.insert_sound, *unlike),
             Row(message, Error.MASQUERADE, True, "two frames of another session", do.masquerade_frames(2), "session tag"),
             Row(message, Error.MASQUERADE, False, "three frames of another session", do.masquerade_frames(3),
                 "session tag", stops(StopCause.CORRUPTION), AT_ONCE),
@@ -238,11 +244,12 @@ def _heartbeats() -> Iterator[Row]:
             yield replace(row, stage=Scene.cutting)
 
 
-def _unwatched() -> Iterator[Row]:
-    """While the arm cuts the runtime shows joints and progress and decides nothing by them; the controller does."""
+def _watched() -> Iterator[Row]:
+    """While the arm cuts the runtime holds joints and progress against the verified course, and misses them."""
+    lost = stops(StopCause.TRACKING_DEVIATION)
     for message in STATUS:
-        yield Row(message, Error.LOSS, True, "every frame while the arm cuts", do.lose_frames(10_000), "nobody",
-                  stage=Scene.cutting)  # fmt: skip
+        yield Row(message, Error.LOSS, False, "every frame while the arm cuts", do.lose_frames(10_000),
+                  "tracking watch", lost, BY_AGE, stage=Scene.cutting)  # fmt: skip
 
 
 def _joints() -> Iterator[Row]:
@@ -375,7 +382,6 @@ def _own_end(row: Row) -> Row:
     return replace(held, end=replace(row.end, state="FAULT", controller=cause))
 
 
-_UNOPENED = {"end": stops(StopCause.PROTOCOL_VIOLATION, StopCause.HEARTBEAT_LOST)}
 _REOPENED = {"end": refused(StopCause.HEARTBEAT_LOST), "found_by": "deadline", "bound": BY_OPERATOR}
 _INTERRUPTED = {"end": End("stopped", "FAULT", StopCause.TRANSFER_FAILED, StopCause.SECOND_NODE)}
 _STUCK = {"found_by": "transfer"}
@@ -384,9 +390,6 @@ COPY, SECOND, LATE, WHOLE, ONE = (
     "the whole record", "one carrying frame",
 )  # fmt: skip
 EXCEPTIONS: dict[tuple[str, str], dict[str, object]] = {
-    # the runtime's link is not open yet: its stop cannot leave, the controller hears no heartbeat
-    ("Opened", "one bit of a carrying frame"): _UNOPENED,
-    ("Opened", "on the other channel"): _UNOPENED,
     # the controller's session dies of silence, the next Opened names its cause, nobody acknowledges it
     ("Opened", "two carrying frames change places"): _REOPENED,
     ("Opened", ONE): _REOPENED,
@@ -447,7 +450,7 @@ def rows() -> tuple[Row, ...]:
         *_cyclic(),
         *_heartbeats(),
         *_joints(),
-        *_unwatched(),
+        *_watched(),
         *_misaddressed(),
         *_stop(),
         *_fault(),

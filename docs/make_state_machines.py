@@ -502,7 +502,7 @@ def condition(holds: Callable[..., Any]) -> str:
         body = ast.parse(dedent(inspect.getsource(holds))).body[0]
         returned = (node for node in ast.walk(body) if isinstance(node, ast.Return))
         text = ast.unparse(max(returned, key=lambda node: node.lineno).value or body)
-    text = re.sub(r"\b_(\w+)\((case|c)(, purpose)?\)", r"\1", text)  # a helper of the rules: its name says it
+    text = re.sub(r"\b_(\w+)\((case|c)(, purpose)?\)", r"\1", text)  # a part of a rule: its name says it
     words = (holds.__doc__ or "").partition("\n")[0]
     return f"`{re.sub(r'(case|c)[.](controller[.])?', '', text)}` {words}".rstrip()
 

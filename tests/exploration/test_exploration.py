@@ -19,6 +19,8 @@ from tests.exploration.canonical import EPOCH
 from tests.exploration.model import BITS, MASK, POWERED_UP, Model, World
 from tests.exploration.search import Found, cannot_reach, chart, explore, follow, trace
 
+pytestmark = pytest.mark.no_cover  # measuring coverage makes millions of steps several times slower
+
 LATCHED = replace(
     firmware_sim.table.step(POWERED_UP, Fault(StopCause.SECOND_NODE), 0.0)[0],
     epoch=EPOCH,

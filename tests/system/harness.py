@@ -148,7 +148,10 @@ class Child:
     def _read(self, until_s: float) -> bool:
         """Take what arrives until then; whether anything did. A stream at its end is closed."""
         left_s = max(0.0, until_s - time.monotonic())
-        ready, _, _ = select.select(list(self._rest), [], [], left_s)
+        poller = select.poll()  # select() cannot take descriptors from 1024 on
+        for stream in self._rest:
+            poller.register(stream, select.POLLIN)
+        ready = [stream for stream, _ in poller.poll(left_s * 1000.0)]
         for stream in ready:
             data = os.read(stream, 65536)
             if stream == self._apart:
@@ -432,7 +435,7 @@ class Rig:
                 for child in self.children:
                     child.listen()
                 raise HungError("\n".join(f"{child.name} said\n{child.told}" for child in self.children))
-            select.select([], [], [], 0.01)
+            select.poll().poll(10.0)
 
     # ------------------------------------------------------------ what is left behind
 

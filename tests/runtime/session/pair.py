@@ -510,7 +510,10 @@ class Stranger:
 
 def _readable(*descriptors: int | None) -> set[int]:
     wanted = [descriptor for descriptor in descriptors if descriptor is not None]
-    return set(select.select(wanted, [], [], 0)[0])
+    poller = select.poll()  # select() cannot take descriptors from 1024 on
+    for descriptor in wanted:
+        poller.register(descriptor, select.POLLIN)
+    return {descriptor for descriptor, _ in poller.poll(0)}
 
 
 @contextmanager

@@ -3,22 +3,18 @@
 Markdown tables on stdout; with ``--write`` in a file as well.
 """
 
-import argparse
-import inspect
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 from measure import RUNS, in_a_child, machine, seconds
+from pages import Rows, document, show
 from paths import TABLE_1, TABLE_2, finer, hip_stem, level_pocket, prepared, zigzag
 from rivals import AlongThePath, bisection, dense, optimal_cover
 
 from runtime.verification import certificate, certified, guidance, stocco
 from runtime.verification.problem import Problem
 from runtime.verification.verdict import Verdict
-
-Rows = Iterator[tuple[str, ...]]
 
 
 def table_1() -> Rows:
@@ -217,34 +213,10 @@ SECTIONS: dict[str, Callable[[], Rows]] = {
 """Growth first: a child starts from the small process that this one still is."""
 
 
-def document() -> Iterator[str]:
-    """The lines of the whole page."""
-    yield "# Benchmarks"
-    yield ""
-    yield f"By `make bench` on {machine()}. Medians of {RUNS} runs taken in turn; compare the ratios, not the times."
-    for title, section in SECTIONS.items():
-        rows = section()
-        head = next(rows)
-        about = inspect.cleandoc(section.__doc__ or "").replace("\n\n", "\n")
-        yield from ("", f"## {title}", "", about, "", _row(head), _row(("---",) * len(head)))
-        yield from map(_row, rows)
-
-
-def _row(cells: tuple[str, ...]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
 def main() -> None:
     """Print the page as it comes, and write it where asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page to a file as well")
-    arguments = parser.parse_args()
-    lines = []
-    for line in document():
-        print(line, flush=True)
-        lines.append(line)
-    if arguments.write is not None:
-        arguments.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    about = f"By `make bench` on {machine()}. Medians of {RUNS} runs taken in turn; compare the ratios, not the times."
+    show(document("Benchmarks", about, SECTIONS), __doc__.splitlines()[0] if __doc__ else None)
 
 
 if __name__ == "__main__":

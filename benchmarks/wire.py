@@ -3,8 +3,6 @@
 Markdown tables on stdout; with ``--write`` in a file as well.
 """
 
-import argparse
-import inspect
 import os
 import subprocess
 import sys
@@ -22,6 +20,7 @@ from typing import Any
 
 import can
 from measure import RUNS, machine, seconds
+from pages import Rows, document, show
 from paths import EXAMPLES, prepared
 
 from firmware_sim.hil.plugin import hub_process
@@ -52,7 +51,6 @@ from runtime.session.job import make_job, read_files
 from tests.runtime.audit.build import wire_permit
 from tests.runtime.session.pair import Pair, pair_of
 
-Rows = Iterator[tuple[str, ...]]
 Sent = tuple[int, bytes]
 
 CLASSIC_BIT_S, DATA_BIT_S = 1e-6, 0.2e-6
@@ -525,34 +523,10 @@ SECTIONS: dict[str, Callable[[], Rows]] = {
 }
 
 
-def document() -> Iterator[str]:
-    """The lines of the whole page."""
-    yield "# Benchmarks of the wire"
-    yield ""
-    yield f"By `make bench` on {machine()}. Bits are counted on the frames themselves; times are medians of {RUNS} runs where nothing else is said."
-    for title, section in SECTIONS.items():
-        rows = section()
-        head = next(rows)
-        about = inspect.cleandoc(section.__doc__ or "").replace("\n\n", "\n")
-        yield from ("", f"## {title}", "", about, "", _row(head), _row(("---",) * len(head)))
-        yield from map(_row, rows)
-
-
-def _row(cells: tuple[str, ...]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
 def main() -> None:
     """Print the page as it comes, and write it where asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page to a file as well")
-    write = parser.parse_args().write
-    lines = []
-    for line in document():
-        print(line, flush=True)
-        lines.append(line)
-    if write is not None:
-        write.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    about = f"By `make bench` on {machine()}. Bits are counted on the frames themselves; times are medians of {RUNS} runs where nothing else is said."
+    show(document("Benchmarks of the wire", about, SECTIONS), __doc__.splitlines()[0] if __doc__ else None)
 
 
 if __name__ == "__main__":

@@ -154,6 +154,8 @@ def verify(
         )
     arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
     checked = check(prepared, arm, method)
+    if certificate is not None:
+        _write_proof(certificate, off_line_problem(prepared, arm), checked.verdict)
     if json:
         document = verdict_document(
             checked.verdict,
@@ -165,8 +167,6 @@ def verify(
         typer.echo(document_text(document))
     else:
         print_verdict(output(), checked.verdict, checked.guidance, checked.digests, _facts(prepared, checked))
-    if certificate is not None:
-        _write_proof(certificate, off_line_problem(prepared, arm), checked.verdict)
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 

@@ -386,7 +386,7 @@ COLLECTED: tuple[Evaluate, ...] = (
 )
 """Judged as soon as the controller's records are complete; none can come true later in the session."""
 
-FOR_PERMIT: tuple[Evaluate, ...] = (
+FINAL: tuple[Evaluate, ...] = (
     *COLLECTED,
     path_accepted,
     path_digest,
@@ -397,6 +397,11 @@ FOR_PERMIT: tuple[Evaluate, ...] = (
     registration_stands,
     log_writable,
     log_space,
+)
+"""No operator act can cure these within the session."""
+
+FOR_PERMIT: tuple[Evaluate, ...] = (
+    *FINAL,
     heartbeat_fresh,
     no_stop_cause,
     not_latched,
@@ -412,20 +417,6 @@ FOR_START: tuple[Evaluate, ...] = (
     permit_alive,
     device_cycled,
 )
-
-FINAL: tuple[Evaluate, ...] = (
-    *COLLECTED,
-    path_accepted,
-    path_digest,
-    verdict_admissible,
-    verdict_current,
-    approach_admissible,
-    registration_age,
-    registration_stands,
-    log_writable,
-    log_space,
-)
-"""Those of FOR_PERMIT that no operator act can cure within this session."""
 
 
 def evaluate(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tuple[Permissive, ...]:

@@ -1,0 +1,225 @@
+"""Bad weather: what happens to frames, loops, disk, people and power, drawn from a seed, several things at once."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+
+from firmware_sim.process import Word as ControllerWord
+from protocol.frames import FRAMES, TRANSFER_IDS
+from protocol.records import Side
+from runtime.interlock.state import Phase, Word
+from runtime.session.worker import Broken
+from tests.runtime.session.pair import Pair
+from tests.runtime.session.wire import CONTROLLER, RUNTIME, Node
+
+SENDER: dict[int, Side] = {
+    **{can_id: kind.SENDER for can_id, kind in FRAMES.items()},
+    **{can_id: side for side, ids in TRANSFER_IDS.items() for can_id in ids.values()},
+}
+"""Who sends on each identifier."""
+RATES = (0.0, 0.0, 0.0, 0.002, 0.01, 0.05)
+"""How often each thing may happen to a frame, or in a turn, while it storms: most things not at all, some often."""
+LATE_S = 0.25
+STILL_S = 0.3
+"""The longest delay of a frame, and the longest that a loop stands still, s: above and below the time-out."""
+
+FrameError = Callable[["Weather", can.Message], list[can.Message]]
+Act = Callable[["Weather"], None]
+
+
+@dataclass
+class Weather:
+    """The storm of one seed over one pair; ``only``: nothing but this happens, and that often.
+
+    ``fell`` is what a person reads when a test has failed: everything that happened, in order.
+    """
+
+    pair: Pair
+    seed: int
+    only: str | None = None
+    blowing: bool = False
+    fell: list[str] = field(default_factory=list)
+    later: list[tuple[float, Callable[[], None]]] = field(default_factory=list)
+    crashed: bool = False
+
+    def __post_init__(self) -> None:
+        self.draw = random.Random(self.seed)
+        self.frame_rates = {name: self._rate(name) for name in FRAME_ERRORS}
+        self.act_rates = {name: self._rate(name) / 2 for name in ACTS}
+        self.heard: list[can.Message] = []
+        self.pair.wire.rules.append(self._frame)
+
+    def _rate(self, name: str) -> float:
+        if self.only is None:
+            return self.draw.choice(RATES)
+        return RATES[-1] if name == self.only else 0.0
+
+    def note(self, text: str) -> None:
+        self.fell.append(f"{self.pair.clock() - 1000:8.3f} s  {text}")
+
+    def _frame(self, message: can.Message) -> list[can.Message]:
+        """What becomes of one frame; at most one thing, for the next frame brings another."""
+        if self.blowing:
+            for name, change in FRAME_ERRORS.items():
+                if self.draw.random() < self.frame_rates[name]:
+                    self.note(f"{message.arbitration_id:03X} {bytes(message.data).hex()} {name}")
+                    return change(self, message)
+        if len(self.heard) < 5000:
+            self.heard.append(message)
+        return [message]
+
+    def strike(self) -> None:
+        """What happens in this turn besides."""
+        due = [act for due_s, act in self.later if due_s <= self.pair.clock()]
+        self.later = [entry for entry in self.later if entry[0] > self.pair.clock()]
+        for act in due:
+            act()
+        if not self.blowing:
+            return
+        for name, act in ACTS.items():
+            if self.draw.random() < self.act_rates[name]:
+                self.note(name)
+                act(self)
+
+    def clear(self) -> None:
+        """The storm is over: nothing is lost, the disk answers, everybody turns. What was done stays done."""
+        self.blowing = False
+        pair = self.pair
+        pair.runtime_turns = pair.controller_turns = True
+        pair.disk.answers, pair.disk.delay_s = True, 0.0
+        for node in pair.wire.nodes.values():
+            node.mute = node.deaf = False
+        self.note("it clears")
+
+    # ------------------------------------------------------------ small parts of it
+
+    def hold(self, message: can.Message) -> None:
+        """This frame arrives later."""
+        due_s = self.pair.clock() + self.draw.uniform(0.0, LATE_S)
+        self.pair.wire.late.append((due_s, self._receiver(message), message))
+
+    def _receiver(self, message: can.Message) -> Node:
+        return self.pair.wire.nodes[SENDER[message.arbitration_id].peer]
+
+    def for_a_while(self, begin: Callable[[], None], end: Callable[[], None]) -> None:
+        begin()
+        self.later.append((self.pair.clock() + self.draw.uniform(0.01, STILL_S), end))
+
+
+# ---------------------------------------------------------------- frames
+
+
+def _with(message: can.Message, data: bytes, can_id: int | None = None) -> can.Message:
+    arbitration_id = message.arbitration_id if can_id is None else can_id
+    return can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False)
+
+
+def corrupted(weather: Weather, message: can.Message) -> list[can.Message]:
+    data = bytearray(message.data)
+    for _ in range(weather.draw.randint(1, 3)):
+        data[weather.draw.randrange(len(data))] ^= 1 << weather.draw.randrange(8)
+    return [_with(message, bytes(data))]
+
+
+def shortened(weather: Weather, message: can.Message) -> list[can.Message]:
+    return [_with(message, bytes(message.data)[: weather.draw.randrange(8)])]
+
+
+def delayed(weather: Weather, message: can.Message) -> list[can.Message]:
+    weather.hold(message)
+    return []
+
+
+def said_again(weather: Weather, message: can.Message) -> list[can.Message]:
+    """Something that either side has said before, in whatever session, arrives as well."""
+    old = weather.draw.choice(weather.heard or [message])
+    weather.hold(old)
+    return [message]
+
+
+def misaddressed(weather: Weather, message: can.Message) -> list[can.Message]:
+    return [_with(message, bytes(message.data), weather.draw.choice([*SENDER, 0x123]))]
+
+
+FRAME_ERRORS: dict[str, FrameError] = {
+    "corrupted": corrupted,
+    "shortened": shortened,
+    "lost": lambda _weather, _message: [],
+    "twice": lambda _weather, message: [message, message],
+    "delayed": delayed,
+    "said again": said_again,
+    "misaddressed": misaddressed,
+}
+"""The eight communication errors, as far as chance can make them: nobody here has the key or writes a CRC."""
+
+
+# ---------------------------------------------------------------- people, loops, disk, power
+
+
+def _operator(weather: Weather) -> None:
+    word = weather.draw.choice([*Word])
+    weather.note(f"operator: {word}")
+    weather.pair.terminal.type(word)
+
+
+def _person(weather: Weather) -> None:
+    word = weather.draw.choice([*ControllerWord])
+    weather.note(f"controller: {word}")
+    weather.pair.controller_terminal.type(word)
+
+
+def _still(name: str) -> Act:
+    def act(weather: Weather) -> None:
+        weather.for_a_while(
+            lambda: setattr(weather.pair, name, False), lambda: setattr(weather.pair, name, True)
+        )
+
+    return act
+
+
+def _slow_disk(weather: Weather) -> None:
+    weather.pair.disk.delay_s = weather.draw.choice((0.001, 0.05, 0.5, 3.0))
+
+
+def _deaf(side: Side, how: str) -> Act:
+    def act(weather: Weather) -> None:
+        setattr(weather.pair.wire.nodes[side], how, True)
+
+    return act
+
+
+def _crash(weather: Weather) -> None:
+    weather.crashed = True
+
+
+def _no_verifier(weather: Weather) -> None:
+    if weather.pair.phase is Phase.VERIFYING:
+        weather.pair.prover.give(Broken("the worker died"))
+
+
+def reboot(weather: Weather) -> None:
+    """Power goes and comes: nothing stays but the memory file; what waited to be read is gone."""
+    pair = weather.pair
+    node = pair.wire.nodes[CONTROLLER]
+    node.inbox.clear()
+    node.mute = node.deaf = False
+    pair.controller_turns = True
+    pair.power_up()
+
+
+ACTS: dict[str, Act] = {
+    "the operator says something": _operator,
+    "somebody does something at the controller": _person,
+    "the runtime stands still": _still("runtime_turns"),
+    "the controller stands still": _still("controller_turns"),
+    "the disk is slow": _slow_disk,
+    "the disk answers no more": lambda weather: setattr(weather.pair.disk, "answers", False),
+    "the verifier dies": _no_verifier,
+    "the runtime cannot send": _deaf(RUNTIME, "mute"),
+    "the runtime cannot read": _deaf(RUNTIME, "deaf"),
+    "the controller cannot send": _deaf(CONTROLLER, "mute"),
+    "the controller reboots": reboot,
+    "the runtime is killed": _crash,
+}

@@ -6,12 +6,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from config.load import InputError
 from firmware_sim import memory
 from firmware_sim.faults import FaultSpec
 from fuzz.harness import Family, attempt, choose, expect
 from protocol.permit import KeyFileError, load_key
 from runtime.audit.directory import HEAD, head_bytes, previous_session
 from runtime.audit.scan import recoverable_head
+from runtime.session import withdrawn
 
 DIRECTORY = tempfile.TemporaryDirectory(prefix="cutgate-fuzz-")
 PLACE = Path(DIRECTORY.name)
@@ -59,7 +61,16 @@ def _fault(data: bytes) -> None:
             expect(FaultSpec.parse(again) == spec, "a fault can be named again")
 
 
-READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault)
+def _withdrawn(data: bytes) -> None:
+    _written(withdrawn.WITHDRAWN, data)
+    listed = attempt(InputError, withdrawn.load, PLACE)
+    if listed is not None:
+        expect(all(len(digest) == 32 for digest in listed), "an entry is a SHA-256")
+        withdrawn.add(PLACE, bytes(32), "a.mcap")
+        expect({*withdrawn.load(PLACE)} == {*listed, bytes(32)}, "what is withdrawn stays withdrawn")
+
+
+READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault, _withdrawn)
 
 
 def _seeds() -> Iterator[bytes]:
@@ -75,6 +86,13 @@ def _seeds() -> Iterator[bytes]:
             "[" * 5000,
         ),
         _key: ("ab" * 32 + "\n", "ab" * 31, "zz" * 32),
+        _withdrawn: (
+            f"{'ab' * 32} a.mcap\n",
+            f"{'ab' * 32} a.mcap\n{'0f' * 32} b.mcap\n",
+            f"{'ab' * 32}",
+            f"{'ab' * 31} a.mcap",
+            f"{'ab ' * 32}\t a.mcap\n",
+        ),
         _fault: ("flip-path-bit@permitted", "reboot", "hang@", "@", "hang@cutting@x"),
     }
     for number, read in enumerate(READERS):

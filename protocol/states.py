@@ -101,6 +101,9 @@ LATCHING = frozenset(
 )
 """Causes that latch: only acknowledge and then an authenticated reset leave them."""
 
+WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED})
+"""Causes after which the registration may never be permitted again, by whatever way they arrive."""
+
 
 @unique
 class Purpose(IntEnum):

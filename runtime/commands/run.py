@@ -25,6 +25,7 @@ from runtime.audit.log import AuditLog, OpenInfo, Paths
 from runtime.commands.screen import working
 from runtime.commands.session_view import SessionView, print_outcome, run_document
 from runtime.interlock.state import Interlock, Phase, Word
+from runtime.session import withdrawn
 from runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
 from runtime.session.journal import Journal, plain
 from runtime.session.loop import Session, wake_pipe
@@ -65,10 +66,15 @@ def run(
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     view = SessionView(quiet_output=json)
     with _signals() as signals:
+        directory = log_dir or Path(files.settings.log.directory)
+        withdrawn_in = withdrawn.load(directory).get(job.registration)
         bus, name = _bus(interface, channel, files)
         try:
-            log = _log(log_dir or Path(files.settings.log.directory), files, job.path, name)
-            session, paths = _session(files, Interlock(job), secret, bus, name, log, view, signals)
+            log = _log(directory, files, job.path, name)
+            if withdrawn_in is not None:
+                view.note(f"this registration was withdrawn in {withdrawn_in}: register the bone anew")
+            state = Interlock(job, registration_withdrawn=withdrawn_in is not None)
+            session, paths = _session(files, state, secret, bus, name, log, view, signals)
         finally:
             bus.shutdown()
     if json:
@@ -119,9 +125,19 @@ def _session(
         clean = True
     finally:
         worker.close()
+        if session.state.registration_withdrawn and not state.registration_withdrawn:
+            _withdraw(log.path, state.job.registration, view)
         verdict = session.answer.document["verdict"] if session.answer else None
         paths = journal.close(session.state, verdict, clean=clean)
     return session, paths
+
+
+def _withdraw(log: Path, registration: bytes, view: SessionView) -> None:
+    """List it for every session to come, whether or not the controller has heard of it."""
+    try:
+        withdrawn.add(log.parent, registration, log.name)
+    except OSError as error:
+        view.note(f"the withdrawal could not be listed ({error}): never use this registration again")
 
 
 @dataclass

@@ -383,6 +383,7 @@ COLLECTED: tuple[Evaluate, ...] = (
     limits_approved,
     calibration_approved,
     tool_approved,
+    registration_stands,
 )
 """Judged as soon as the controller's records are complete; none can come true later in the session."""
 
@@ -394,7 +395,6 @@ FINAL: tuple[Evaluate, ...] = (
     verdict_current,
     approach_admissible,
     registration_age,
-    registration_stands,
     log_writable,
     log_space,
 )

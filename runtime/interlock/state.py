@@ -234,6 +234,7 @@ class Interlock:
     """When they were measured."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
+    """In this session, or in one before."""
     cause: StopCause = StopCause.NONE
     """First-out."""
     reason: str = ""

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from protocol import records
-from protocol.states import ControllerState, Purpose, Refusal, StopCause, StopCode
+from protocol.states import WITHDRAWING, ControllerState, Purpose, Refusal, StopCause, StopCode
 from runtime.interlock.permissives import (
     COLLECTED,
     FOR_PERMIT,
@@ -101,6 +101,7 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
     sent = state.stops_sent | {cause}
+    state = replace(state, registration_withdrawn=state.registration_withdrawn or cause in WITHDRAWING)
     if state.phase is Phase.STOPPING:
         news = sent != state.stops_sent
         return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause),) if news else ()
@@ -155,8 +156,7 @@ def said(state: Interlock, event: Said, now_s: float) -> Outcome:
         case Word.STOP:
             return stop(state, StopCause.OPERATOR_STOP, "the operator said stop", now_s)
         case Word.WITHDRAW:
-            withdrawn = replace(state, registration_withdrawn=True)
-            return stop(withdrawn, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
+            return stop(state, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
         case Word.QUIT:
             return quit_session(state, now_s)
     return state, (Refused(event.word, f"{event.word} means nothing while {state.phase.replace('_', ' ')}"),)

@@ -169,7 +169,7 @@ def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
     sim.say("bone-motion")
     assert run.exit() == 3
 
-    again = rig.run()
+    again = rig.run(logs="elsewhere")  # a runtime that does not know of it
     again.line("its cause is BONE_MOVED")
     again.say("acknowledge")
     assert again.exit() == 1
@@ -178,10 +178,32 @@ def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
     sim.signal(signal.SIGINT)
     assert sim.exit() == 0
     sim = rig.sim()
-    after_reboot = rig.run()
+    after_reboot = rig.run(logs="elsewhere")
     assert after_reboot.exit() == 1
     assert "REGISTRATION_WITHDRAWN" in after_reboot.told
     assert "state PERMITTED" not in sim.told
+
+    other = rig.run(registration="another.json")
+    other.line("permitted:")
+    other.say("quit")
+    assert other.exit() == 3
+
+
+def test_a_withdrawal_that_the_controller_never_heard_stands_in_every_later_session(rig):
+    sim, run = rig.permitted()
+    sim.signal(signal.SIGSTOP)
+    rig.until(lambda: sim.stopped)
+    run.say("withdraw")
+    assert run.exit() == 3
+    sim.signal(signal.SIGKILL)
+    assert sim.exit() == -signal.SIGKILL
+
+    rig.sim()
+    again = rig.run()
+    again.line(f"this registration was withdrawn in {rig.logs()[0].name}: register the bone anew")
+    assert again.exit() == 1
+    assert "registration stands: withdrawn" in again.told
+    assert rig.log().report.status is Status.OK
 
     other = rig.run(registration="another.json")
     other.line("permitted:")

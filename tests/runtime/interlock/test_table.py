@@ -6,7 +6,16 @@ from dataclasses import replace
 import pytest
 
 from protocol import records
-from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from protocol.states import (
+    WITHDRAWING,
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
 from runtime.interlock import permissives as p
 from runtime.interlock import table
 from runtime.interlock.state import (
@@ -302,6 +311,15 @@ def test_a_stop_without_a_cause_is_a_violation(phase):
     after, effects = step(in_phase(phase), Failed(StopCause.NONE, ""), NOW)
     assert stops(effects) == [StopCause.PROTOCOL_VIOLATION]
     assert after.phase in (Phase.STOPPING, Phase.STOPPED)
+
+
+@each_phase
+@pytest.mark.parametrize("cause", StopCause)
+def test_a_cause_that_withdraws_is_remembered_and_no_other(phase, cause):
+    after, _ = step(in_phase(phase), Failed(cause, ""), NOW)
+    assert after.registration_withdrawn is (cause in WITHDRAWING)
+    later, _ = step(after, Failed(StopCause.OPERATOR_STOP, ""), NOW)
+    assert later.registration_withdrawn is after.registration_withdrawn
 
 
 @each_phase

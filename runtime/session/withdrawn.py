@@ -1,0 +1,67 @@
+"""Registrations that this site must never use again: the runtime's own list, beside its logs.
+
+The controller keeps a list as well, but a withdrawal that never reached it (a dead bus, a controller without power)
+would be forgotten without this one. One line each: the registration's SHA-256 and the log that tells why. Lines are
+only ever added; a list that cannot be read stops the next session, for nobody knows what it held.
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import Final
+
+from config.load import InputError
+
+WITHDRAWN: Final = "WITHDRAWN"
+_ENTRY: Final = re.compile(r"[0-9a-f]{64} \S+")
+
+
+def load(directory: Path) -> dict[bytes, str]:
+    """The log that tells why, by the registration's digest; empty where nothing was ever withdrawn.
+
+    Raises:
+        InputError: the list cannot be read or a line of it is no entry.
+    """
+    file = directory / WITHDRAWN
+    try:
+        lines = file.read_bytes().decode("ascii").split("\n")
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(file, "list of withdrawn registrations", None, f"cannot be read: {error}") from None
+    for number, line in enumerate(lines[:-1], start=1):
+        if not _ENTRY.fullmatch(line):
+            raise _no_entry(file, number, line)
+    if lines[-1]:  # the power went while it was written
+        raise _no_entry(file, len(lines), lines[-1])
+    entries = (line.split(" ") for line in lines[:-1])
+    return {bytes.fromhex(digest): log for digest, log in entries}
+
+
+def _no_entry(file: Path, number: int, line: str) -> InputError:
+    bound = "a registration's SHA-256 and the name of a log, and an end of line"
+    return InputError(file, f"line {number}", line, bound, "restore the list from a backup")
+
+
+def add(directory: Path, registration: bytes, log: str) -> None:
+    """List a registration; it is on the disk, directory entry included, when this returns.
+
+    Args:
+        directory: the log directory, locked by this session.
+        registration: SHA-256 digest.
+        log: name of the log that tells why.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    descriptor = os.open(directory / WITHDRAWN, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        os.write(descriptor, f"{registration.hex()} {log}\n".encode("ascii"))
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

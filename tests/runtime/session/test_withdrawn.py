@@ -1,0 +1,44 @@
+"""The runtime's own list of withdrawn registrations: what was added stays, and a list that cannot be read stops."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.load import InputError
+from runtime.session import withdrawn
+
+DIGESTS = st.binary(min_size=32, max_size=32)
+
+
+@given(st.lists(st.tuples(DIGESTS, st.from_regex(r"[0-9a-zA-Z.-]{1,40}", fullmatch=True)), max_size=5))
+def test_what_was_added_is_read_in_every_later_session(tmp_path_factory, entries):
+    directory = tmp_path_factory.mktemp("logs")
+    for digest, log in entries:
+        withdrawn.add(directory, digest, log)
+    assert withdrawn.load(directory) == dict(entries)
+
+
+@pytest.mark.parametrize("directory", ["", "never made"])
+def test_nothing_is_listed_where_nothing_was_withdrawn(tmp_path, directory):
+    assert withdrawn.load(tmp_path / directory) == {}
+
+
+@pytest.mark.parametrize(
+    "line", ["", "beef a.mcap", "x" * 64 + " a.mcap", "ab" * 31 + " a.mcap", "ab" * 33 + " a.mcap", " " * 70]
+)
+def test_a_line_that_is_no_entry_is_named(tmp_path, line):
+    withdrawn.add(tmp_path, bytes(32), "a.mcap")
+    with (tmp_path / withdrawn.WITHDRAWN).open("a", encoding="ascii") as file:
+        file.write(line + "\n")
+    with pytest.raises(InputError, match=r"line 2.*restore the list"):
+        withdrawn.load(tmp_path)
+
+
+def test_a_list_that_cannot_be_read_stops(tmp_path):
+    (tmp_path / withdrawn.WITHDRAWN).mkdir()
+    with pytest.raises(InputError, match="cannot be read"):
+        withdrawn.load(tmp_path)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / withdrawn.WITHDRAWN).write_bytes(b"\xff\n")
+    with pytest.raises(InputError, match="cannot be read"):
+        withdrawn.load(tmp_path / "b")

@@ -35,6 +35,9 @@ class Constant:
 TIMEOUT_HEARTBEATS: Final = 3
 """The heartbeat time-out is at least this many heartbeat periods."""
 
+REGISTRATIONS_MAX: Final = 1000
+"""So many registrations a controller remembers, named and withdrawn together; it refuses one more."""
+
 TABLE: Final[tuple[Constant, ...]] = (
     # name, unit, default, low, high, exchanged, meaning
     Constant("heartbeat_ms", "ms", 20, 5, 100, True, "period of both sides' heartbeats"),

@@ -23,20 +23,20 @@ from firmware_sim import memory
 from firmware_sim.faults import FaultSpec
 from firmware_sim.kinematics import Joints, as_joints, limit_text
 from firmware_sim.process import Options, Process, Word, middle_of
-from firmware_sim.state import Controller, Holdings, Identity
+from firmware_sim.state import Controller, Holdings, Identity, Memory
 from protocol.endpoint import Endpoint
 from protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from protocol.parameters import counts_nearest
 from protocol.permit import KeyFileError, load_key
 from protocol.port import Port
-from protocol.records import Limits, Side, joints_to_memory
+from protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
+from protocol.states import StopCause
 
 EXIT_OK: Final = 0
 EXIT_BAD_INPUT: Final = 2
 EXIT_INTERNAL: Final = 70
 LISTEN_S: Final = 0.6
 """How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
-TIME_SCALE_MAX: Final = 1000.0
 TRANSFER_TIMEOUT_S: Final = 2.0
 
 
@@ -78,7 +78,11 @@ def _run(options: argparse.Namespace) -> None:
         raise RefusedError("no key file is given (--key); make one with: cutgate key new FILE")
     key, memory_file = load_key(options.key), memory.beside(options.key)
     settings = _options(options, robot)
-    controller = _controller(robot, key, memory.load(memory_file), options.serial)
+    remembered = memory.load(memory_file)
+    memory.save(
+        memory_file, remembered
+    )  # a memory that cannot be written is found before anything depends on it
+    controller = _controller(robot, key, remembered, options.serial)
     interface, channel = _bus_of(options)
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
@@ -91,6 +95,12 @@ def _run(options: argparse.Namespace) -> None:
         _refuse_a_used_bus(bus)
         _say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
         _say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
+        if settings.time_scale != 1.0:
+            _say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")
+        if remembered.latched is not StopCause.NONE:
+            _say(
+                f"a fault was latched before power-up ({remembered.latched.name}): acknowledge it, then reset"
+            )
         process = Process(
             controller,
             Port(bus, _endpoint()),
@@ -102,20 +112,22 @@ def _run(options: argparse.Namespace) -> None:
         process.run(reading)
 
 
-def _controller(robot: Robot, key: bytes, withdrawn: frozenset[bytes], serial: str | None) -> Controller:
+def _controller(robot: Robot, key: bytes, remembered: Memory, serial: str | None) -> Controller:
     holdings = Holdings(
         limits=limits_record(robot).body(),
         calibration=calibration_record(robot).body(),
         tool=tool_record(robot).body(),
     )
     number = serial or f"SIM-{hashlib.sha256(robot.name.encode()).hexdigest()[:8].upper()}"
-    return Controller(Identity(number, key, os.urandom(16)), holdings, withdrawn=withdrawn)
+    return Controller.powered_up(Identity(number, key, os.urandom(16)), holdings, remembered)
 
 
 def _options(options: argparse.Namespace, robot: Robot) -> Options:
-    if not 0.0 < options.time_scale <= TIME_SCALE_MAX:
+    permille = options.time_scale * 1000
+    if not (1 <= permille <= PLANT_SPEED_PERMILLE_MAX and abs(permille - round(permille)) <= 1e-9 * permille):
         raise RefusedError(
-            f"--time-scale is {options.time_scale}, must be > 0 and at most {TIME_SCALE_MAX:g}"
+            f"--time-scale is {options.time_scale:g}, must be 0.001 to {PLANT_SPEED_PERMILLE_MAX / 1000:g} "
+            "in whole thousandths, as it is announced"
         )
     try:
         faults = tuple(FaultSpec.parse(text) for text in options.fault)

@@ -23,7 +23,7 @@ class FaultName(StrEnum):
     CHANGE_LIMIT = "change-limit"
     """A joint limit changes without a word."""
     REBOOT = "reboot"
-    """Power is lost and comes back: a new boot nonce, nothing loaded, the withdrawn list kept."""
+    """Power is lost and comes back: a new boot nonce, nothing loaded; its memory is kept."""
     DRIFT = "drift"
     """q0 creeps away from where the controller believes it to be, 1 deg/s; its own checks see nothing."""
     FREEZE = "freeze"

@@ -1,14 +1,26 @@
-"""The simulated controller's non-volatile memory: the registrations it must never permit again."""
+"""The simulated controller's non-volatile memory: registrations named and withdrawn, and a latched fault.
 
+One JSON document with its schema and the SHA-256 of its content, so that no damage goes unseen.
+"""
+
+import hashlib
 import json
 import os
 from pathlib import Path
+from typing import Any, Final
 
-SUFFIX = ".sim-memory.json"
+from config.constants import REGISTRATIONS_MAX
+from firmware_sim.state import Memory
+from protocol.states import StopCause
+
+SUFFIX: Final = ".sim-memory.json"
+SCHEMA: Final = "cutgate.sim-memory/1"
+BYTES_MAX: Final = 100 * REGISTRATIONS_MAX
+"""A file that is longer holds something else: a digest takes 68 bytes."""
 
 
 class ControllerMemoryError(Exception):
-    """The memory cannot be read; the controller does not start without it."""
+    """The memory cannot be read or written; the controller does not start without it."""
 
 
 def beside(key_file: Path) -> Path:
@@ -16,34 +28,80 @@ def beside(key_file: Path) -> Path:
     return key_file.with_name(key_file.name + SUFFIX)
 
 
-def load(path: Path) -> frozenset[bytes]:
-    """The withdrawn registrations' digests; none where the file does not exist yet.
+def load(path: Path) -> Memory:
+    """What is remembered; nothing where the file does not exist yet.
 
     Raises:
         ControllerMemoryError: the file is there but cannot be believed.
     """
     try:
-        text = path.read_text(encoding="ascii")
+        with path.open("rb") as file:
+            data = file.read(BYTES_MAX + 1)
     except FileNotFoundError:
-        return frozenset()
-    except (OSError, UnicodeDecodeError) as error:
+        return Memory()
+    except OSError as error:
         raise ControllerMemoryError(f"{path}: {error}") from None
     try:
-        entries = json.loads(text)["withdrawn"]
-        withdrawn = frozenset(bytes.fromhex(entry) for entry in entries)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        return _believed(data)
+    except (ValueError, RecursionError) as error:
         raise ControllerMemoryError(
-            f"{path}: not a memory file ({error}); restore it or use another key"
+            f"{path}: not a memory that can be believed ({error}); restore the file, or write a new key and memory"
         ) from None
-    if not all(len(entry) == 32 for entry in withdrawn):
-        raise ControllerMemoryError(f"{path}: a withdrawn digest is not 32 bytes long; restore the file")
-    return withdrawn
 
 
-def save(path: Path, withdrawn: frozenset[bytes]) -> None:
-    """Replace the memory; it is on the disk, directory entry included, when this returns."""
+def _believed(data: bytes) -> Memory:
+    """Raises ValueError unless this says what would be written, digest included."""
+    if len(data) > BYTES_MAX:
+        raise ValueError(f"it is longer than {BYTES_MAX} bytes")
+    document = json.loads(data.decode("ascii"))
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise ValueError(f"its schema is not {SCHEMA}")
+    content: Any = document.get("content")
+    try:
+        memory = Memory(
+            named=frozenset(map(bytes.fromhex, content["named"])),
+            withdrawn=frozenset(map(bytes.fromhex, content["withdrawn"])),
+            latched=StopCause[content["latched"]],
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"its content is malformed: {type(error).__name__} {error}") from None
+    if document != _document(memory):
+        raise ValueError("its SHA-256 does not match, or it is not in its canonical form")
+    known = memory.named | memory.withdrawn
+    if len(known) > REGISTRATIONS_MAX or not all(len(digest) == 32 for digest in known):
+        raise ValueError(f"it must hold at most {REGISTRATIONS_MAX} digests of 32 bytes each")
+    return memory
+
+
+def _document(memory: Memory) -> dict[str, Any]:
+    content = {
+        "named": sorted(digest.hex() for digest in memory.named),
+        "withdrawn": sorted(digest.hex() for digest in memory.withdrawn),
+        "latched": memory.latched.name,
+    }
+    return {
+        "schema": SCHEMA,
+        "content": content,
+        "sha256": hashlib.sha256(json.dumps(content).encode()).hexdigest(),
+    }
+
+
+def save(path: Path, memory: Memory) -> None:
+    """Replace the memory; it is on the disk, directory entry included, when this returns.
+
+    Raises:
+        ControllerMemoryError: it could not be written; the file holds what it held, or this.
+    """
+    try:
+        _replace(path, json.dumps(_document(memory)))
+    except OSError as error:
+        raise ControllerMemoryError(
+            f"{path}: the memory cannot be written: {error}; free or replace the disk"
+        ) from None
+
+
+def _replace(path: Path, text: str) -> None:
     fresh = path.with_name(path.name + ".new")
-    text = json.dumps({"withdrawn": sorted(entry.hex() for entry in withdrawn)})
     with fresh.open("w", encoding="ascii") as file:
         file.write(text)
         file.flush()

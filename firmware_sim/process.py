@@ -39,6 +39,7 @@ from firmware_sim.state import (
     InputsChanged,
     JointsMeasured,
     LimitsChanged,
+    Memory,
     NonceRequested,
     OpenLink,
     OpenReceived,
@@ -46,6 +47,8 @@ from firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
+    Persisted,
+    PersistFailed,
     ResetReceived,
     Send,
     SendFault,
@@ -92,7 +95,11 @@ class Word(StrEnum):
 
 @dataclass(frozen=True)
 class Options:
-    """How this simulated controller behaves; ``joints``: where the arm stands at power-up, rad and mm."""
+    """How this simulated controller behaves.
+
+    ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
+    ``joints``: where the arm stands at power-up, rad and mm.
+    """
 
     time_scale: float = 1.0
     announce_s: float = 0.2
@@ -132,6 +139,7 @@ class Process:
         self.controller = controller
         self.port = port
         self._memory = memory_file
+        self._memory_works = True
         self._options = options
         self._words = words
         self._say = say
@@ -217,8 +225,26 @@ class Process:
         for effect in effects:
             if isinstance(effect, SendFault):
                 self._carry_out(effect)
-        with contextlib.suppress(can.CanError):  # heartbeats cease: the runtime stops within the time-out
-            self.port.flush()
+        self._leave_now()  # heartbeats cease: the runtime stops within the time-out
+        self._remember(self.controller.memory)
+
+    def _leave_now(self) -> None:
+        """Send what is queued before something that may take long; a bus that fails here fails in the turn as well."""
+        if not self._silent:
+            with contextlib.suppress(can.CanError):
+                self.port.flush()
+
+    def _remember(self, wanted: Memory) -> bool:
+        """Write non-volatile memory; False, said once until it works again, where it cannot be written."""
+        try:
+            memory.save(self._memory, wanted)
+        except memory.ControllerMemoryError as error:
+            if self._memory_works:
+                self._say(str(error))
+            self._memory_works = False
+            return False
+        self._memory_works = True
+        return True
 
     def _wait_ms(self) -> float:
         if self._check is not None:
@@ -450,8 +476,9 @@ class Process:
                 endpoint.abort()
                 self._assembly = records.Assembly()
                 self._check = None
-            case Persist():
-                memory.save(self._memory, effect.withdrawn)
+            case Persist(memory=wanted):
+                self._leave_now()
+                self._feed(Persisted(wanted) if self._remember(wanted) else PersistFailed())
             case _:
                 assert_never(effect)
 
@@ -564,14 +591,14 @@ class Process:
         self._next_announce_s = now_s + self._options.announce_s
         if self.port.endpoint.receiving:  # most likely an OPEN
             return
-        scale = "" if self._options.time_scale == 1.0 else f" x{self._options.time_scale:g}"
         self.port.endpoint.abort()  # an announcement nobody took
         self.port.endpoint.send_record(
             records.Announce(
                 protocol_version=self.controller.identity.protocol_version,
-                firmware_version=f"{FIRMWARE_VERSION}{scale}"[:16],
+                firmware_version=FIRMWARE_VERSION,
                 serial=self.controller.identity.serial,
                 boot_nonce=self.controller.identity.boot_nonce,
+                plant_speed_permille=round(1000 * self._options.time_scale),
                 state=self.controller.state,
                 cause=self.controller.cause,
             ),
@@ -631,10 +658,10 @@ class Process:
         old = self.controller
         self.port.endpoint.end_session()
         self._assembly, self._check = records.Assembly(), None
-        self.controller = Controller(
-            identity=replace(old.identity, boot_nonce=self._random(16)),
-            holdings=replace(old.holdings, path=None, ends=None),
-            withdrawn=old.withdrawn,
+        self.controller = Controller.powered_up(
+            replace(old.identity, boot_nonce=self._random(16)),
+            replace(old.holdings, path=None, ends=None),
+            memory.load(self._memory),
         )
         self._load()
         self._next_announce_s = self._clock()

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from config.constants import CONSTANTS, REGISTRATIONS_MAX, TIMEOUT_HEARTBEATS
 from firmware_sim.approach import agrees, inside, start_offset
-from firmware_sim.state import Controller, DeviceCycle
+from firmware_sim.state import Controller, DeviceCycle, Session
 from protocol import permit as permits
 from protocol import records
 from protocol.path import PathHeader
@@ -85,18 +86,16 @@ HELD_RULES: tuple[Rule, ...] = (
     ),
     (Refusal.TOOL_DIGEST, lambda c: digest(c.controller.holdings.tool) == _permit(c).tool_digest),
     (Refusal.PATH_DIGEST, _holds_path),
-    (Refusal.REGISTRATION_WITHDRAWN, lambda c: _permit(c).registration_digest not in c.controller.withdrawn),
+    (
+        Refusal.REGISTRATION_WITHDRAWN,
+        lambda c: _permit(c).registration_digest not in c.controller.memory.withdrawn,
+    ),
 )
 
 ALIVE_RULES: tuple[Rule, ...] = (
     (Refusal.HEARTBEAT_STALE, lambda c: c.controller.heartbeat_fresh),
     (Refusal.EMERGENCY_STOP, lambda c: c.controller.inputs.emergency_stop_clear),
 )
-
-
-def _names_the_sessions_registration(case: Case) -> bool:
-    session = case.controller.session
-    return session is not None and case.request.registration_digest == session.registration
 
 
 def _same_branch(case: Case) -> bool:
@@ -133,22 +132,68 @@ def _speed_as_opened(case: Case) -> bool:
     return session is not None and case.request.approach.speed_percent == session.approach_speed_percent
 
 
-def _lifetime_as_opened(case: Case) -> bool:
-    """OPEN carries no authentication; the permit does, so the lifetimes must be the same."""
-    session = case.controller.session
-    return session is not None and case.request.lifetime_s == session.permit_lifetime_s
-
-
 def _permit_alive(case: Case) -> bool:
     session = case.controller.session
     age_s = case.now_s - case.controller.permit_issued_at_s
     return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
 
 
+def _as_opened(field: str, opened: Callable[[Session], object]) -> Callable[[Case], bool]:
+    """The permit, whose code is right, names the same as OPEN, which carries none."""
+
+    def same(case: Case) -> bool:
+        session = case.controller.session
+        return session is not None and getattr(case.request, field) == opened(session)
+
+    return same
+
+
+def _timing_within_bounds(case: Case) -> bool:
+    timing: records.Timing = case.request.timing
+    values = {
+        "heartbeat_ms": timing.heartbeat_ms,
+        "timeout_ms": timing.timeout_ms,
+        "permit_lifetime_s": timing.permit_lifetime_s,
+        "start_lifetime_ms": timing.start_lifetime_ms,
+        "start_tolerance_mm": timing.start_tolerance_um / 1000,
+        "start_tolerance_deg": timing.start_tolerance_mdeg / 1000,
+        "approach_clearance_mm": timing.approach_clearance_um / 1000,
+        "approach_speed_percent": timing.approach_speed_percent,
+    }
+    return timing.timeout_ms >= TIMEOUT_HEARTBEATS * timing.heartbeat_ms and all(
+        CONSTANTS[name].holds(value) for name, value in values.items()
+    )
+
+
+def _has_room(case: Case) -> bool:
+    """One registration more than can be remembered is refused; none is forgotten for it."""
+    memory = case.controller.memory.naming(case.request.registration_digest)
+    return len(memory.named | memory.withdrawn) <= REGISTRATIONS_MAX
+
+
+def _live(case: Case) -> bool:
+    return case.controller.session is not None and case.controller.session.live
+
+
+OPEN_RULES: tuple[Rule, ...] = (
+    (Refusal.SESSION_IN_USE, lambda c: c.controller.session is None and c.controller.awaiting is None),
+    (
+        Refusal.PROTOCOL_VERSION,
+        lambda c: c.request.protocol_version == c.controller.identity.protocol_version,
+    ),
+    (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
+    (
+        Refusal.WRONG_SESSION,
+        lambda c: records.nonce_serves(c.controller.identity.boot_nonce, c.request.runtime_nonce),
+    ),
+    (Refusal.TIMING_OUT_OF_BOUNDS, _timing_within_bounds),
+    (Refusal.MEMORY_FULL, _has_room),
+)
+
 PERMIT_RULES: tuple[Rule, ...] = (
     (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
     (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
-    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.WRONG_SERIAL, lambda c: c.request.serial == c.controller.identity.serial),
     (
@@ -162,8 +207,10 @@ PERMIT_RULES: tuple[Rule, ...] = (
     *_nonce_rules(Purpose.PERMIT),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     *HELD_RULES,
-    (Refusal.REGISTRATION_DIGEST, _names_the_sessions_registration),
-    (Refusal.TIMING_OUT_OF_BOUNDS, _lifetime_as_opened),
+    (Refusal.REGISTRATION_DIGEST, _as_opened("registration_digest", lambda s: s.registration)),
+    (Refusal.CONFIGURATION_DIGEST, _as_opened("configuration_digest", lambda s: s.configuration)),
+    (Refusal.VERIFIER, _as_opened("verifier_version", lambda s: s.verifier)),
+    (Refusal.TIMING_OUT_OF_BOUNDS, _as_opened("lifetime_s", lambda s: s.permit_lifetime_s)),
     (Refusal.BRANCH, _same_branch),
     (Refusal.APPROACH, _own_approach),
     (Refusal.APPROACH_SPEED, _speed_as_opened),
@@ -172,7 +219,7 @@ PERMIT_RULES: tuple[Rule, ...] = (
 
 START_RULES: tuple[Rule, ...] = (
     (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
-    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NO_PERMIT, lambda c: c.controller.permit is not None),
     (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.PERMITTED),
@@ -189,12 +236,23 @@ START_RULES: tuple[Rule, ...] = (
 
 RESET_RULES: tuple[Rule, ...] = (
     (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
-    (Refusal.VOIDED_BY_STOP, lambda c: c.controller.session is not None and c.controller.session.live),
+    (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.FAULT),
     (Refusal.UNACKNOWLEDGED_STOP, lambda c: c.controller.cause is StopCause.NONE),
     *ALIVE_RULES,
     *_nonce_rules(Purpose.RESET),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
+    (Refusal.WRONG_CAUSE, lambda c: c.request.cause is c.controller.memory.latched),
 )
 """A reset leaves a latched fault once its cause was acknowledged. It never starts motion."""
+
+ACKNOWLEDGE_RULES: tuple[Rule, ...] = (
+    (Refusal.VOIDED_BY_STOP, _live),
+    (Refusal.WRONG_CAUSE, lambda c: c.request.cause is c.controller.cause),
+    (
+        Refusal.EMERGENCY_STOP,
+        lambda c: c.request.cause is not StopCause.EMERGENCY_STOP or c.controller.inputs.emergency_stop_clear,
+    ),
+)
+"""Only the cause that stands, once it is gone; the operator has to have seen it."""

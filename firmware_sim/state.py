@@ -1,7 +1,8 @@
 """What the simulated controller remembers, what can happen to it and what it answers."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
+from typing import Self
 
 from firmware_sim.approach import Ends
 from protocol import records
@@ -31,12 +32,40 @@ class Holdings:
 
 
 @dataclass(frozen=True)
+class Memory:
+    """What a loss of power does not take away.
+
+    Attributes:
+        named: digests of all registrations that accepted OPENs have named since the bone last moved. An OPEN carries
+            no key, so that the last one alone could have been anybody's.
+        withdrawn: digests of registrations that may never be permitted again.
+        latched: the first-out cause of a latched fault, NONE without one.
+    """
+
+    named: frozenset[bytes] = frozenset()
+    withdrawn: frozenset[bytes] = frozenset()
+    latched: StopCause = StopCause.NONE
+
+    def naming(self, registration: bytes) -> "Memory":
+        """With this registration named, unless it is known already."""
+        known = registration in self.named | self.withdrawn
+        return self if known else replace(self, named=self.named | {registration})
+
+    @property
+    def all_withdrawn(self) -> "Memory":
+        """Every registration that was named is withdrawn."""
+        return replace(self, named=frozenset(), withdrawn=self.withdrawn | self.named)
+
+
+@dataclass(frozen=True)
 class Session:
     """One session with one runtime. ``live`` is false once a stop has voided it."""
 
     tag: int
     digest: bytes
     registration: bytes
+    configuration: bytes
+    verifier: str
     permit_lifetime_s: float
     start_lifetime_s: float
     start_tolerance_mm: float
@@ -95,9 +124,19 @@ class Controller:
     heartbeat_fresh: bool = False
     measured_u: tuple[int, ...] | None = None
     """Reported joints, 1e-6 deg | mm; None until measured since the last stop."""
-    withdrawn: frozenset[bytes] = frozenset()
-    """Digests of registrations that may never be permitted again; survives reboots."""
-    last_registration: bytes | None = None
+    memory: Memory = Memory()
+    """What must not be forgotten, from the moment in which it happens."""
+    written: Memory | None = None
+    """What non-volatile memory is known to hold; where it differs, it is written again and again."""
+    awaiting: "Awaiting | None" = None
+    """The request whose answer waits for non-volatile memory."""
+
+    @classmethod
+    def powered_up(cls, identity: Identity, holdings: Holdings, memory: Memory) -> Self:
+        """At power-up, with what non-volatile memory holds: a fault that was latched still is."""
+        latched = memory.latched is not StopCause.NONE
+        state = ControllerState.FAULT if latched else ControllerState.INHIBITED
+        return cls(identity, holdings, state, memory.latched, memory=memory, written=memory)
 
     @property
     def may_move(self) -> bool:
@@ -244,8 +283,28 @@ class PathFinished:
 
 
 @dataclass(frozen=True)
+class Persisted:
+    """Non-volatile memory holds this, and would after a loss of power."""
+
+    memory: Memory
+
+
+@dataclass(frozen=True)
+class PersistFailed:
+    """Non-volatile memory could not be written; it holds what it held, or what it was to hold."""
+
+
+@dataclass(frozen=True)
 class Tick:
     """Time passes."""
+
+
+@dataclass(frozen=True)
+class Awaiting:
+    """A request that passed every rule and is answered once ``memory`` is durable."""
+
+    event: OpenReceived | ResetReceived
+    memory: Memory
 
 
 Event = (
@@ -266,6 +325,8 @@ Event = (
     | LimitsChanged
     | JointsMeasured
     | PathFinished
+    | Persisted
+    | PersistFailed
     | Tick
 )
 
@@ -309,9 +370,9 @@ class AbortTransfers:
 
 @dataclass(frozen=True)
 class Persist:
-    """Write the withdrawn list to non-volatile memory before the next event is looked at."""
+    """Write non-volatile memory once everything before has left; answered by Persisted or PersistFailed."""
 
-    withdrawn: frozenset[bytes]
+    memory: Memory
 
 
 Effect = Send | SendFault | OpenLink | CloseLink | AbortTransfers | Persist

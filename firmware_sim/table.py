@@ -9,11 +9,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
-from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES, Case, first_refusal
+from firmware_sim.rules import (
+    ACKNOWLEDGE_RULES,
+    OPEN_RULES,
+    PERMIT_RULES,
+    RESET_RULES,
+    START_RULES,
+    Case,
+    first_refusal,
+)
 from firmware_sim.state import (
     AbortTransfers,
     AcknowledgeReceived,
+    Awaiting,
     BoneMoved,
     CloseLink,
     CollectReceived,
@@ -28,6 +36,7 @@ from firmware_sim.state import (
     Issued,
     JointsMeasured,
     LimitsChanged,
+    Memory,
     NonceRequested,
     OpenLink,
     OpenReceived,
@@ -35,6 +44,8 @@ from firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
+    Persisted,
+    PersistFailed,
     ResetReceived,
     Send,
     SendFault,
@@ -59,9 +70,14 @@ Outcome = tuple[Controller, tuple[Effect, ...]]
 
 
 def step(state: Controller, event: Event, now_s: float) -> Outcome:
-    """One transition. An event that the table does not list for this state changes nothing."""
+    """One transition. An event that the table does not list for this state changes nothing.
+
+    What must be remembered is written after everything else of the step has left, and in every turn until it is.
+    """
     handler = TABLE.get((state.state, type(event))) or EVERYWHERE.get(type(event))
-    return handler(state, event, now_s) if handler else (state, ())
+    after, effects = handler(state, event, now_s) if handler else (state, ())
+    news = after.memory != state.memory or isinstance(event, Tick)
+    return after, (*effects, Persist(after.memory)) if news and after.memory != after.written else effects
 
 
 # ---------------------------------------------------------------- stopping
@@ -72,18 +88,24 @@ def stop(state: Controller, cause: StopCause) -> Outcome:
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
     latched = state.state is ControllerState.FAULT or cause in LATCHING
+    voided = _void(state)
+    first = voided.cause if voided.cause is not StopCause.NONE else cause
     stopped = replace(
-        _void(state),
+        voided,
         state=ControllerState.FAULT if latched else ControllerState.INHIBITED,
-        cause=state.cause if state.cause is not StopCause.NONE else cause,
+        cause=first,
+        memory=replace(state.memory, latched=first) if latched else state.memory,
     )
     code = FaultCode.LATCHED if latched else FaultCode.STOPPED
     return stopped, (SendFault(code, cause), AbortTransfers())
 
 
 def _void(state: Controller) -> Controller:
+    """Nothing outstanding survives. The cause of a latched fault stands again: its acknowledgement was this session's."""
     return replace(
         state,
+        cause=state.memory.latched if state.state is ControllerState.FAULT else state.cause,
+        awaiting=None,
         epoch=(state.epoch + 1) % 256,
         session=replace(state.session, live=False) if state.session else None,
         issued=None,
@@ -95,25 +117,19 @@ def _void(state: Controller) -> Controller:
     )
 
 
-def _withdraw(state: Controller) -> tuple[Controller, tuple[Effect, ...]]:
-    """Put the registration this session (or the last one) was opened for on the withdrawn list."""
-    if state.last_registration is None:
-        return state, ()
-    listed = state.withdrawn | {state.last_registration}
-    return replace(state, withdrawn=listed), (Persist(listed),)
-
-
 WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED})
-"""Causes after which the registration may never be permitted again, by whatever way they arrive."""
+"""Causes after which no registration named so far may ever be permitted again, by whatever way they arrive.
+
+A withdrawal withdraws the earlier ones as well: it is the operator's only word for a bone that has moved, and then
+they are no better. Too much costs another registration, too little a cut in the wrong place.
+"""
 
 
 def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
-    """Stop; if the cause says that the bone is elsewhere, list its registration as well."""
-    if cause not in WITHDRAWING:
-        return stop(state, cause)
-    listed, persist = _withdraw(state)
-    stopped, effects = stop(listed, cause)
-    return stopped, (*effects, *persist)
+    """Stop; if the cause says that the bone is elsewhere, no registration named before holds any more."""
+    if cause in WITHDRAWING:
+        state = replace(state, memory=state.memory.all_withdrawn)
+    return stop(state, cause)
 
 
 def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
@@ -170,16 +186,24 @@ def _cycle(cycle: DeviceCycle, pressed: bool) -> DeviceCycle:
 # ---------------------------------------------------------------- opening and loading
 
 
-def open_session(state: Controller, event: OpenReceived, _now_s: float) -> Outcome:
-    request = event.request
-    refusal = _refuse_open(state, request)
+def open_received(state: Controller, event: OpenReceived, now_s: float) -> Outcome:
+    """A session is opened once the name of its registration cannot be forgotten any more."""
+    refusal = first_refusal(OPEN_RULES, Case(state, event.request, now_s))
     if refusal is not Refusal.ACCEPTED:
-        return state, (_reply(state, request, event.sequence, refusal, session=0),)
+        return state, (_reply(state, event.request, event.sequence, refusal, session=0),)
+    memory = state.memory.naming(event.request.registration_digest)
+    return open_session(state, event) if memory == state.memory else _await_memory(state, event, memory)
+
+
+def open_session(state: Controller, event: OpenReceived) -> Outcome:
+    request = event.request
     timing, nonces = request.timing, (state.identity.boot_nonce, request.runtime_nonce)
     session = Session(
         tag=records.session_tag(*nonces),
         digest=records.session_digest(*nonces),
         registration=request.registration_digest,
+        configuration=request.configuration_digest,
+        verifier=request.verifier_version,
         permit_lifetime_s=timing.permit_lifetime_s,
         start_lifetime_s=timing.start_lifetime_ms / 1000,
         start_tolerance_mm=timing.start_tolerance_um / 1000,
@@ -195,38 +219,9 @@ def open_session(state: Controller, event: OpenReceived, _now_s: float) -> Outco
         state=ControllerState.FAULT if latched else ControllerState.OPEN,
         session=session,
         heartbeat_fresh=False,
-        last_registration=request.registration_digest,
     )
     answer = records.Opened(epoch=opened.epoch, state=opened.state, cause=opened.cause)
     return opened, (AbortTransfers(), OpenLink(session), Send(answer, session.tag))
-
-
-def _refuse_open(state: Controller, request: records.Open) -> Refusal:
-    """The first reason against a session, or ACCEPTED."""
-    reasons = (
-        (Refusal.SESSION_IN_USE, state.session is None),
-        (Refusal.PROTOCOL_VERSION, request.protocol_version == state.identity.protocol_version),
-        (Refusal.WRONG_BOOT, request.boot_nonce == state.identity.boot_nonce),
-        (Refusal.WRONG_SESSION, records.nonce_serves(state.identity.boot_nonce, request.runtime_nonce)),
-        (Refusal.TIMING_OUT_OF_BOUNDS, _timing_within_bounds(request.timing)),
-    )
-    return next((refusal for refusal, holds in reasons if not holds), Refusal.ACCEPTED)
-
-
-def _timing_within_bounds(timing: records.Timing) -> bool:
-    values = {
-        "heartbeat_ms": timing.heartbeat_ms,
-        "timeout_ms": timing.timeout_ms,
-        "permit_lifetime_s": timing.permit_lifetime_s,
-        "start_lifetime_ms": timing.start_lifetime_ms,
-        "start_tolerance_mm": timing.start_tolerance_um / 1000,
-        "start_tolerance_deg": timing.start_tolerance_mdeg / 1000,
-        "approach_clearance_mm": timing.approach_clearance_um / 1000,
-        "approach_speed_percent": timing.approach_speed_percent,
-    }
-    return timing.timeout_ms >= TIMEOUT_HEARTBEATS * timing.heartbeat_ms and all(
-        CONSTANTS[name].holds(value) for name, value in values.items()
-    )
 
 
 def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcome:
@@ -297,18 +292,55 @@ def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Out
     refusal = first_refusal(RESET_RULES, Case(state, event.reset, now_s))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.reset, event.sequence, refusal)
-    reset = replace(state, state=ControllerState.OPEN, issued=None)
+    unlatched = replace(state.memory, latched=StopCause.NONE)
+    return _await_memory(replace(state, issued=None), event, unlatched)
+
+
+def leave_fault(state: Controller, event: ResetReceived) -> Outcome:
+    reset = replace(state, state=ControllerState.OPEN)
     return reset, (_reply(reset, event.reset, event.sequence, Refusal.ACCEPTED),)
 
 
-def acknowledge_received(state: Controller, event: AcknowledgeReceived, _now_s: float) -> Outcome:
+def acknowledge_received(state: Controller, event: AcknowledgeReceived, now_s: float) -> Outcome:
     """Only the cause that stands is acknowledged, once it is gone; the operator has to have seen it."""
-    known = event.cause is state.cause and (state.session is not None and state.session.live)
-    gone = event.cause is not StopCause.EMERGENCY_STOP or state.inputs.emergency_stop_clear
-    refusal = Refusal.NOT_IN_STATE if not known else Refusal.ACCEPTED if gone else Refusal.EMERGENCY_STOP
-    acknowledged = replace(state, cause=StopCause.NONE) if refusal is Refusal.ACCEPTED else state
     request = records.Acknowledge(cause=event.cause)
+    refusal = first_refusal(ACKNOWLEDGE_RULES, Case(state, request, now_s))
+    acknowledged = replace(state, cause=StopCause.NONE) if refusal is Refusal.ACCEPTED else state
     return acknowledged, (_reply(acknowledged, request, event.sequence, refusal),)
+
+
+# ---------------------------------------------------------------- what is remembered
+
+
+def _await_memory(state: Controller, event: OpenReceived | ResetReceived, memory: Memory) -> Outcome:
+    """What enables is answered once it is durable; until then nothing has changed."""
+    return replace(state, awaiting=Awaiting(event, memory)), (Persist(memory),)
+
+
+def persisted(state: Controller, event: Persisted, _now_s: float) -> Outcome:
+    """What waited for this is carried out; a stop in between has voided it."""
+    known, awaiting = replace(state, written=event.memory), state.awaiting
+    if awaiting is None or awaiting.memory != event.memory:
+        return known, ()
+    settled = replace(known, memory=event.memory, awaiting=None)
+    match awaiting.event:
+        case OpenReceived() as opening:
+            return open_session(settled, opening)
+        case ResetReceived() as reset:
+            return leave_fault(settled, reset)
+
+
+def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:
+    """What waited is refused; what must not be forgotten is written again in every turn, and nothing starts before."""
+    awaiting, unknown = state.awaiting, replace(state, awaiting=None, written=None)
+    match awaiting.event if awaiting else None:
+        case OpenReceived(request=request, sequence=sequence):
+            return unknown, (_reply(state, request, sequence, Refusal.MEMORY_FAILED, session=0),)
+        case ResetReceived(reset=reset, sequence=sequence):
+            return unknown, (_reply(state, reset, sequence, Refusal.MEMORY_FAILED),)
+    if state.state is ControllerState.FAULT:
+        return unknown, ()
+    return stop(unknown, StopCause.INTERNAL_ERROR)
 
 
 def _refuse(state: Controller, request: records.Record, sequence: int, refusal: Refusal) -> Outcome:
@@ -422,7 +454,7 @@ TABLE: dict[tuple[ControllerState, type], Handler] = {
 """What only one state answers to."""
 
 EVERYWHERE: dict[type, Handler] = {
-    OpenReceived: open_session,
+    OpenReceived: open_received,
     NonceRequested: give_nonce,
     PermitReceived: permit_received,
     StartReceived: start_received,
@@ -436,5 +468,7 @@ EVERYWHERE: dict[type, Handler] = {
     BoneMoved: bone_moved,
     LimitsChanged: limits_changed,
     InputsChanged: inputs_changed,
+    Persisted: persisted,
+    PersistFailed: persist_failed,
 }
 """What every state answers to: requests are refused with their reason, stops always stop."""

@@ -1,7 +1,6 @@
 """Files that the program keeps for itself: the controller's memory, the last log's head, the key; and option texts."""
 
 import contextlib
-import json
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,8 +8,10 @@ from pathlib import Path
 from config.load import InputError
 from firmware_sim import memory
 from firmware_sim.faults import FaultSpec
+from firmware_sim.state import Memory
 from fuzz.harness import Family, attempt, choose, expect
 from protocol.permit import KeyFileError, load_key
+from protocol.states import StopCause
 from runtime.audit.directory import HEAD, head_bytes, previous_session
 from runtime.audit.scan import recoverable_head
 from runtime.session import withdrawn
@@ -34,10 +35,10 @@ def _written(name: str, data: bytes) -> Path:
 
 def _memory(data: bytes) -> None:
     path = _written("memory.json", data)
-    withdrawn = attempt(memory.ControllerMemoryError, memory.load, path)
-    if withdrawn is not None:
-        memory.save(path, withdrawn)
-        expect(memory.load(path) == withdrawn, "what is withdrawn stays withdrawn")
+    remembered = attempt(memory.ControllerMemoryError, memory.load, path)
+    if remembered is not None:
+        memory.save(path, remembered)
+        expect(memory.load(path) == remembered, "what is remembered stays remembered")
 
 
 def _head(data: bytes) -> None:
@@ -73,10 +74,16 @@ def _withdrawn(data: bytes) -> None:
 READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault, _withdrawn)
 
 
+def _text_of(remembered: Memory) -> str:
+    path = PLACE / "seed.json"
+    memory.save(path, remembered)
+    return path.read_text(encoding="ascii")
+
+
 def _seeds() -> Iterator[bytes]:
-    digests = ["ab" * 32, "0f" * 32]
+    withdrawn = Memory(frozenset({bytes(32)}), frozenset({bytes(range(32))}), StopCause.SECOND_NODE)
     examples = {
-        _memory: (json.dumps({"withdrawn": digests}), '{"withdrawn": []}', '{"withdrawn": ' + "[" * 5000),
+        _memory: (_text_of(Memory()), _text_of(withdrawn), '{"schema": ' + "[" * 5000),
         _head: (
             head_bytes(log="a.mcap", head="ab" * 32, closed=True).decode(),
             head_bytes(log="a.mcap", head=None, closed=False).decode(),

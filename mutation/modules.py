@@ -14,7 +14,10 @@ ROOT: Final = Path(__file__).parents[1]
 OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/interlock/table.py": ("tests/runtime/interlock/test_table.py",),
     "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
-    "firmware_sim/table.py": ("tests/firmware_sim/test_table.py",),
+    "firmware_sim/table.py": (
+        "tests/firmware_sim/test_table.py",
+        "tests/firmware_sim/test_remembering.py",
+    ),
     "firmware_sim/rules.py": ("tests/firmware_sim/test_rules.py",),
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),

@@ -27,7 +27,9 @@ from protocol.wire import (
     digest,
 )
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
+
+PLANT_SPEED_PERMILLE_MAX = 1_000_000
 
 NO_MAC = bytes(16)
 """Stands in a record that is not signed yet."""
@@ -47,8 +49,23 @@ class Announce(Record):
     firmware_version: Ascii16
     serial: Ascii16
     boot_nonce: Nonce16
+    plant_speed_permille: U32
+    """Seconds of the plant in 1000 of the clock: 1000 on a real controller, anything else only in simulation."""
     state: StateCode
     cause: CauseCode
+
+    @property
+    def time_scale(self) -> float:
+        """Seconds of the plant in one of the clock."""
+        return self.plant_speed_permille / 1000
+
+    def check(self) -> None:
+        """Refuse a plant that stands still or runs faster than any simulation may."""
+        if not 1 <= self.plant_speed_permille <= PLANT_SPEED_PERMILLE_MAX:
+            raise RecordError(
+                f"Announce.plant_speed_permille is {self.plant_speed_permille}, "
+                f"must be in 1..{PLANT_SPEED_PERMILLE_MAX}"
+            )
 
 
 @dataclass(frozen=True)
@@ -79,6 +96,8 @@ class Open(Record):
     boot_nonce: Nonce16
     runtime_nonce: Nonce16
     registration_digest: Digest32
+    configuration_digest: Digest32
+    verifier_version: Ascii16
     timing: Annotated[Timing, Nested(Timing)]
 
 

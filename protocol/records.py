@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from protocol.conversation import (
     NO_MAC,
+    PLANT_SPEED_PERMILLE_MAX,
     PROTOCOL_VERSION,
     Acknowledge,
     Announce,
@@ -51,6 +52,7 @@ __all__ = [
     "ENVELOPE_BYTES_MAX",
     "NO_MAC",
     "PATH_BYTES_MAX",
+    "PLANT_SPEED_PERMILLE_MAX",
     "POSES_MAX",
     "PROTOCOL_VERSION",
     "RECORDS",

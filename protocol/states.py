@@ -158,3 +158,6 @@ class Refusal(IntEnum):
     PERMIT_MISMATCH = 37
     APPROACH = 38
     APPROACH_SPEED = 39
+    WRONG_CAUSE = 40
+    MEMORY_FULL = 41
+    MEMORY_FAILED = 42

@@ -18,6 +18,7 @@ from runtime.interlock.state import (
     Phase,
     Refused,
 )
+from runtime.session.journal import simulation
 from runtime.session.worker import Answer
 from runtime.verification.approach import Approach, summary
 
@@ -77,7 +78,9 @@ class SessionView:
                 self.note(f"{effect.word} refused: {effect.reason}", "yellow")
         if isinstance(event, Announced) and after.session is not None and before.session is None:
             announce = event.announce
-            self.note(f"controller {announce.serial}, firmware {announce.firmware_version}")
+            self.note(
+                f"controller {announce.serial}, firmware {announce.firmware_version}{simulation(announce)}"
+            )
         if after.phase is not before.phase:
             self._entered(after, now_s)
         self._watch_hold(after)

@@ -40,6 +40,7 @@ from protocol.states import (
 from runtime.conform.sample import Reported, Sample, approach, sample
 
 VERIFIER: Final = "conform"
+CONFIGURATION: Final = records.digest(b"cutgate conform")
 NOISE_DEG: Final = 0.05
 """Measured joints of an arm that stands may change by so much, deg or mm."""
 ANNOUNCE_WAIT_S: Final = 3.0
@@ -377,6 +378,8 @@ class Bench:
             boot_nonce=boot,
             runtime_nonce=nonce,
             registration_digest=self.registration,
+            configuration_digest=CONFIGURATION,
+            verifier_version=VERIFIER,
             timing=self.timing,
         )
         return replace(request, **changes)  # type: ignore[arg-type]
@@ -558,7 +561,7 @@ class Bench:
             tool_digest=records.digest(arm.tool.body()),
             path_digest=good.path.digest,
             registration_digest=self.registration,
-            configuration_digest=bytes(32),
+            configuration_digest=CONFIGURATION,
             verifier_version=VERIFIER,
             start_joints_u=joints_to_counts(measured.joints),
             branch=records.Branch(good.path.elbow, good.path.q0_turns, good.path.roll_turns),

@@ -745,12 +745,15 @@ def held_in_fault(bench: Bench) -> str:
         raise DeviationError(f"Reset before Acknowledge: {shown(early)}")
     bench.acknowledge(StopCause.SECOND_NODE)
     bench.stays(ControllerState.FAULT)
+    other = bench.ask(bench.signed(bench.reset(StopCause.AUDIT_FAILED)))
+    if other is None or other.refusal is not Refusal.WRONG_CAUSE:
+        raise DeviationError(f"Reset for another cause: {shown(other)}")
     latency = bench.ask(bench.signed(bench.reset(StopCause.SECOND_NODE)))
     if latency is None or latency.refusal is not Refusal.ACCEPTED:
         raise DeviationError(f"Reset: {shown(latency)}")
     if not bench.reaches(ControllerState.OPEN):
         raise DeviationError(f"after Reset {bench.state_name}")
-    return "FAULT in the new session; Reset UNACKNOWLEDGED_STOP; after Acknowledge ACCEPTED, OPEN"
+    return "FAULT in the new session; Reset UNACKNOWLEDGED_STOP; after Acknowledge WRONG_CAUSE, then ACCEPTED, OPEN"
 
 
 def nothing_moved(bench: Bench) -> str:

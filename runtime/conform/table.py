@@ -130,6 +130,7 @@ def _permits() -> tuple[Case, ...]:
             ("tool", Refusal.TOOL_DIGEST),
             ("path", Refusal.PATH_DIGEST),
             ("registration", Refusal.REGISTRATION_DIGEST),
+            ("configuration", Refusal.CONFIGURATION_DIGEST),
         )
     )
     ends = "Approach and retract"
@@ -141,6 +142,7 @@ def _permits() -> tuple[Case, ...]:
         Case("permit: nonce used twice", page, "the accepted permit again", "Reply NOT_IN_STATE or NO_NONCE", c.nonce_consumed),
         *digests,
         changed("wrong serial number", "another serial number", Refusal.WRONG_SERIAL, c.with_fields(serial="NOT-THIS-ONE")),
+        changed("other verifier", "another verifier than OPEN's", Refusal.VERIFIER, c.with_fields(verifier_version="another")),
         changed("wrong boot nonce", "a boot nonce of zeros", Refusal.WRONG_BOOT, c.with_fields(boot_nonce=bytes(16))),
         changed("other protocol version", "the next version", Refusal.PROTOCOL_VERSION, c.with_fields(protocol_version=records.PROTOCOL_VERSION + 1)),
         changed("wrong epoch", "the next epoch", Refusal.EPOCH, lambda b, p: replace(p, epoch=(b.epoch + 1) % 256)),
@@ -184,7 +186,7 @@ def _last() -> tuple[Case, ...]:
         Case("permit: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_permit), latches=True),
         Case("start: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_start), latches=True),
         Case("second node", "Single frames, One of each", "a frame on the controller's own 0x081", "latched SECOND_NODE", c.second_node, latches=True),
-        Case("latched fault: acknowledge, then reset", "Conversation", "a second node; Reset, Acknowledge, Reset", "UNACKNOWLEDGED_STOP first, then OPEN", c.held_in_fault, latches=True),
+        Case("latched fault: acknowledge, then reset", "Conversation", "a second node; Reset, Acknowledge, Reset for another cause, Reset", "UNACKNOWLEDGED_STOP, WRONG_CAUSE, then OPEN", c.held_in_fault, latches=True),
     )  # fmt: skip
 
 

@@ -78,6 +78,18 @@ def serial_number(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
+def plant_speed(state: Interlock, _now_s: float) -> Permissive:
+    scale = state.session.time_scale if state.session else None
+    return Permissive(
+        "speed of the plant, times the clock's",
+        scale is not None and 0.0 < scale <= records.PLANT_SPEED_PERMILLE_MAX / 1000,
+        scale,
+        None if scale is not None else "no controller",
+        f"1 on a real controller, up to {records.PLANT_SPEED_PERMILLE_MAX / 1000:g} in simulation only",
+        "connect a controller whose plant keeps the time of its clock",
+    )
+
+
 # ---------------------------------------------------------------- what the controller holds
 
 
@@ -365,7 +377,7 @@ def device_cycled(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
-IDENTITY: tuple[Evaluate, ...] = (protocol_version, serial_number)
+IDENTITY: tuple[Evaluate, ...] = (protocol_version, serial_number, plant_speed)
 """Judged as soon as a controller has announced itself."""
 
 FOR_RESET: tuple[Evaluate, ...] = (

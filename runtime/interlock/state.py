@@ -137,7 +137,7 @@ class Session:
     digest: bytes
     tag: int
     time_scale: float = 1.0
-    """Seconds of the plant in one of the clock; other than 1 for a simulated one that says so."""
+    """Seconds of the plant in one of the clock; 1 on a real controller."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +235,8 @@ class Interlock:
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     """In this session, or in one before."""
+    acknowledged: StopCause = StopCause.NONE
+    """The controller's cause that the operator acknowledged in this session; what a reset names."""
     cause: StopCause = StopCause.NONE
     """First-out."""
     reason: str = ""

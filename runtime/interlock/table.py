@@ -67,7 +67,6 @@ from runtime.interlock.state import (
     Withheld,
     Word,
 )
-from runtime.interlock.tracking import time_scale
 
 Outcome = tuple[Interlock, tuple[Effect, ...]]
 
@@ -185,7 +184,7 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
         protocol_version=announce.protocol_version,
         digest=records.session_digest(announce.boot_nonce, event.nonce),
         tag=records.session_tag(announce.boot_nonce, event.nonce),
-        time_scale=time_scale(announce.firmware_version),
+        time_scale=announce.time_scale,
     )
     if not records.nonce_serves(announce.boot_nonce, event.nonce):
         return state, ()  # the next announcement brings another nonce
@@ -203,6 +202,8 @@ def _open(job: Job, session: Session) -> records.Open:
         boot_nonce=session.boot_nonce,
         runtime_nonce=session.runtime_nonce,
         registration_digest=job.registration,
+        configuration_digest=job.configuration,
+        verifier_version=job.verifier,
         timing=records.Timing(
             heartbeat_ms=timing.heartbeat_ms,
             timeout_ms=timing.timeout_ms,
@@ -249,7 +250,7 @@ def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome
 def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
     view = state.controller
     if event.word is Word.ACKNOWLEDGE and view is not None and view.cause is not StopCause.NONE:
-        return state, (Send(records.Acknowledge(cause=view.cause)),)
+        return replace(state, acknowledged=view.cause), (Send(records.Acknowledge(cause=view.cause)),)
     if event.word is Word.RESET:
         missing = failing(FOR_RESET, state, now_s)
         if missing:
@@ -287,11 +288,17 @@ def heartbeat_while_held(state: Interlock, event: HeartbeatReceived, now_s: floa
 def reset_nonce(state: Interlock, event: NonceReceived, now_s: float) -> Outcome:
     if event.purpose is not Purpose.RESET or event.epoch != state.epoch:
         return state, (Dropped("a nonce that is not for this reset"),)
-    assert state.session is not None  # noqa: S101 - a held controller has a session
-    reset = records.Reset(
-        nonce=event.nonce, epoch=state.epoch, cause=StopCause.NONE, session_digest=state.session.digest
+    return _authorise(
+        state, Phase.AUTHORISING_RESET, Purpose.RESET, _reset(state, event.nonce), now_s, nonce=event.nonce
     )
-    return _authorise(state, Phase.AUTHORISING_RESET, Purpose.RESET, reset, now_s, nonce=event.nonce)
+
+
+def _reset(state: Interlock, nonce: bytes) -> records.Reset:
+    """For the fault that the operator has acknowledged, no other."""
+    assert state.session is not None  # noqa: S101 - a held controller has a session
+    return records.Reset(
+        nonce=nonce, epoch=state.epoch, cause=state.acknowledged, session_digest=state.session.digest
+    )
 
 
 def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outcome:
@@ -299,11 +306,8 @@ def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
     nothing_leaves = _withhold(state, event, FOR_RESET, Phase.HELD, now_s)
     if nothing_leaves:
         return nothing_leaves
-    assert state.session is not None and state.nonce is not None  # noqa: S101, PT018 - set on the way here
-    reset = records.Reset(
-        nonce=state.nonce, epoch=state.epoch, cause=StopCause.NONE, session_digest=state.session.digest
-    )
-    return _enter(state, Phase.RESETTING, now_s), (Send(reset),)
+    assert state.nonce is not None  # noqa: S101 - set by reset_nonce
+    return _enter(state, Phase.RESETTING, now_s), (Send(_reset(state, state.nonce)),)
 
 
 def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:

@@ -17,7 +17,6 @@ has gained one time-out on the course.
 """
 
 import math
-import re
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -35,19 +34,7 @@ CHORD_MM: Final = SLIDE_MM / 2.0
 CLOCKS: Final = 1.001
 """How much faster the controller's clock may run."""
 MISSING_TIMEOUTS: Final = 2.0
-TIME_SCALE_MAX: Final = 1000.0
 _ROTARY: Final = (0, 1, 3, 4)
-_SCALED = re.compile(r".* x(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
-
-
-def time_scale(firmware_version: str) -> float:
-    """How much faster than the clock the plant runs: a simulated controller ends its firmware version in `` xN``.
-
-    1 for everything else, slower plants included: they are never ahead.
-    """
-    said = _SCALED.fullmatch(firmware_version)
-    scale = float(said[1]) if said else 1.0
-    return scale if 1.0 <= scale <= TIME_SCALE_MAX else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -367,6 +367,13 @@ def _effect_name(effect: Effect) -> str:
     return type(effect).__name__
 
 
+def simulation(announce: records.Announce) -> str:
+    """What a controller says of its plant that only a simulated one may, else nothing."""
+    if announce.time_scale == 1.0:
+        return ""
+    return f"; simulation only: its plant runs {announce.time_scale:g} times as fast as the clock"
+
+
 def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
     """What a person wants to read beside the step."""
     for effect in effects:
@@ -379,7 +386,7 @@ def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
         case Announced(announce=announce):
             return (
                 f"controller {announce.serial}, firmware {announce.firmware_version}, "
-                f"protocol {announce.protocol_version}"
+                f"protocol {announce.protocol_version}{simulation(announce)}"
             )
         case VerdictReady():
             return event.verdict.reason

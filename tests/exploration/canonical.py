@@ -72,17 +72,18 @@ def cause_class(cause: StopCause) -> StopCause:
 def canonical_controller(state: c.Controller) -> c.Controller:
     """Without clock values and without what only a live session or a permit gives meaning."""
     live = state.session is not None and state.session.live
-    last = frozenset({state.last_registration} if state.last_registration else ())
+    memory = replace(state.memory, latched=cause_class(state.memory.latched))
     return replace(
         state,
         cause=cause_class(state.cause),
+        memory=memory,
+        written=memory,
         issued=replace(state.issued, at_s=NOW) if state.issued else None,
         permit_issued_at_s=NOW if state.permit else 0.0,
         started_at_s=NOW if state.state is ControllerState.CUTTING else 0.0,
         measured_u=None,
         device=state.device if state.permit else c.DeviceCycle.UNSEEN,
         heartbeat_fresh=state.heartbeat_fresh and live,
-        withdrawn=state.withdrawn & last,
     )
 
 
@@ -112,6 +113,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         measured_s=NOW if state.joints_u else 0.0,
         joints_u=START_JOINTS if state.joints_u else None,
         nonce=state.nonce if state.phase in AUTHORISING else None,
+        acknowledged=state.acknowledged if state.phase in HELD else StopCause.NONE,
         reason="",
     )
     return _canonical_tokens(state, side.commits)
@@ -135,6 +137,8 @@ def _canonical_view(state: r.Interlock) -> r.Interlock:
 
 
 P = r.Phase
+HELD = frozenset({P.HELD, P.NONCE_RESET, P.AUTHORISING_RESET, P.RESETTING})
+"""Where the acknowledged cause is what a reset will name."""
 DEVICE_COUNTS = frozenset({P.PERMITTED, P.NONCE_START, P.AUTHORISING_START, P.STARTING})
 BEFORE_PERMIT = frozenset(P) - r.ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.STOPPING}
 

@@ -27,7 +27,7 @@ def controller_state(state: c.Controller) -> str | None:
     bound = (permit.limits_digest, permit.calibration_digest, permit.tool_digest, permit.path_digest)
     if bound != tuple(map(digest, (held.limits, held.calibration, held.tool, held.path))):
         return "1: motion under a permit for something else than what is held"
-    if permit.registration_digest in state.withdrawn:
+    if permit.registration_digest in state.memory.withdrawn:
         return "1: motion on a withdrawn registration"
     if not state.inputs.device_pressed:
         return "7: motion with the enabling device released"

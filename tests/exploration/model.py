@@ -583,13 +583,12 @@ class Model:
             yield Change(Move("controller", "sends its heartbeat", True), con, (beat,))
         if self.world.reboots:
             boot = BOOTS[(BOOTS.index(state.identity.boot_nonce) + 1) % 2]
-            again = c.Controller(
+            again = c.Controller.powered_up(
                 replace(state.identity, boot_nonce=boot),
                 replace(state.holdings, path=None, ends=None),
-                epoch=EPOCH + 1,
-                withdrawn=state.withdrawn,
-                inputs=state.inputs,
+                state.memory,
             )
+            again = replace(again, epoch=EPOCH + 1, inputs=state.inputs)
             move = Move("controller", "reboots", False)
             yield Change(move, self.controllers.number(again), (), True)
         if self.world.limits and state.state is not ControllerState.CUTTING:
@@ -616,7 +615,7 @@ class Model:
         message: Message | None = None,
     ) -> Change:
         at_hand = self.controller_step(state, first, NOW)[0] if first is not None else state
-        after, effects = self.controller_step(at_hand, event, NOW + late_s)
+        after, effects = fixed.settled(at_hand, event, NOW + late_s, self.controller_step)
         wrong = invariants.controller_step(state, event, after, message)
         sent = tuple(one for effect in effects for one in self._sent_by_controller(state, effect, effects))
         stopped = any(isinstance(effect, c.SendFault) for effect in effects) or after.epoch != state.epoch
@@ -736,12 +735,14 @@ class Model:
     def _both(self, run: int, con: int, _: int) -> list[Change]:
         """An announcement, and a person who starts another session: what needs a look at both sides."""
         side, state = self.runtimes.values[run], self.controllers.values[con]
-        if side is None and state.last_registration and not self.world.again:
+        known = state.memory.named | state.memory.withdrawn
+        if side is None and known and not self.world.again:
             return []
         if side is None:
-            last = state.last_registration or REGISTRATIONS[0]
+            last = next((one for one in REGISTRATIONS if one in state.memory.named), REGISTRATIONS[0])
             other = next(one for one in REGISTRATIONS if one != last)
-            found = [("starts a session", last)] if last not in state.withdrawn or self.world.bone else []
+            stands = last not in state.memory.withdrawn
+            found = [("starts a session", last)] if stands or self.world.bone else []
             if self.world.bone or not found:
                 found.append(("starts a session with a new registration", other))
             return [
@@ -858,7 +859,8 @@ def earlier_records(boot: bytes) -> list[Any]:
     start = replace(
         fixed.START, nonce=DEAD_NONCE, session_digest=session, permit_digest=digest_of(permit), epoch=EPOCH
     )
-    reset = replace(fixed.RESET, nonce=DEAD_NONCE, session_digest=session, epoch=EPOCH)
+    cause = cause_class(fixed.RESET.cause)
+    reset = replace(fixed.RESET, nonce=DEAD_NONCE, session_digest=session, epoch=EPOCH, cause=cause)
     return [signed(permit), signed(start), signed(reset)]
 
 
@@ -870,7 +872,11 @@ def _forged_records(state: c.Controller) -> list[Any]:
     permit = replace(fixed.PERMIT, boot_nonce=state.identity.boot_nonce, **names)
     held = state.permit.digest if state.permit else permit.digest
     digest_of(permit)
-    found = (permit, replace(fixed.START, permit_digest=held, **names), replace(fixed.RESET, **names))
+    found = (
+        permit,
+        replace(fixed.START, permit_digest=held, **names),
+        replace(fixed.RESET, cause=state.memory.latched, **names),
+    )
     return [record.with_mac(bytes(15) + b"x") for record in found]
 
 

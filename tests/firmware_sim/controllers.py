@@ -24,11 +24,15 @@ from firmware_sim.state import (
     InputsChanged,
     JointsMeasured,
     LimitsChanged,
+    Memory,
     NonceRequested,
     OpenReceived,
     PathChecked,
     PathFinished,
     PermitReceived,
+    Persist,
+    Persisted,
+    PersistFailed,
     ResetReceived,
     Send,
     SendFault,
@@ -47,6 +51,7 @@ KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
 BOOT_NONCE, RUNTIME_NONCE = b"b" * 16, b"r" * 16
 PERMIT_NONCE, START_NONCE, RESET_NONCE = b"p" * 16, b"s" * 16, b"z" * 16
 REGISTRATION = records.digest(b"registration")
+CONFIGURATION = records.digest(b"configuration")
 START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
 ENDS = Ends(
     entry_um=12_000,
@@ -76,6 +81,8 @@ OPEN = records.Open(
     boot_nonce=BOOT_NONCE,
     runtime_nonce=RUNTIME_NONCE,
     registration_digest=REGISTRATION,
+    configuration_digest=CONFIGURATION,
+    verifier_version="cutgate test",
     timing=records.Timing(
         heartbeat_ms=20,
         timeout_ms=100,
@@ -89,16 +96,29 @@ OPEN = records.Open(
 )
 TAG = records.session_tag(BOOT_NONCE, RUNTIME_NONCE)
 
-POWERED_UP = Controller(
-    identity=Identity(serial="SIM-1", key=KEY, boot_nonce=BOOT_NONCE),
-    holdings=Holdings(LIMITS.body(), CALIBRATION.body(), TOOL.body()),
+POWERED_UP = Controller.powered_up(
+    Identity(serial="SIM-1", key=KEY, boot_nonce=BOOT_NONCE),
+    Holdings(LIMITS.body(), CALIBRATION.body(), TOOL.body()),
+    Memory(),
 )
 
 
+def settled(
+    state: Controller, event: Event, now_s: float, take: Callable[..., Any] = step
+) -> tuple[Controller, tuple[Effect, ...]]:
+    """One step with a memory that works: what is to be written is at once. All effects."""
+    after, effects = take(state, event, now_s)
+    for effect in effects:
+        if isinstance(effect, Persist):
+            after, more = take(after, Persisted(effect.memory), now_s)
+            effects += more
+    return after, effects
+
+
 def fed(state: Controller, *events: Event, now_s: float = NOW) -> Controller:
-    """The state after these events, all at ``now_s``."""
+    """The state after these events, all at ``now_s``, with a memory that works."""
     for event in events:
-        state, _ = step(state, event, now_s)
+        state, _ = settled(state, event, now_s)
     return state
 
 
@@ -128,7 +148,7 @@ PERMIT = records.Permit(
     tool_digest=records.digest(TOOL.body()),
     path_digest=PATH.digest,
     registration_digest=REGISTRATION,
-    configuration_digest=records.digest(b"configuration"),
+    configuration_digest=CONFIGURATION,
     verifier_version="cutgate test",
     start_joints_u=START_JOINTS,
     branch=records.Branch("right", 0, 1),
@@ -144,7 +164,9 @@ START = records.Start(
     permit_digest=records.digest(PERMIT.canonical()),
     start_joints_u=START_JOINTS,
 )
-RESET = records.Reset(nonce=RESET_NONCE, epoch=1, cause=StopCause.NONE, session_digest=PERMIT.session_digest)
+RESET = records.Reset(
+    nonce=RESET_NONCE, epoch=1, cause=StopCause.SECOND_NODE, session_digest=PERMIT.session_digest
+)
 SIGNED_PERMIT, SIGNED_START = permits.sign(KEY, PERMIT), permits.sign(KEY, START)
 
 PERMITTED = fed(ASKED, PermitReceived(SIGNED_PERMIT, 4), alive(RuntimeCode.READY))
@@ -221,7 +243,7 @@ RECEIVED: dict[type, Callable[[Any], Event]] = {
 
 def decide(case: Case) -> tuple[Controller, tuple[Effect, ...]]:
     """What the table does with the case's request."""
-    return step(case.controller, RECEIVED[type(case.request)](case.request), case.now_s)
+    return settled(case.controller, RECEIVED[type(case.request)](case.request), case.now_s)
 
 
 def replies(effects: tuple[Effect, ...]) -> list[Refusal]:
@@ -281,6 +303,9 @@ def events(state: Controller) -> list[Event]:
         STANDING,
         JointsMeasured((0, *START_JOINTS[1:])),
         PathFinished(),
+        Persisted(state.memory),
+        Persisted(replace(state.memory, latched=StopCause.NONE)),
+        PersistFailed(),
         Tick(),
         *(event for event, _ in STOPPING_EVENTS.values()),
     ]

@@ -12,7 +12,9 @@ import pytest
 from config.bus import RuntimeDirectoryError
 from firmware_sim import __main__ as entry
 from firmware_sim import command, memory
+from firmware_sim.state import Memory
 from protocol.frames import IDS, RuntimeHeartbeat
+from protocol.states import StopCause
 
 ROBOT = Path("config/presets/example.toml")
 
@@ -116,19 +118,58 @@ def test_every_boot_has_a_nonce_of_its_own(given):
 def test_the_memory_beside_the_key_is_read(given, capsys):
     arguments, processes = given
     file = memory.beside(Path(arguments[3]))
-    memory.save(file, frozenset({b"r" * 32}))
+    remembered = Memory(named=frozenset({b"n" * 32}), withdrawn=frozenset({b"r" * 32}))
+    memory.save(file, remembered)
     command.main(arguments)
-    assert processes[0][0].controller.withdrawn == {b"r" * 32}
+    assert processes[0][0].controller.memory == remembered
     file.write_text("{")
     refused(capsys, arguments, file.name)
+
+
+def test_a_memory_that_cannot_be_written_stops_the_start(given, capsys, monkeypatch):
+    arguments, processes = given
+
+    def fail(_descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", fail)
+    refused(capsys, arguments, "sim-memory.json: the memory cannot be written: ", "No space left")
+    assert processes == []
+
+
+def test_a_memory_is_written_at_the_first_start(given):
+    arguments, _ = given
+    command.main(arguments)
+    assert memory.beside(Path(arguments[3])).exists()
+
+
+def test_a_fault_that_was_latched_is_said_at_the_start(given, capsys):
+    arguments, processes = given
+    memory.save(memory.beside(Path(arguments[3])), Memory(latched=StopCause.SECOND_NODE))
+    command.main(arguments)
+    out = capsys.readouterr().out
+    assert "state FAULT; " in out
+    assert "a fault was latched before power-up (SECOND_NODE): acknowledge it, then reset" in out
+    assert processes[0][0].controller.cause is StopCause.SECOND_NODE
+
+
+def test_a_time_scale_is_said_to_be_for_simulation_only(given, capsys):
+    arguments, _ = given
+    command.main([*arguments, "--time-scale", "5"])
+    assert "simulation only: the plant runs 5 times as fast as the clock" in capsys.readouterr().out
+    command.main(arguments)
+    assert "simulation only" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("more", "texts"),
     [
-        (["--time-scale", "0"], ["--time-scale is 0.0", "at most 1000"]),
+        (["--time-scale", "0"], ["--time-scale is 0", "must be 0.001 to 1000"]),
+        (["--time-scale", "1.0005"], ["--time-scale is 1.0005", "in whole thousandths"]),
+        (["--time-scale", "0.0005"], ["--time-scale is 0.0005"]),
+        (["--time-scale", "inf"], ["--time-scale is inf"]),
         (["--time-scale", "nan"], ["--time-scale is nan"]),
-        (["--time-scale", "1e9"], ["at most 1000"]),
+        (["--time-scale", "1e9"], ["must be 0.001 to 1000"]),
         (["--joints", "0,70,250,0"], ["--joints is '0,70,250,0'", "five numbers"]),
         (["--joints", "0,70,250,0,nan"], ["--joints is ", "five numbers"]),
         (["--joints", "0,70,250,0,x"], ["--joints is ", "five numbers"]),

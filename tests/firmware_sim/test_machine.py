@@ -35,7 +35,7 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import WITHDRAWING, step
+from firmware_sim.table import WITHDRAWING
 from protocol import permit as permits
 from protocol import records
 from protocol.states import LATCHING, ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
@@ -56,6 +56,7 @@ from tests.firmware_sim.controllers import (
     faults,
     is_void,
     replies,
+    settled,
 )
 
 C = ControllerState
@@ -84,6 +85,8 @@ one_wrong = mostly(
     {"tool_digest": bytes(32)},
     {"path_digest": bytes(32)},
     {"registration_digest": bytes(32)},
+    {"configuration_digest": bytes(32)},
+    {"verifier_version": "another"},
     {"start_joints_u": ELSEWHERE},
     {"branch": records.Branch("left", 0, 1)},
     {"lifetime_s": 600},
@@ -116,16 +119,19 @@ class AnyLife(RuleBasedStateMachine):
 
     def feed(self, event: Event) -> None:
         before = self.state
-        after, effects = step(before, event, self.now_s)
+        after, effects = settled(before, event, self.now_s)
         self.state = after
         self._a_request_is_accepted_only_if(before, event, effects)
         self._books(before, event, effects)
         self._a_stop_voids(before, event, effects)
         self._a_latch_is_left_by_a_reset_only(before, event, effects)
         self._cutting_and_moving()
-        assert before.withdrawn <= after.withdrawn
-        if before.withdrawn != after.withdrawn:
-            assert Persist(after.withdrawn) in effects
+        assert before.memory.withdrawn <= after.memory.withdrawn
+        assert before.memory.named <= after.memory.named | after.memory.withdrawn
+        assert (after.state is C.FAULT) == (after.memory.latched is not StopCause.NONE)
+        if before.memory != after.memory:
+            assert Persist(after.memory) in effects
+        assert after.written == after.memory
 
     def _a_request_is_accepted_only_if(self, before: Controller, event, effects) -> None:
         if not isinstance(event, PermitReceived | StartReceived | ResetReceived):
@@ -147,6 +153,13 @@ class AnyLife(RuleBasedStateMachine):
         assert (purpose, request.nonce) == self.out[:2]
         assert 0.0 <= self.now_s - self.out[2] <= (120.0 if purpose is Purpose.PERMIT else 2.0)
         assert request.epoch == before.epoch
+        if purpose is Purpose.RESET:
+            assert request.cause is before.memory.latched
+        if purpose is Purpose.PERMIT:
+            session = before.session
+            assert session is not None
+            assert request.configuration_digest == session.configuration
+            assert request.verifier_version == session.verifier
         assert before.heartbeat_fresh
         assert before.inputs.emergency_stop_clear
         assert before.cause is StopCause.NONE
@@ -180,16 +193,20 @@ class AnyLife(RuleBasedStateMachine):
         if sent:
             assert is_void(after)
             assert after.epoch == (before.epoch + 1) % 256
-            assert after.cause is (before.cause if before.cause is not StopCause.NONE else sent[0].cause)
+            first = before.memory.latched if before.state is C.FAULT else before.cause
+            assert after.cause is (first if first is not StopCause.NONE else sent[0].cause)
             assert after.cause is not StopCause.NONE
             assert (after.state is C.FAULT) == (before.state is C.FAULT or sent[0].cause in LATCHING)
+        elif before.state is C.FAULT and before.session and after.session is None:
+            assert after.cause is before.memory.latched, "an acknowledgement ends with its session"
         elif after.cause is not before.cause:
             assert isinstance(event, AcknowledgeReceived), "the first cause is kept"
             assert (event.cause, after.cause) == (before.cause, StopCause.NONE)
         if self._must_stop(before, event):
             assert sent
         if isinstance(event, BoneMoved) or (getattr(event, "cause", None) in WITHDRAWING and sent):
-            assert before.last_registration is None or before.last_registration in after.withdrawn
+            assert before.memory.named <= after.memory.withdrawn
+            assert not after.memory.named
 
     @staticmethod
     def _must_stop(before: Controller, event) -> bool:
@@ -228,7 +245,7 @@ class AnyLife(RuleBasedStateMachine):
         ]
         assert (permit.session_digest, permit.epoch) == (session.digest, state.epoch)
         assert permit.registration_digest == session.registration
-        assert permit.registration_digest not in state.withdrawn
+        assert permit.registration_digest not in state.memory.withdrawn
         assert state.inputs.emergency_stop_clear
         assert state.cause is StopCause.NONE
         if state.may_move:
@@ -302,7 +319,7 @@ class AnyLife(RuleBasedStateMachine):
 
     def _right_open(self) -> records.Open:
         """An OPEN for a registration that was not withdrawn."""
-        fits = OPEN.registration_digest not in self.state.withdrawn
+        fits = OPEN.registration_digest not in self.state.memory.withdrawn
         return OPEN if fits else replace(OPEN, registration_digest=OTHER_REGISTRATION)
 
     @rule(by_s=st.sampled_from(JUMPS_S))
@@ -362,9 +379,13 @@ class AnyLife(RuleBasedStateMachine):
         permit = self.permit.digest if self.permit else bytes(32)
         self.feed(StartReceived(self._named(replace(START, permit_digest=permit), wrong, key), 3))
 
-    @rule(wrong=mostly({}, {"nonce": OTHER}, {"epoch": 77}), key=mostly(KEY, OTHER_KEY))
+    @rule(
+        wrong=mostly({}, {"nonce": OTHER}, {"epoch": 77}, {"cause": StopCause.BUS_FAILED}),
+        key=mostly(KEY, OTHER_KEY),
+    )
     def reset(self, wrong, key) -> None:
-        self.feed(ResetReceived(self._named(RESET, wrong, key), 4))
+        fitting = replace(RESET, cause=self.state.memory.latched)
+        self.feed(ResetReceived(self._named(fitting, wrong, key), 4))
 
     @rule(cause=st.one_of(st.none(), causes))
     def acknowledge(self, cause) -> None:

@@ -1,5 +1,6 @@
 """The controller's non-volatile memory: believed whole or not at all."""
 
+import hashlib
 import json
 import os
 import re
@@ -9,10 +10,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.constants import REGISTRATIONS_MAX
 from firmware_sim import memory
 from firmware_sim.memory import ControllerMemoryError
+from firmware_sim.state import Memory
+from protocol.states import StopCause
 
 ONE, TWO = bytes(range(32)), bytes(32)
+REMEMBERED = Memory(frozenset({ONE}), frozenset({TWO}), StopCause.SECOND_NODE)
+
+
+def _text(**changes):
+    """A memory with the right schema and digest, except for what is changed in its content."""
+    content = {"named": [], "withdrawn": [], "latched": "NONE"} | changes
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps({"schema": "cutgate.sim-memory/1", "content": content, "sha256": digest})
+
+
+def test_the_altered_memories_below_are_sound_but_for_the_alteration(file):
+    file.write_text(_text(), encoding="ascii")
+    assert memory.load(file) == Memory()
 
 
 @pytest.fixture
@@ -24,17 +41,41 @@ def test_the_memory_lies_beside_its_key():
     assert memory.beside(Path("keys/a.key")) == Path("keys/a.key.sim-memory.json")
 
 
-def test_a_new_controller_has_withdrawn_nothing(file):
-    assert memory.load(file) == frozenset()
+def test_a_new_controller_remembers_nothing(file):
+    assert memory.load(file) == Memory()
+
+
+digests = st.frozensets(st.binary(min_size=32, max_size=32), max_size=5)
 
 
 @settings(max_examples=20)
-@given(withdrawn=st.frozensets(st.binary(min_size=32, max_size=32), max_size=5))
-def test_what_is_saved_is_what_is_loaded(tmp_path_factory, withdrawn):
+@given(remembered=st.builds(Memory, digests, digests, st.sampled_from(StopCause)))
+def test_what_is_saved_is_what_is_loaded(tmp_path_factory, remembered):
     file = tmp_path_factory.mktemp("memory") / "m.json"
-    memory.save(file, withdrawn)
-    assert memory.load(file) == withdrawn
+    memory.save(file, remembered)
+    assert memory.load(file) == remembered
     assert [entry.name for entry in file.parent.iterdir()] == ["m.json"]
+
+
+def test_a_full_memory_is_saved_and_loaded_and_a_fuller_one_refused(file):
+    full = frozenset(number.to_bytes(32, "big") for number in range(REGISTRATIONS_MAX))
+    for one in (Memory(named=full), Memory(withdrawn=full)):
+        memory.save(file, one)
+        assert memory.load(file) == one
+    memory.save(file, Memory(named=full, withdrawn=frozenset({b"x" * 32})))
+    with pytest.raises(ControllerMemoryError, match="at most 1000 digests"):
+        memory.load(file)
+
+
+def test_no_changed_character_of_a_memory_is_believed(file):
+    memory.save(file, REMEMBERED)
+    text = file.read_text(encoding="ascii")
+    for at, character in enumerate(text):
+        if character == " ":
+            continue
+        file.write_text(text[:at] + ("0" if character != "0" else "1") + text[at + 1 :], encoding="ascii")
+        with pytest.raises(ControllerMemoryError, match=re.escape(file.name)):
+            memory.load(file)
 
 
 @pytest.mark.parametrize(
@@ -45,13 +86,24 @@ def test_what_is_saved_is_what_is_loaded(tmp_path_factory, withdrawn):
         "[]",
         "null",
         "{}",
-        '{"withdrawn": 1}',
-        '{"withdrawn": [1]}',
-        '{"withdrawn": ["zz"]}',
-        '{"withdrawn": null}',
-        json.dumps({"withdrawn": [ONE.hex()[:-2]]}),
-        json.dumps({"withdrawn": [ONE.hex(), ""]}),
-        '{"withdrawn": ["\u00e9"]}',
+        '{"withdrawn": []}',
+        '{"schema": "cutgate.sim-memory/2"}',
+        '{"schema": "cutgate.sim-memory/1"}',
+        '{"schema": "cutgate.sim-memory/1", "content": []}',
+        _text(withdrawn=1),
+        _text(withdrawn=[1]),
+        _text(withdrawn=["zz"]),
+        _text(withdrawn=None),
+        _text(withdrawn=[ONE.hex()[:-2]]),
+        _text(withdrawn=[ONE.hex(), ""]),
+        _text(withdrawn=[TWO.hex(), ONE.hex()], named=[ONE.hex(), ONE.hex()]),
+        _text(named=[ONE.hex().upper()]),
+        _text(named=["\u00e9"]),
+        _text(latched="SOMETHING"),
+        _text(latched=9),
+        _text(more=1),
+        "[" * 5000,
+        " " * (memory.BYTES_MAX + 1),
     ],
 )
 def test_a_memory_that_cannot_be_believed_is_refused_and_names_its_file(file, text):
@@ -81,19 +133,19 @@ def test_the_new_memory_is_durable_before_it_replaces_the_old(file, monkeypatch)
 
     monkeypatch.setattr(os, "fsync", watched_sync)
     monkeypatch.setattr(Path, "replace", watched_replace)
-    memory.save(file, frozenset({ONE}))
+    memory.save(file, REMEMBERED)
     new = file.name + ".new"
     assert acts == [("sync", new), ("replace", new), ("sync", file.parent.name)]
 
 
 def test_a_disk_that_fails_leaves_the_old_memory(file, monkeypatch):
-    memory.save(file, frozenset({ONE}))
+    memory.save(file, REMEMBERED)
 
     def fail(_descriptor):
         raise OSError(28, "full")
 
     monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OSError, match="full"):
-        memory.save(file, frozenset({ONE, TWO}))
+    with pytest.raises(ControllerMemoryError, match=f"{file.name}: the memory cannot be written: .*full"):
+        memory.save(file, Memory())
     monkeypatch.undo()
-    assert memory.load(file) == {ONE}
+    assert memory.load(file) == REMEMBERED

@@ -14,10 +14,10 @@ from config.terminal import WordReader
 from firmware_sim import memory
 from firmware_sim.faults import FaultName, FaultSpec
 from firmware_sim.process import Options, Process, Word, middle_of
-from firmware_sim.state import BoneMoved, Controller, Holdings, Identity, PathChecked, Session
+from firmware_sim.state import BoneMoved, Controller, Fault, Holdings, Identity, Memory, PathChecked, Session
 from protocol import records
 from protocol.endpoint import Endpoint, RecordReceived
-from protocol.frames import CONTROL_IDS
+from protocol.frames import CONTROL_IDS, IDS, ControllerFault
 from protocol.port import Port
 from protocol.records import Side
 from protocol.states import ControllerState, Refusal, StopCause
@@ -73,8 +73,10 @@ class Bench:
         self.descriptors = [self.bus.descriptor, reading, self.typing, self.wake, self.waking]
         endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
         self.process = Process(
-            Controller(
-                Identity("SIM-1", KEY, bytes(16)), Holdings(limits.body(), NOMINAL.body(), TOOL.body())
+            Controller.powered_up(
+                Identity("SIM-1", KEY, bytes(16)),
+                Holdings(limits.body(), NOMINAL.body(), TOOL.body()),
+                Memory(),
             ),
             Port(self.bus, endpoint),
             self.file,
@@ -134,7 +136,8 @@ def test_without_a_session_only_announcements_leave(bench):
 def test_a_time_scale_is_announced(bench):
     one = bench(time_scale=20.0)
     one.process.turn()
-    assert announced(one).firmware_version == "sim-0.1 x20"
+    announce = announced(one)
+    assert (announce.plant_speed_permille, announce.time_scale) == (20_000, 20.0)
 
 
 @pytest.mark.parametrize("words", [True, False])
@@ -191,7 +194,7 @@ def test_bone_motion_without_a_session_withdraws_nothing_there_is(bench):
     one = bench()
     one.process.act(Word.BONE_MOTION)
     assert one.process.controller.cause is StopCause.BONE_MOVED
-    assert memory.load(one.file) == frozenset()
+    assert memory.load(one.file) == Memory()
 
 
 def test_a_changed_limit_is_one_degree_narrower(bench):
@@ -207,11 +210,73 @@ def test_a_withdrawn_registration_is_in_the_memory_before_anything_else_happens(
     one = bench()
     one.process.controller = _with_registration(one.process.controller)
     one.process._feed(BoneMoved())
-    assert memory.load(one.file) == {b"r" * 32}
+    assert memory.load(one.file).withdrawn == {b"r" * 32}
+
+
+def failing(monkeypatch, one):
+    """The disk fails; what left the controller before each attempt to write."""
+    attempts = []
+
+    def fail(path, _memory):
+        attempts.append([message.arbitration_id for message in one.bus.sent])
+        raise memory.ControllerMemoryError(f"{path}: the memory cannot be written: full")
+
+    monkeypatch.setattr(memory, "save", fail)
+    return attempts
+
+
+def test_a_stop_leaves_before_the_memory_is_written(bench, monkeypatch):
+    one = bench()
+    attempts = failing(monkeypatch, one)
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.link.open(1, 0.0)
+    one.process._feed(Fault(StopCause.SECOND_NODE))
+    assert IDS[ControllerFault] in attempts[0]
+
+
+def test_a_memory_that_cannot_be_written_is_said_once_latches_and_is_written_as_soon_as_it_can_be(
+    bench, monkeypatch
+):
+    one = bench()
+    attempts = failing(monkeypatch, one)
+    one.process.controller = _with_registration(one.process.controller)
+    one.process._feed(BoneMoved())
+    for _ in range(3):
+        one.process.turn()
+    controller = one.process.controller
+    assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
+    assert len(attempts) == 5, "once for the motion, once for the latch, then in every turn"
+    assert len([line for line in one.said if "cannot be written" in line]) == 1
+    monkeypatch.undo()
+    one.process.turn()
+    assert (
+        memory.load(one.file)
+        == controller.memory
+        == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
+    )
+
+
+def test_an_error_of_the_program_itself_is_remembered(bench, monkeypatch):
+    one = bench()
+    monkeypatch.setattr(one.process, "_move", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        one.process.turn()
+    assert memory.load(one.file).latched is StopCause.INTERNAL_ERROR
+
+
+def test_what_is_remembered_over_a_loss_of_power_is_what_was_written(bench, monkeypatch):
+    one = bench()
+    one.process.controller = _with_registration(one.process.controller)
+    one.process._feed(BoneMoved())
+    one.process._feed(Fault(StopCause.SECOND_NODE))
+    one.process._reboot()
+    controller = one.process.controller
+    assert controller.memory == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
+    assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
 
 
 def _with_registration(controller):
-    return replace(controller, last_registration=b"r" * 32)
+    return replace(controller, memory=Memory(named=frozenset({b"r" * 32})))
 
 
 def test_a_stored_path_does_not_move_the_arm(bench):
@@ -265,7 +330,7 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
 
 
 def _opened(controller):
-    session = Session(1, bytes(32), bytes(32), 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1)
+    session = Session(1, bytes(32), bytes(32), bytes(32), "test", 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1)
     return replace(controller, state=ControllerState.OPEN, session=session)
 
 

@@ -5,12 +5,23 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES, first_refusal
-from firmware_sim.state import DeviceCycle, LimitsChanged
+from config.constants import REGISTRATIONS_MAX
+from firmware_sim.rules import (
+    ACKNOWLEDGE_RULES,
+    OPEN_RULES,
+    PERMIT_RULES,
+    RESET_RULES,
+    START_RULES,
+    Case,
+    first_refusal,
+)
+from firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory, OpenReceived
 from firmware_sim.table import step
 from protocol import permit as permits
 from protocol import records
 from protocol.states import ControllerState, Purpose, Refusal, StopCause
+from tests.altering import altered
+from tests.firmware_sim import controllers
 from tests.firmware_sim.controllers import (
     ASKED,
     CUTTING,
@@ -19,12 +30,15 @@ from tests.firmware_sim.controllers import (
     KEY,
     LOADED,
     NOW,
+    OPEN,
+    OPENED,
     OTHER_KEY,
     OTHER_LIMITS,
     PATH,
     PERMIT,
     PERMIT_CASE,
     PERMIT_NONCE,
+    POWERED_UP,
     REGISTRATION,
     RESET_CASE,
     START_CASE,
@@ -67,7 +81,7 @@ HELD = [
     ("controller.holdings.tool", b"other", Refusal.TOOL_DIGEST),
     ("controller.holdings.path", FLIPPED_PATH, Refusal.PATH_DIGEST),
     ("controller.holdings.path", None, Refusal.PATH_DIGEST),
-    ("controller.withdrawn", frozenset({REGISTRATION}), Refusal.REGISTRATION_WITHDRAWN),
+    ("controller.memory.withdrawn", frozenset({REGISTRATION}), Refusal.REGISTRATION_WITHDRAWN),
 ]
 
 ALIVE = [
@@ -112,6 +126,10 @@ PERMIT_CASES = [
     ("request.path_digest", OTHER, Refusal.PATH_DIGEST),
     ("request.registration_digest", OTHER, Refusal.REGISTRATION_DIGEST),
     ("controller.session.registration", OTHER, Refusal.REGISTRATION_DIGEST),
+    ("request.configuration_digest", OTHER, Refusal.CONFIGURATION_DIGEST),
+    ("controller.session.configuration", OTHER, Refusal.CONFIGURATION_DIGEST),
+    ("request.verifier_version", "cutgate other", Refusal.VERIFIER),
+    ("controller.session.verifier", "cutgate other", Refusal.VERIFIER),
     ("request.lifetime_s", 121, Refusal.TIMING_OUT_OF_BOUNDS),
     ("controller.session.permit_lifetime_s", 600.0, Refusal.TIMING_OUT_OF_BOUNDS),
     ("request.branch.elbow", "left", Refusal.BRANCH),
@@ -183,6 +201,12 @@ RESET_CASES = [
     ("controller.issued.purpose", Purpose.START, Refusal.NO_NONCE),
     ("now_s", NOW + 2.1, Refusal.NONCE_EXPIRED),
     ("request.epoch", 3, Refusal.EPOCH),
+    *(
+        ("request.cause", cause, Refusal.WRONG_CAUSE)
+        for cause in StopCause
+        if cause is not StopCause.SECOND_NODE
+    ),
+    ("controller.memory.latched", StopCause.AUDIT_FAILED, Refusal.WRONG_CAUSE),
 ]
 
 
@@ -237,6 +261,90 @@ def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, va
         assert after == replace(twin.controller, issued=None)
 
 
+OPEN_CASE = Case(POWERED_UP, OPEN, NOW)
+ACKNOWLEDGE_CASE = Case(controllers.HELD, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW)
+ALMOST_FULL = frozenset(number.to_bytes(32, "big") for number in range(1, REGISTRATIONS_MAX))
+OPEN_CASES = [
+    ("controller.session", OPENED.session, Refusal.SESSION_IN_USE),
+    (
+        "controller.awaiting",
+        Awaiting(OpenReceived(OPEN, 1), Memory(named=frozenset({REGISTRATION}))),
+        Refusal.SESSION_IN_USE,
+    ),
+    ("request.protocol_version", 2, Refusal.PROTOCOL_VERSION),
+    ("request.protocol_version", 4, Refusal.PROTOCOL_VERSION),
+    ("request.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    *(
+        (f"request.timing.{name}", value, Refusal.TIMING_OUT_OF_BOUNDS)
+        for name, values in {
+            "heartbeat_ms": (4, 101, 34),
+            "timeout_ms": (59, 1001),
+            "permit_lifetime_s": (9, 601),
+            "start_lifetime_ms": (499, 5001),
+            "start_tolerance_um": (49, 2001),
+            "start_tolerance_mdeg": (19, 1001),
+            "approach_clearance_um": (200_001,),
+            "approach_speed_percent": (0, 101),
+        }.items()
+        for value in values
+    ),
+    ("controller.memory.named", ALMOST_FULL | {OTHER}, Refusal.MEMORY_FULL),
+    ("controller.memory.withdrawn", ALMOST_FULL | {OTHER}, Refusal.MEMORY_FULL),
+]
+ACKNOWLEDGE_CASES = [
+    ("controller.session", None, Refusal.VOIDED_BY_STOP),
+    ("controller.session.live", False, Refusal.VOIDED_BY_STOP),
+    *(
+        ("request.cause", cause, Refusal.WRONG_CAUSE)
+        for cause in StopCause
+        if cause is not StopCause.SECOND_NODE
+    ),
+]
+UNSIGNED = [
+    *((OPEN_CASE, OPEN_RULES, *one) for one in OPEN_CASES),
+    *((ACKNOWLEDGE_CASE, ACKNOWLEDGE_RULES, *one) for one in ACKNOWLEDGE_CASES),
+]
+
+
+@pytest.mark.parametrize(
+    ("case", "rules", "field", "value", "refusal"),
+    UNSIGNED,
+    ids=[f"{number}-{one[-1].name}-{one[2]}" for number, one in enumerate(UNSIGNED)],
+)
+def test_one_altered_field_of_a_request_without_a_code_is_refused(case, rules, field, value, refusal):
+    assert first_refusal(rules, case) is Refusal.ACCEPTED
+    assert first_refusal(rules, altered(case, field, value)) is refusal
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("controller.memory.named", ALMOST_FULL),
+        ("controller.memory.named", ALMOST_FULL | {REGISTRATION}),
+        ("controller.memory.withdrawn", ALMOST_FULL | {REGISTRATION}),
+        ("request.timing.approach_clearance_um", 200_000),
+        ("request.timing.timeout_ms", 60),
+    ],
+)
+def test_the_bounds_of_an_open_are_inside(field, value):
+    assert first_refusal(OPEN_RULES, altered(OPEN_CASE, field, value)) is Refusal.ACCEPTED
+
+
+def test_a_nonce_that_makes_the_tag_of_no_session_is_refused(monkeypatch):
+    monkeypatch.setattr("firmware_sim.rules.records.nonce_serves", lambda *_nonces: False)
+    assert first_refusal(OPEN_RULES, OPEN_CASE) is Refusal.WRONG_SESSION
+
+
+@pytest.mark.parametrize("clear", [True, False])
+@pytest.mark.parametrize("cause", [StopCause.EMERGENCY_STOP, StopCause.BONE_MOVED])
+def test_an_emergency_stop_is_acknowledged_once_it_is_released(cause, clear):
+    case = altered(ACKNOWLEDGE_CASE, "request.cause", cause)
+    case = altered(altered(case, "controller.cause", cause), "controller.inputs.emergency_stop_clear", clear)
+    pressed = cause is StopCause.EMERGENCY_STOP and not clear
+    assert first_refusal(ACKNOWLEDGE_RULES, case) is (Refusal.EMERGENCY_STOP if pressed else Refusal.ACCEPTED)
+
+
 @pytest.mark.parametrize(
     ("rules", "cases"),
     [(PERMIT_RULES, PERMIT_CASES), (START_RULES, START_CASES), (RESET_RULES, RESET_CASES)],
@@ -248,13 +356,11 @@ def test_no_reason_is_left_untested(rules, cases):
 
 
 @pytest.mark.parametrize(
-    ("field", "refusal"),
-    [("configuration_digest", Refusal.MAC_INVALID), ("verifier_version", Refusal.MAC_INVALID)],
+    ("field", "value"), [("configuration_digest", OTHER), ("verifier_version", "cutgate other")]
 )
-def test_what_the_controller_cannot_compare_is_bound_by_the_code(field, refusal):
-    value = OTHER if field == "configuration_digest" else "cutgate other"
+def test_configuration_and_verifier_are_bound_by_the_code_as_well(field, value):
     twin = replace(PERMIT_CASE, request=replace(PERMIT_CASE.request, **{field: value}))
-    assert first_refusal(PERMIT_RULES, twin) is refusal
+    assert first_refusal(PERMIT_RULES, twin) is Refusal.MAC_INVALID
 
 
 @pytest.mark.parametrize("joint", range(5))

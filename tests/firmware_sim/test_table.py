@@ -24,6 +24,7 @@ from firmware_sim.state import (
     InputsChanged,
     JointsMeasured,
     LimitsChanged,
+    Memory,
     NonceRequested,
     OpenLink,
     OpenReceived,
@@ -97,6 +98,7 @@ from tests.firmware_sim.controllers import (
     fed,
     is_void,
     replies,
+    settled,
 )
 
 C = ControllerState
@@ -119,7 +121,8 @@ def test_every_stop_from_every_state_voids_everything(name, stopping):
     assert is_void(after)
     assert after.epoch == state.epoch + 1
     assert after.device is DeviceCycle.UNSEEN
-    assert after.cause is (state.cause if state.cause is not StopCause.NONE else cause), "first-out"
+    first = state.memory.latched if state.state is C.FAULT else state.cause
+    assert after.cause is (first if first is not StopCause.NONE else cause), "first-out"
     assert effects[0] == SendFault(FaultCode.LATCHED if latched else FaultCode.STOPPED, cause)
     assert AbortTransfers() in effects
 
@@ -149,7 +152,7 @@ def test_what_was_overtaken_by_a_stop_is_dead_on_arrival(name, stopping):
     ids=["permit", "start", "reset"],
 )
 def test_a_request_that_would_pass_is_void_after_a_stop(before, arriving):
-    assert replies(step(before, arriving, NOW)[1]) == [Refusal.ACCEPTED]
+    assert replies(settled(before, arriving, NOW)[1]) == [Refusal.ACCEPTED]
     stopped = fed(before, StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP))
     after, effects = step(stopped, arriving, NOW)
     assert replies(effects) == [Refusal.VOIDED_BY_STOP]
@@ -203,7 +206,8 @@ def test_the_end_of_a_session_ends_it_and_is_a_stop_while_cutting(name):
         assert faults(effects)
     else:
         assert after.state is (C.FAULT if state.state is C.FAULT else C.INHIBITED)
-        assert (after.cause, after.session, after.heartbeat_fresh) == (state.cause, None, False)
+        stands = state.memory.latched if state.state is C.FAULT else state.cause
+        assert (after.cause, after.session, after.heartbeat_fresh) == (stands, None, False)
         assert effects == (AbortTransfers(), CloseLink())
 
 
@@ -223,7 +227,7 @@ def test_a_lost_heartbeat_stops_and_frees_the_controller_for_another_session(nam
     if state.session.live:
         assert after.epoch == state.epoch + 1
         assert faults(effects)
-        assert after.cause is (state.cause or StopCause.HEARTBEAT_LOST)
+        assert after.cause is (state.memory.latched or state.cause or StopCause.HEARTBEAT_LOST)
     else:
         assert (after.cause, after.epoch, effects) == (state.cause, state.epoch, (CloseLink(),))
     assert fed(after, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1)).session is not None
@@ -295,27 +299,28 @@ WITHDRAWALS: dict[str, Event] = {
 @pytest.mark.parametrize("withdrawal", WITHDRAWALS)
 def test_a_withdrawal_lists_the_registration_by_whatever_way_it_comes(state, withdrawal):
     after, effects = step(state, WITHDRAWALS[withdrawal], NOW)
-    assert after.withdrawn == {REGISTRATION}
-    assert Persist(frozenset({REGISTRATION})) in effects
-    assert isinstance(effects[0], SendFault), "the stop leaves before the memory is written"
+    assert after.memory == Memory(withdrawn=frozenset({REGISTRATION}))
+    assert isinstance(effects[0], SendFault)
+    assert effects[-1] == Persist(after.memory), "the stop leaves before the memory is written"
     assert is_void(after)
 
 
 def test_bone_motion_after_the_session_still_withdraws_its_registration():
     ended = fed(DONE, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
     after, effects = step(ended, BoneMoved(), NOW)
-    assert after.withdrawn == {REGISTRATION}
-    assert Persist(after.withdrawn) in effects
+    assert after.memory.withdrawn == {REGISTRATION}
+    assert effects[-1] == Persist(after.memory)
 
 
 def test_bone_motion_before_any_session_stops_and_has_nothing_to_withdraw():
     after, effects = step(POWERED_UP, BoneMoved(), NOW)
-    assert (after.cause, after.withdrawn) == (StopCause.BONE_MOVED, frozenset())
+    assert (after.cause, after.memory.withdrawn) == (StopCause.BONE_MOVED, frozenset())
     assert not any(isinstance(effect, Persist) for effect in effects)
 
 
 def test_the_list_grows_and_only_another_registration_is_permitted():
-    state = replace(POWERED_UP, withdrawn=frozenset({REGISTRATION}))
+    remembered = Memory(withdrawn=frozenset({REGISTRATION}))
+    state = replace(POWERED_UP, memory=remembered, written=remembered)
     asked = fed(
         state,
         OpenReceived(OPEN, 1),
@@ -339,12 +344,12 @@ def test_the_list_grows_and_only_another_registration_is_permitted():
     signed = permits.sign(KEY, replace(PERMIT, registration_digest=other))
     after, effects = step(asked, PermitReceived(signed, 4), NOW)
     assert replies(effects) == [Refusal.ACCEPTED]
-    assert fed(after, BoneMoved()).withdrawn == {REGISTRATION, other}
+    assert fed(after, BoneMoved()).memory.withdrawn == {REGISTRATION, other}
 
 
 def test_other_stops_withdraw_nothing():
     for cause in set(StopCause) - {StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED}:
-        assert fed(CUTTING, Fault(cause)).withdrawn == frozenset()
+        assert fed(CUTTING, Fault(cause)).memory.withdrawn == frozenset()
 
 
 def test_a_changed_limit_is_held_and_stops():
@@ -356,7 +361,9 @@ def test_a_changed_limit_is_held_and_stops():
 
 
 def test_a_session_is_opened_with_what_both_sides_said():
-    after, effects = step(POWERED_UP, OpenReceived(OPEN, 7), NOW)
+    remembered = Memory(named=frozenset({REGISTRATION}))
+    named = replace(POWERED_UP, memory=remembered, written=remembered)
+    after, effects = step(named, OpenReceived(OPEN, 7), NOW)
     assert (after.state, after.epoch, after.heartbeat_fresh) == (C.OPEN, 1, False)
     session = after.session
     assert session is not None
@@ -414,7 +421,7 @@ def test_the_bounds_are_those_of_the_table_of_constants():
 
 
 def test_nonces_that_make_the_tag_of_no_session_are_refused(monkeypatch):
-    monkeypatch.setattr("firmware_sim.table.records.nonce_serves", lambda *_nonces: False)
+    monkeypatch.setattr("firmware_sim.rules.records.nonce_serves", lambda *_nonces: False)
     _, effects = step(POWERED_UP, OpenReceived(OPEN, 1), NOW)
     assert replies(effects) == [Refusal.WRONG_SESSION]
 
@@ -422,7 +429,7 @@ def test_nonces_that_make_the_tag_of_no_session_are_refused(monkeypatch):
 @each_state
 def test_one_session_at_a_time(name):
     state = EVERY_STATE[name]
-    after, effects = step(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), NOW)
+    after, effects = settled(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), NOW)
     if state.session is None:
         assert after.session is not None
     else:
@@ -467,7 +474,7 @@ def test_no_other_single_event_leaves_a_latched_fault(name):
 
 
 def test_a_session_opened_with_a_latched_controller_says_so():
-    _, effects = step(LATCHED, OpenReceived(OPEN, 1), NOW)
+    _, effects = settled(LATCHED, OpenReceived(OPEN, 1), NOW)
     assert effects[-1].record == records.Opened(epoch=2, state=C.FAULT, cause=StopCause.SECOND_NODE)
 
 
@@ -475,9 +482,9 @@ def test_a_session_opened_with_a_latched_controller_says_so():
     ("state", "cause", "refusal"),
     [
         (HELD, StopCause.SECOND_NODE, Refusal.ACCEPTED),
-        (HELD, StopCause.OPERATOR_STOP, Refusal.NOT_IN_STATE),
-        (LATCHED, StopCause.SECOND_NODE, Refusal.NOT_IN_STATE),
-        (EVERY_STATE["stopped"], StopCause.BUS_FAILED, Refusal.NOT_IN_STATE),
+        (HELD, StopCause.OPERATOR_STOP, Refusal.WRONG_CAUSE),
+        (LATCHED, StopCause.SECOND_NODE, Refusal.VOIDED_BY_STOP),
+        (EVERY_STATE["stopped"], StopCause.BUS_FAILED, Refusal.VOIDED_BY_STOP),
     ],
 )
 def test_only_the_standing_cause_is_acknowledged_in_a_live_session(state, cause, refusal):
@@ -509,7 +516,7 @@ def test_a_wrong_key_latches_from_every_state():
         ):
             after, effects = step(state, event, NOW)
             assert (after.state, is_void(after)) == (C.FAULT, True)
-            assert after.cause is (state.cause or StopCause.AUTHENTICATION_FAILED)
+            assert after.cause is (state.memory.latched or state.cause or StopCause.AUTHENTICATION_FAILED)
             assert faults(effects) == [SendFault(FaultCode.LATCHED, StopCause.AUTHENTICATION_FAILED)]
             assert replies(effects) == [Refusal.MAC_INVALID]
 
@@ -758,7 +765,7 @@ class Watch:
 
     def step(self, event: Event, now_s: float) -> None:
         before = self.state
-        after, effects = step(before, event, now_s)
+        after, effects = settled(before, event, now_s)
         self.state = after
         accepted = replies(effects) == [Refusal.ACCEPTED]
         if faults(effects) or after.session is None or after.state is C.DONE:
@@ -785,7 +792,7 @@ class Watch:
                 permit.calibration_digest,
                 permit.tool_digest,
             ) == tuple(records.digest(data) for data in (held.path, held.limits, held.calibration, held.tool))
-            assert permit.registration_digest not in after.withdrawn
+            assert permit.registration_digest not in after.memory.withdrawn
             assert (permit.session_digest, permit.epoch) == (session.digest, after.epoch)
             assert after.inputs.emergency_stop_clear
             assert after.cause is StopCause.NONE
@@ -795,15 +802,17 @@ class Watch:
             assert after.inputs.device_pressed
 
     def _bookkeeping(self, before: Controller, after: Controller, effects: tuple[object, ...]) -> None:
-        assert before.withdrawn <= after.withdrawn
+        assert before.memory.withdrawn <= after.memory.withdrawn
         assert (after.session is None) <= (after.state in (C.INHIBITED, C.FAULT))
         assert (after.state in (C.PERMITTED, C.CUTTING)) == (after.permit is not None)
         if faults(effects):
             assert is_void(after)
             assert after.cause is not StopCause.NONE
             assert after.epoch == (before.epoch + 1) % 256
-        if after.withdrawn != before.withdrawn:
-            assert Persist(after.withdrawn) in effects
+        assert before.memory.named <= after.memory.named | after.memory.withdrawn
+        assert (after.state is C.FAULT) == (after.memory.latched is not StopCause.NONE)
+        if after.memory != before.memory:
+            assert Persist(after.memory) in effects
         if before.state is C.FAULT and after.state is not C.FAULT:
             assert after.state is C.OPEN
             assert before.cause is StopCause.NONE

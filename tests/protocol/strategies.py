@@ -45,7 +45,12 @@ def values(codec: Codec) -> st.SearchStrategy[Any]:
 
 def blocks(kind: type[Block]) -> st.SearchStrategy[Block]:
     """Any instance of a block; turns and speeds within their bounds."""
-    bounds = {"q0_turns": (-100, 100), "roll_turns": (-100, 100), "speed_percent": (1, 100)}
+    bounds = {
+        "q0_turns": (-100, 100),
+        "roll_turns": (-100, 100),
+        "speed_percent": (1, 100),
+        "plant_speed_permille": (1, 1_000_000),
+    }
     fields = {
         name: st.integers(*bounds[name]) if name in bounds else values(codec) for name, codec in layout(kind)
     }

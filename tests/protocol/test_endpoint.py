@@ -18,6 +18,7 @@ PERMIT_NONCE = records.Nonce(purpose=Purpose.PERMIT, nonce=bytes(16), epoch=0)
 ANNOUNCE = records.Announce(
     protocol_version=records.PROTOCOL_VERSION,
     firmware_version="test",
+    plant_speed_permille=1000,
     serial="SIM-1",
     boot_nonce=bytes(16),
     state=ControllerState.INHIBITED,

@@ -13,18 +13,22 @@ from protocol.frames import DATA_IDS, FRAMES, decode_frame, encode_frame
 from protocol.parameters import Calibration, Limits, Tool
 from protocol.path import Assembly, Path, PathBlock, split
 from protocol.records import (
+    PROTOCOL_VERSION,
+    Announce,
     Approach,
     Branch,
+    Open,
     Permit,
     Reset,
     Start,
+    Timing,
     digest,
     pack,
     session_digest,
     session_tag,
     unpack,
 )
-from protocol.states import StopCause
+from protocol.states import ControllerState, StopCause
 from tests.protocol.vectors import generate
 
 
@@ -32,7 +36,8 @@ def load(name: str) -> Any:
     return json.loads((generate.HERE / f"{name}.json").read_text(encoding="ascii"))
 
 
-FRAME_VECTORS = load("frames")
+FRAME_VECTORS = load("frames")["frames"]
+OPENING = load("opening")
 SIGNED = load("signed")
 PARAMETERS = load("parameters")
 PATH = load("path")
@@ -41,6 +46,15 @@ PATH = load("path")
 def test_generator_reproduces_the_files():
     for name, text in generate.files().items():
         assert (generate.HERE / name).read_text(encoding="ascii") == text, name
+
+
+@pytest.mark.parametrize("name", [name.removesuffix(".json") for name in generate.files()])
+def test_every_file_says_its_format_and_the_protocol_that_it_belongs_to(name: str):
+    assert (load(name)["format_version"], load(name)["protocol_version"]) == (2, PROTOCOL_VERSION)
+
+
+def test_every_file_of_vectors_is_generated():
+    assert {file.name for file in generate.HERE.glob("*.json")} == set(generate.files())
 
 
 def test_generator_does_not_import_what_it_tests():
@@ -78,6 +92,34 @@ def test_session_digest_and_tag_equal_the_vector():
     assert session_tag(*nonces) == SIGNED["session_tag"]
 
 
+def test_announce_equals_the_vector():
+    announce = Announce(
+        protocol_version=3,
+        firmware_version=OPENING["firmware_version"],
+        serial=OPENING["serial"],
+        boot_nonce=bytes.fromhex(OPENING["boot_nonce"]),
+        plant_speed_permille=OPENING["plant_speed_permille"],
+        state=ControllerState(OPENING["state"]),
+        cause=StopCause(OPENING["cause"]),
+    )
+    assert pack(announce, 0, 1).hex() == OPENING["announce"]
+    assert unpack(bytes.fromhex(OPENING["announce"])).record == announce
+
+
+def test_open_equals_the_vector():
+    nonces = bytes.fromhex(OPENING["boot_nonce"]), bytes.fromhex(OPENING["runtime_nonce"])
+    request = Open(
+        3,
+        *nonces,
+        registration_digest=bytes.fromhex(OPENING["registration_digest"]),
+        configuration_digest=bytes.fromhex(OPENING["configuration_digest"]),
+        verifier_version=OPENING["verifier_version"],
+        timing=Timing(**OPENING["timing"]),
+    )
+    assert pack(request, 0, 1).hex() == OPENING["open"]
+    assert unpack(bytes.fromhex(OPENING["open"])).record == request
+
+
 def a_permit() -> Permit:
     digests = {f"{name}_digest": bytes.fromhex(value) for name, value in SIGNED["digests"].items()}
     return Permit(
@@ -85,7 +127,7 @@ def a_permit() -> Permit:
         boot_nonce=hexed("boot_nonce"),
         session_digest=hexed("session_digest"),
         serial=SIGNED["serial"],
-        protocol_version=2,
+        protocol_version=3,
         epoch=200,
         verifier_version=SIGNED["verifier_version"],
         start_joints_u=tuple(SIGNED["start_joints_u"]),

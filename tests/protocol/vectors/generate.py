@@ -18,6 +18,9 @@ from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.ciphers.modes import ECB
 
 HERE = Path(__file__).parent
+FORMAT_VERSION = 2
+"""Of the vector files: 1 had no versions and no opening.json."""
+PROTOCOL_VERSION = 3
 POSES = 250
 TAGS = (0x00000001, 0xDEADBEEF, 0xFFFFFFFF)
 
@@ -154,7 +157,7 @@ def signed() -> dict[str, object]:
     entry, leave = (1, -2, 3, 719_999_999, 5), (-36_000_000_000, 145_000_000, 449_999_999, 7, 8)
     approach = struct.pack("<2I", 92_001, 4_000_000_000) + struct.pack("<10qB", *entry, *leave, 25)
     permit = (
-        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", 2, 200)
+        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", PROTOCOL_VERSION, 200)
         + b"".join(digests.values()) + named("certified/1") + struct.pack("<5q", *joints)
         + struct.pack("<Bhh", 2, -1, 3) + approach + struct.pack("<H", 120)
     )  # fmt: skip
@@ -191,6 +194,44 @@ def signed() -> dict[str, object]:
         "permit_digest": hashlib.sha256(signed).hexdigest(),
         "start": envelope(0x08, 0xDEADBEEF, 42, start),
         "reset": envelope(0x09, 0xDEADBEEF, 43, reset),
+    }
+
+
+def opening() -> dict[str, object]:
+    """Announce of a controller that is latched, and Open."""
+    boot, runtime = patterned(16, 2), patterned(16, 3)
+    announce = (
+        struct.pack("<H", PROTOCOL_VERSION) + named("1.2.3") + named("CG-0001") + boot
+        + struct.pack("<IHB", 2500, 0x33CC, 9)
+    )  # fmt: skip
+    timing = {
+        "heartbeat_ms": 20,
+        "timeout_ms": 100,
+        "permit_lifetime_s": 120,
+        "start_lifetime_ms": 2000,
+        "start_tolerance_um": 500,
+        "start_tolerance_mdeg": 200,
+        "approach_clearance_um": 70_000,
+        "approach_speed_percent": 25,
+    }
+    body = (
+        struct.pack("<H", PROTOCOL_VERSION) + boot + runtime + patterned(32, 20) + patterned(32, 21)
+        + named("certified/1") + struct.pack("<6HIH", *timing.values())
+    )  # fmt: skip
+    return {
+        "boot_nonce": boot.hex(),
+        "runtime_nonce": runtime.hex(),
+        "firmware_version": "1.2.3",
+        "serial": "CG-0001",
+        "plant_speed_permille": 2500,
+        "state": 0x33CC,
+        "cause": 9,
+        "registration_digest": patterned(32, 20).hex(),
+        "configuration_digest": patterned(32, 21).hex(),
+        "verifier_version": "certified/1",
+        "timing": timing,
+        "announce": envelope(0x01, 0, 1, announce),
+        "open": envelope(0x02, 0, 1, body),
     }
 
 
@@ -292,8 +333,15 @@ def path() -> dict[str, object]:
 
 def files() -> dict[str, str]:
     """Names and texts of the vector files."""
-    made = {"frames": frames(), "signed": signed(), "parameters": parameters(), "path": path()}
-    return {f"{name}.json": json.dumps(value, indent=1) + "\n" for name, value in made.items()}
+    versions = {"format_version": FORMAT_VERSION, "protocol_version": PROTOCOL_VERSION}
+    made = {
+        "frames": {"frames": frames()},
+        "opening": opening(),
+        "signed": signed(),
+        "parameters": parameters(),
+        "path": path(),
+    }
+    return {f"{name}.json": json.dumps(versions | value, indent=1) + "\n" for name, value in made.items()}
 
 
 if __name__ == "__main__":

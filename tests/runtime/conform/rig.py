@@ -49,10 +49,8 @@ class Rig:
         endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
         random = Generator("controller")
         self.process = Process(
-            Controller(
-                Identity("SIM-1", key, random(16)),
-                Holdings(*self.approved),
-                withdrawn=memory.load(memory_file),
+            Controller.powered_up(
+                Identity("SIM-1", key, random(16)), Holdings(*self.approved), memory.load(memory_file)
             ),
             Port(self.wire.nodes[CONTROLLER], endpoint),  # type: ignore[arg-type]
             memory_file,

@@ -71,6 +71,8 @@ PERMIT_GUARDS = (
     (Refusal.TOOL_DIGEST, {"permit: wrong tool digest"}),
     (Refusal.PATH_DIGEST, {"permit: wrong path digest"}),
     (Refusal.REGISTRATION_DIGEST, {"permit: wrong registration digest"}),
+    (Refusal.CONFIGURATION_DIGEST, {"permit: wrong configuration digest"}),
+    (Refusal.VERIFIER, {"permit: other verifier"}),
     (Refusal.TIMING_OUT_OF_BOUNDS, {"permit: other lifetime"}),
     (Refusal.BRANCH, {"permit: other branch"}),
     (Refusal.APPROACH, {"permit: other entry", "permit: other exit", "permit: other entry joints"}),
@@ -110,6 +112,14 @@ def test_a_controller_without_one_rule_on_starts_fails_exactly_its_cases(
     assert judged(rig, "start") == fails
 
 
+@pytest.mark.parametrize("guard", [Refusal.UNACKNOWLEDGED_STOP, Refusal.WRONG_CAUSE], ids=lambda r: r.name)
+def test_a_controller_without_one_rule_on_resets_fails_the_case_of_the_latch(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal
+) -> None:
+    monkeypatch.setattr(table, "RESET_RULES", without(guard)(rules.RESET_RULES))
+    assert judged(rig, "latched") == {"latched fault: acknowledge, then reset"}
+
+
 @pytest.mark.parametrize(
     ("guard", "fails"),
     [
@@ -123,13 +133,7 @@ def test_a_controller_without_one_rule_on_starts_fails_exactly_its_cases(
 def test_a_controller_without_one_rule_on_open_fails_exactly_that_case(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: str
 ) -> None:
-    judge = table._refuse_open
-
-    def lax(state: Any, request: Any) -> Refusal:
-        found = judge(state, request)
-        return Refusal.ACCEPTED if found is guard else found
-
-    monkeypatch.setattr(table, "_refuse_open", lax)
+    monkeypatch.setattr(table, "OPEN_RULES", without(guard)(rules.OPEN_RULES))
     assert judged(rig, "open:") == {fails}
 
 

@@ -194,6 +194,7 @@ FRESH = Interlock(job=JOB, log=READY.log)
 ANNOUNCE = records.Announce(
     protocol_version=records.PROTOCOL_VERSION,
     firmware_version="test",
+    plant_speed_permille=1000,
     serial="SIM-1",
     boot_nonce=BOOT_NONCE,
     state=ControllerState.INHIBITED,

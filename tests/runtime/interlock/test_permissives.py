@@ -19,8 +19,18 @@ def _off(joint: int, by: int) -> tuple[int, ...]:
 
 ALONE = [
     # one field, another value, the permissive that alone fails, what it shows, its bound
-    ("session.protocol_version", 1, p.protocol_version, "1", "2"),
+    ("session.protocol_version", 1, p.protocol_version, "1", "3"),
     ("session.serial", "SIM-2", p.serial_number, "SIM-2", "SIM-1"),
+    *(
+        (
+            "session.time_scale",
+            scale,
+            p.plant_speed,
+            scale,
+            "1 on a real controller, up to 1000 in simulation only",
+        )
+        for scale in (0.0, -1.0, 1000.1, math.inf, math.nan)
+    ),
     ("job.limits", b"other", p.limits_approved, None, None),
     ("job.calibration", b"other", p.calibration_approved, None, None),
     ("job.tool", b"other", p.tool_approved, None, None),
@@ -125,7 +135,7 @@ def test_the_table_above_leaves_no_permissive_out():
 @pytest.mark.parametrize(
     ("field", "evaluates"),
     [
-        ("session", [p.protocol_version, p.serial_number]),
+        ("session", [p.protocol_version, p.serial_number, p.plant_speed]),
         ("collected.limits", [p.limits_approved]),
         ("collected.calibration", [p.calibration_approved]),
         ("collected.tool", [p.tool_approved]),
@@ -187,6 +197,13 @@ def test_the_registration_grows_older_during_the_session():
 def test_without_a_configured_bound_the_age_is_shown_and_holds():
     one = p.registration_age(altered(READY, "job.registration_max_age_s", None), NOW)
     assert (one.holds, one.text, one.bound) == (True, "100 s", "no bound is configured")
+
+
+@pytest.mark.parametrize("scale", [0.001, 1.0, 60.0, 1000.0])
+def test_a_simulated_plant_says_how_fast_it_runs_and_the_log_shows_it(scale):
+    judged = p.plant_speed(altered(READY, "session.time_scale", scale), NOW)
+    assert judged.holds
+    assert (judged.value, "in simulation only" in judged.bound) == (scale, True)
 
 
 def test_any_controller_will_do_where_no_serial_number_is_configured():
@@ -273,6 +290,7 @@ def test_a_reset_needs_the_same_controller_at_rest_and_the_log():
     assert set(p.FOR_RESET) == {
         p.protocol_version,
         p.serial_number,
+        p.plant_speed,
         p.log_writable,
         p.heartbeat_fresh,
         p.no_stop_cause,

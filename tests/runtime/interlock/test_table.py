@@ -647,6 +647,8 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
         boot_nonce=BOOT_NONCE,
         runtime_nonce=RUNTIME_NONCE,
         registration_digest=JOB.registration,
+        configuration_digest=JOB.configuration,
+        verifier_version=JOB.verifier,
         timing=records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25),
     )
 

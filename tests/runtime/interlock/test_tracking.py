@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
-from runtime.interlock.tracking import Bounds, Course, Watch, time_scale
+from runtime.interlock.tracking import Bounds, Course, Watch
 from tests.runtime.interlock.builders import TIMING
 
 LINKS = (450.0, 400.0)
@@ -226,22 +226,3 @@ def test_silence_is_seen_after_two_time_outs_and_names_what_is_missing():
     watch, _ = watch.sample(watch.course.joints[0], 10.1)
     assert watch.overdue(10.25, 10.1) == ""
     assert "no progress for 250 ms" in watch.overdue(10.25, 10.0)
-
-
-@pytest.mark.parametrize(
-    ("version", "scale"),
-    [
-        ("sim-0.1 x60", 60.0),
-        ("sim-0.1 x4.5", 4.5),
-        ("sim-0.1 x1e+03", 1000.0),
-        ("sim-0.1 x0.05", 1.0),
-        ("sim-0.1 x1001", 1.0),
-        ("sim-0.1 xnan", 1.0),
-        ("sim-0.1 xinf", 1.0),
-        ("sim-0.1", 1.0),
-        ("x60", 1.0),
-        ("", 1.0),
-    ],
-)
-def test_only_a_stated_time_scale_within_bounds_counts(version, scale):
-    assert time_scale(version) == scale

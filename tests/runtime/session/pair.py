@@ -295,7 +295,7 @@ class Pair:
         holdings = Holdings(self.job.limits, self.job.calibration, self.job.tool)
         random = Generator(f"controller {self.boots}")
         self.process = Process(
-            Controller(Identity(serial, KEY, random(16)), holdings, withdrawn=memory.load(self.memory_file)),
+            Controller.powered_up(Identity(serial, KEY, random(16)), holdings, memory.load(self.memory_file)),
             Port(self.wire.nodes[CONTROLLER], self._endpoint(Side.CONTROLLER)),  # type: ignore[arg-type]
             self.memory_file,
             options=self.options,

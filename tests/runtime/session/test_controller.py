@@ -141,7 +141,7 @@ def test_a_second_session_is_refused_while_one_lives(pair):
     pair.to(Phase.CUTTING)
     stranger = Stranger(pair)
     stranger.say(open_request(pair))
-    pair.run(0.1)
+    pair.run(0.3)
     assert [reply.refusal for reply in stranger.replies] == [Refusal.SESSION_IN_USE]
     assert pair.phase is Phase.CUTTING
     assert pair.controller.may_move

@@ -102,7 +102,7 @@ def test_withdraw_reaches_the_controllers_memory(pair):
     pair.end()
     assert pair.state.cause is StopCause.REGISTRATION_WITHDRAWN
     pair.run(0.2)
-    assert pair.controller.withdrawn == {pair.job.registration}
+    assert pair.controller.memory.withdrawn == {pair.job.registration}
 
 
 # ---------------------------------------------------------------- the worker
@@ -239,5 +239,5 @@ def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
     assert pair.clock() <= sent + 2 * pair.turn_s
     assert pair.controller.state is ControllerState.INHIBITED
     assert pair.controller.cause is cause
-    assert (pair.job.registration in pair.controller.withdrawn) is (word == "withdraw")
+    assert (pair.job.registration in pair.controller.memory.withdrawn) is (word == "withdraw")
     assert pair.end() is Phase.STOPPED

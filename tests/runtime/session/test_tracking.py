@@ -10,6 +10,7 @@ from firmware_sim import process as controller_side
 from firmware_sim.faults import FaultName
 from firmware_sim.plant import Leg
 from firmware_sim.process import Process
+from protocol import records
 from protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
 from protocol.states import ControllerState, StopCause
 from runtime.audit.inspect import Status
@@ -137,7 +138,7 @@ def test_an_arm_that_runs_faster_than_it_may_is_stopped(pair, leg):
 
 
 def test_a_time_scale_that_is_not_announced_is_stopped(pair, monkeypatch):
-    monkeypatch.setattr("runtime.interlock.table.time_scale", lambda _: 1.0)
+    monkeypatch.setattr(records.Announce, "time_scale", property(lambda _: 1.0))
     pair.power_up(time_scale=4.0)
     pair.begin().end()
     stopped_by_the_watch(pair)

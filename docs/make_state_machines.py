@@ -165,7 +165,13 @@ def controller_edges() -> tuple[Edge, ...]:
         session = state.session and state.session.live
         issued = state.issued and (state.issued.purpose, state.issued.nonce)
         seen = (state.cause is StopCause.NONE, state.inputs, state.device, state.measured_u)
-        return state.state, session, issued, *seen, state.cut_ordered, state.heartbeat_fresh
+        memory = (
+            _awaits(state),
+            state.memory.latched,
+            bool(state.memory.named),
+            state.memory == state.written,
+        )
+        return state.state, session, issued, *seen, state.cut_ordered, state.heartbeat_fresh, *memory
 
     def edges() -> Iterator[Edge]:
         start = [(controllers.POWERED_UP, controllers.NOW)]
@@ -283,6 +289,11 @@ def _beat_case(state: Any, view: Any) -> str:  # noqa: PLR0911 - one line each
     return "expected state" if view.device_pressed else "device released"
 
 
+def _awaits(state: Any) -> str:
+    """The request that waits for the memory."""
+    return type(state.awaiting.event).__name__.removesuffix("Received") if state.awaiting else ""
+
+
 def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: PLR0911 - one line each
     """What distinguishes this event from others of its kind, where the table looks at it."""
     match event:
@@ -294,6 +305,8 @@ def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: PLR
             said = "another epoch" if epoch != state.epoch else code.name if fresh else f"stale {code.name}"
             ordered = " after CUT" if state.cut_ordered else " before CUT"
             return said + (ordered if state.state is C.CUTTING else "")
+        case controller_state.Persisted() | controller_state.PersistFailed():
+            return f"{_awaits(state)} waits" if state.awaiting else ""
         case controller_state.StopReceived(code, cause):
             return "withdrawing" if cause in controller_table.WITHDRAWING else code.name
         case controller_state.Fault(cause):
@@ -569,8 +582,12 @@ def page() -> str:
         own_transitions(controller),
         "### What every other state answers\n",
         shared_transitions(controller, [state.name for state in C], controller_state.Event),
-        "### Why a permit is refused\n",
+        "### Why a session is refused\n",
         RULES,
+        rule_table(rules.OPEN_RULES),
+        "### Why an acknowledgement is refused\n",
+        rule_table(rules.ACKNOWLEDGE_RULES),
+        "### Why a permit is refused\n",
         rule_table(rules.PERMIT_RULES),
         "### Why a start is refused\n",
         rule_table(rules.START_RULES),
@@ -616,7 +633,8 @@ stop voids permit, nonce, session, path and transfers and starts a new epoch; ca
 latched controller, end at FAULT. INHIBITED and FAULT stop as well, and stay what they are.
 """
 RULES: Final = """The first rule that does not hold answers with its refusal code. The state is the controller's own; `request` is the
-record that arrived. A wrong authentication code is a masquerade and latches.
+record that arrived. A wrong authentication code is a masquerade and latches. An Open or Reset that passes waits for the
+memory, and is refused with MEMORY_FAILED if that cannot be written.
 """
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from config.constants import CONSTANTS, REGISTRATIONS_MAX, TIMEOUT_HEARTBEATS
 from firmware_sim.approach import agrees, inside, start_offset
-from firmware_sim.state import Controller, DeviceCycle, Session
+from firmware_sim.state import Controller, DeviceCycle
 from protocol import permit as permits
 from protocol import records
 from protocol.path import PathHeader
@@ -138,16 +138,6 @@ def _permit_alive(case: Case) -> bool:
     return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
 
 
-def _as_opened(field: str, opened: Callable[[Session], object]) -> Callable[[Case], bool]:
-    """The permit, whose code is right, names the same as OPEN, which carries none."""
-
-    def same(case: Case) -> bool:
-        session = case.controller.session
-        return session is not None and getattr(case.request, field) == opened(session)
-
-    return same
-
-
 def _timing_within_bounds(case: Case) -> bool:
     timing: records.Timing = case.request.timing
     values = {
@@ -207,10 +197,25 @@ PERMIT_RULES: tuple[Rule, ...] = (
     *_nonce_rules(Purpose.PERMIT),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     *HELD_RULES,
-    (Refusal.REGISTRATION_DIGEST, _as_opened("registration_digest", lambda s: s.registration)),
-    (Refusal.CONFIGURATION_DIGEST, _as_opened("configuration_digest", lambda s: s.configuration)),
-    (Refusal.VERIFIER, _as_opened("verifier_version", lambda s: s.verifier)),
-    (Refusal.TIMING_OUT_OF_BOUNDS, _as_opened("lifetime_s", lambda s: s.permit_lifetime_s)),
+    # OPEN carries no code; the permit does, so what it names again must be the same.
+    (
+        Refusal.REGISTRATION_DIGEST,
+        lambda c: (s := c.controller.session) is not None and c.request.registration_digest == s.registration,
+    ),
+    (
+        Refusal.CONFIGURATION_DIGEST,
+        lambda c: (
+            (s := c.controller.session) is not None and c.request.configuration_digest == s.configuration
+        ),
+    ),
+    (
+        Refusal.VERIFIER,
+        lambda c: (s := c.controller.session) is not None and c.request.verifier_version == s.verifier,
+    ),
+    (
+        Refusal.TIMING_OUT_OF_BOUNDS,
+        lambda c: (s := c.controller.session) is not None and c.request.lifetime_s == s.permit_lifetime_s,
+    ),
     (Refusal.BRANCH, _same_branch),
     (Refusal.APPROACH, _own_approach),
     (Refusal.APPROACH_SPEED, _speed_as_opened),

@@ -303,7 +303,7 @@ def events(state: Controller) -> list[Event]:
         STANDING,
         JointsMeasured((0, *START_JOINTS[1:])),
         PathFinished(),
-        Persisted(state.memory),
+        Persisted(state.awaiting.memory if state.awaiting else state.memory),
         Persisted(replace(state.memory, latched=StopCause.NONE)),
         PersistFailed(),
         Tick(),

@@ -131,6 +131,8 @@ def open_request(pair, **changes):
         "boot_nonce": pair.controller.identity.boot_nonce,
         "runtime_nonce": b"n" * 16,
         "registration_digest": pair.job.registration,
+        "configuration_digest": pair.job.configuration,
+        "verifier_version": pair.job.verifier,
         "timing": timing,
     }
     return records.Open(**(values | changes))
@@ -141,7 +143,7 @@ def test_a_second_session_is_refused_while_one_lives(pair):
     pair.to(Phase.CUTTING)
     stranger = Stranger(pair)
     stranger.say(open_request(pair))
-    pair.run(0.3)
+    pair.run(0.1)
     assert [reply.refusal for reply in stranger.replies] == [Refusal.SESSION_IN_USE]
     assert pair.phase is Phase.CUTTING
     assert pair.controller.may_move
@@ -184,7 +186,7 @@ def test_other_limits_than_the_approved_are_refused_before_the_upload(pair):
     pair.controller_terminal.type("limit")
     pair.run(0.02)
     pair.close()
-    pair.run(0.3).begin()
+    pair.run(0.1).begin()
     pair.to(Phase.HELD).run(0.05).say("acknowledge")
     assert pair.end() is Phase.REFUSED
     assert "controller's joint limits equal the approved" in pair.state.reason

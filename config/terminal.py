@@ -41,10 +41,9 @@ class WordReader(Generic[W]):
         if not data:  # the end of the file ends its last line
             self.descriptor = None
             data = b"\n"
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > LINE_BYTES_MAX:  # no word is so long; what is cut off must not make one of it
-            self._rest = self._rest[:LINE_BYTES_MAX] + CUT
-        texts = [line.decode("ascii", "replace").strip().lower() for line in lines]
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[: LINE_BYTES_MAX + 1]  # one byte too many says that it is too long
+        texts = [_text(line) for line in lines]
         return [self._word(text) for text in texts if text]
 
     def _word(self, text: str) -> W | str:
@@ -52,3 +51,9 @@ class WordReader(Generic[W]):
             return self._words(text)
         except ValueError:
             return text[:LINE_BYTES_MAX]
+
+
+def _text(line: bytes) -> str:
+    """No word is so long, padding included, however the line arrived: what is cut off must not make one of it."""
+    whole = line if len(line) <= LINE_BYTES_MAX else line[:LINE_BYTES_MAX] + CUT
+    return whole.decode("ascii", "replace").strip().lower()

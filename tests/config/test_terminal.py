@@ -128,3 +128,39 @@ def test_only_the_words_themselves_are_words(line):
     known = meant in (b"start", b"stop")
     assert [isinstance(word, Word) for word in found] == ([known] if found else [])
     assert known <= bool(found)
+
+
+PIECES = st.sampled_from(
+    [b"start", b"stop", b" ", b"\n", b"\r\n", b"x", b" " * 250, b" " * 257, b"\xff", b"y" * 300]
+)
+
+
+def _read(parts):
+    """The words of what arrives in these parts, each with a read of its own; the end of the file ends it."""
+    typing = Typing()
+    found = [word for part in parts for word in typing.words(part)]
+    os.close(typing.writing)
+    found += typing.reader.read()
+    os.close(typing.descriptor)
+    return [(type(word), word) for word in found]
+
+
+@given(st.lists(PIECES, max_size=8), st.data())
+def test_how_reads_cut_a_line_does_not_change_what_it_says(pieces, data):
+    typed = b"".join(pieces)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(typed)), max_size=6)))
+    parts = [typed[a:b] for a, b in zip([0, *cuts], [*cuts, len(typed)], strict=True)]
+    assert _read([part for part in parts if part]) == _read([typed] if typed else [])
+
+
+@pytest.mark.parametrize(
+    "padded", [LINE_BYTES_MAX - 1, LINE_BYTES_MAX, LINE_BYTES_MAX + 1, LINE_BYTES_MAX + 4]
+)
+@pytest.mark.parametrize("before", [True, False], ids=["blanks before", "blanks behind"])
+def test_a_word_is_judged_alike_wherever_its_padded_line_is_cut(padded, before):
+    blanks = b" " * (padded - len(b"start"))
+    line = (blanks + b"start" if before else b"start" + blanks) + b"\nstop\n"
+    found = _read([line])
+    assert [kind for kind, _ in found] == [Word if padded <= LINE_BYTES_MAX else str, Word]
+    for cut in range(1, len(line)):
+        assert _read([line[:cut], line[cut:]]) == found, cut

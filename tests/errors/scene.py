@@ -163,9 +163,7 @@ class Scene:
 
     def held(self) -> "Scene":
         """The controller woke up with a latched fault; the operator knows the words."""
-        self.pair.process.controller = replace(
-            self.pair.controller, state=ControllerState.FAULT, cause=StopCause.SECOND_NODE
-        )
+        self.pair.latch(StopCause.SECOND_NODE)
         self.words = ["acknowledge", "reset"]
         return self
 

@@ -24,12 +24,13 @@ from firmware_sim import process as controller_side
 from firmware_sim.faults import FaultSpec
 from firmware_sim.kinematics import as_joints
 from firmware_sim.process import Options, Process
-from firmware_sim.state import Controller, Holdings, Identity
+from firmware_sim.state import Controller, Holdings, Identity, Memory
 from protocol import records
 from protocol.endpoint import Endpoint, RecordReceived
 from protocol.frames import BULK_IDS, CONTROL_IDS
 from protocol.port import Port
 from protocol.records import Side
+from protocol.states import StopCause
 from runtime.audit import names
 from runtime.audit.commit import Committer, Failed, Files, Job
 from runtime.audit.inspect import Log, read_log
@@ -304,6 +305,14 @@ class Pair:
             clock=self.clock,
             random=random,
             sleep=self._stand_still,
+        )
+
+    def latch(self, cause: StopCause) -> None:
+        """The controller has woken up with a latched fault."""
+        memory.save(self.memory_file, Memory(latched=cause))
+        old = self.controller
+        self.process.controller = Controller.powered_up(
+            old.identity, old.holdings, memory.load(self.memory_file)
         )
 
     def _stand_still(self, seconds: float) -> None:

@@ -378,8 +378,7 @@ def _own_end(row: Row) -> Row:
     held = replace(row, stage=Scene.held)
     if row.end == GOES_ON:
         return held
-    cause = StopCause.SECOND_NODE if row.message is ACKNOWLEDGE else row.end.controller
-    return replace(held, end=replace(row.end, state="FAULT", controller=cause))
+    return replace(held, end=replace(row.end, state="FAULT", controller=StopCause.SECOND_NODE))
 
 
 _REOPENED = {"end": refused(StopCause.HEARTBEAT_LOST), "found_by": "deadline", "bound": BY_OPERATOR}

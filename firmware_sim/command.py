@@ -79,9 +79,7 @@ def _run(options: argparse.Namespace) -> None:
     key, memory_file = load_key(options.key), memory.beside(options.key)
     settings = _options(options, robot)
     remembered = memory.load(memory_file)
-    memory.save(
-        memory_file, remembered
-    )  # a memory that cannot be written is found before anything depends on it
+    memory.save(memory_file, remembered)  # one that cannot be written is found before anything depends on it
     controller = _controller(robot, key, remembered, options.serial)
     interface, channel = _bus_of(options)
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)

@@ -323,11 +323,9 @@ def persisted(state: Controller, event: Persisted, _now_s: float) -> Outcome:
     if awaiting is None or awaiting.memory != event.memory:
         return known, ()
     settled = replace(known, memory=event.memory, awaiting=None)
-    match awaiting.event:
-        case OpenReceived() as opening:
-            return open_session(settled, opening)
-        case ResetReceived() as reset:
-            return leave_fault(settled, reset)
+    if isinstance(awaiting.event, OpenReceived):
+        return open_session(settled, awaiting.event)
+    return leave_fault(settled, awaiting.event)
 
 
 def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:

@@ -112,6 +112,13 @@ def test_a_memory_that_cannot_be_believed_is_refused_and_names_its_file(file, te
         memory.load(file)
 
 
+@pytest.mark.parametrize("schema", ["cutgate.sim-memory/2", "", None, 1])
+def test_a_memory_of_another_version_is_named_as_such(file, schema):
+    file.write_text(json.dumps(json.loads(_text()) | {"schema": schema}), encoding="ascii")
+    with pytest.raises(ControllerMemoryError, match=r"its schema is not cutgate\.sim-memory/1"):
+        memory.load(file)
+
+
 def test_a_memory_that_cannot_be_read_is_refused(file):
     file.mkdir()
     with pytest.raises(ControllerMemoryError, match="Is a directory"):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from protocol import conversation
 from protocol.conversation import (
     NO_MAC,
+    Announce,
     Approach,
     Branch,
     Permit,
@@ -19,6 +20,7 @@ from protocol.conversation import (
     session_digest,
     session_tag,
 )
+from protocol.states import ControllerState, StopCause
 from protocol.wire import RecordError, digest
 from tests.protocol.strategies import blocks
 
@@ -46,6 +48,21 @@ def test_nonce_that_gives_tag_zero_does_not_serve(monkeypatch: pytest.MonkeyPatc
 def test_turns_no_joint_has_are_refused(turns: tuple[int, int]):
     with pytest.raises(RecordError, match="must be within"):
         Branch("right", *turns)
+
+
+def _announce(permille: int) -> Announce:
+    return Announce(3, "firmware", "CG-1", bytes(16), permille, ControllerState.INHIBITED, StopCause.NONE)
+
+
+@pytest.mark.parametrize(("permille", "scale"), [(1, 0.001), (1000, 1.0), (1_000_000, 1000.0)])
+def test_an_announcement_says_how_fast_its_plant_runs(permille: int, scale: float):
+    assert _announce(permille).time_scale == scale
+
+
+@pytest.mark.parametrize("permille", [0, 1_000_001, 2**32 - 1])
+def test_a_plant_that_stands_still_or_runs_faster_than_any_simulation_is_refused(permille: int):
+    with pytest.raises(RecordError, match=rf"plant_speed_permille is {permille}, must be in 1..1000000"):
+        _announce(permille)
 
 
 @pytest.mark.parametrize("percent", [0, 101])

@@ -786,7 +786,9 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     run.feed(NonceReceived(Purpose.RESET, NONCE, EPOCH))
     assert (run.phase, run.commit.purpose) == (Phase.AUTHORISING_RESET, Purpose.RESET)
     run.durable()
-    assert [type(record) for record in enabled(run.effects)] == [records.Reset]
+    (reset,) = enabled(run.effects)
+    assert isinstance(reset, records.Reset)
+    assert (reset.cause, reset.nonce, reset.epoch) == (StopCause.SECOND_NODE, NONCE, EPOCH)
     assert code(run.state) is RuntimeCode.INHIBIT
     run.feed(reply(records.Reset))
     assert (run.phase, run.effects) == (Phase.HELD, ())

@@ -22,7 +22,7 @@ from firmware_sim import rules
 from firmware_sim import state as controller_state
 from firmware_sim import table as controller_table
 from protocol.records import Permit, Reply
-from protocol.states import LATCHING, ControllerState, Refusal, StopCause
+from protocol.states import LATCHING, WITHDRAWING, ControllerState, Refusal, StopCause
 from runtime.interlock import permissives
 from runtime.interlock import state as interlock_state
 from runtime.interlock import table as interlock_table
@@ -308,7 +308,7 @@ def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: PLR
         case controller_state.Persisted() | controller_state.PersistFailed():
             return f"{_awaits(state)} waits" if state.awaiting else ""
         case controller_state.StopReceived(code, cause):
-            return "withdrawing" if cause in controller_table.WITHDRAWING else code.name
+            return "withdrawing" if cause in WITHDRAWING else code.name
         case controller_state.Fault(cause):
             return "latching" if cause in LATCHING else "not latching"
         case controller_state.InputsChanged(inputs):

@@ -58,6 +58,7 @@ from protocol import records
 from protocol.records import digest
 from protocol.states import (
     LATCHING,
+    WITHDRAWING,
     ControllerState,
     FaultCode,
     Refusal,
@@ -117,16 +118,12 @@ def _void(state: Controller) -> Controller:
     )
 
 
-WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED})
-"""Causes after which no registration named so far may ever be permitted again, by whatever way they arrive.
-
-A withdrawal withdraws the earlier ones as well: it is the operator's only word for a bone that has moved, and then
-they are no better. Too much costs another registration, too little a cut in the wrong place.
-"""
-
-
 def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
-    """Stop; if the cause says that the bone is elsewhere, no registration named before holds any more."""
+    """Stop; if the cause says that the bone is elsewhere, no registration named before holds any more.
+
+    A withdrawal withdraws the earlier ones as well: it is the operator's only word for a bone that has moved, and then
+    they are no better. Too much costs another registration, too little a cut in the wrong place.
+    """
     if cause in WITHDRAWING:
         state = replace(state, memory=state.memory.all_withdrawn)
     return stop(state, cause)

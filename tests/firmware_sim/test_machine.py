@@ -35,10 +35,18 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import WITHDRAWING
 from protocol import permit as permits
 from protocol import records
-from protocol.states import LATCHING, ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from protocol.states import (
+    LATCHING,
+    WITHDRAWING,
+    ControllerState,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
 from tests.firmware_sim.controllers import (
     ENDS,
     KEY,

@@ -14,7 +14,7 @@ import pytest
 
 from firmware_sim import table as controller
 from firmware_sim.process import Word as ControllerWord
-from firmware_sim.state import HeartbeatLost, InputsChanged, OpenReceived
+from firmware_sim.state import HeartbeatLost, InputsChanged
 from protocol.states import ControllerState, StopCause
 from runtime.interlock import table as interlock
 from runtime.interlock.state import ENDED, Phase, RecordDurable, Word
@@ -104,7 +104,7 @@ class Play:
         pair.controller_terminal.type(ControllerWord.RELEASE)
         for _ in range(round(1.0 / pair.turn_s)):
             self.turn()
-        if self.job.registration in pair.controller.withdrawn:
+        if self.job.registration in pair.controller.memory.withdrawn:
             self.registrations += 1
             pair.files, job = registered_anew(pair, self.registrations)
             self.job = replace(job, timing=self.job.timing)
@@ -177,15 +177,13 @@ def _bone_motion_not_listed(patch):
 
 
 def _opening_clears_a_latch(patch):
-    opened = controller.EVERYWHERE[OpenReceived]
+    opened = controller.open_session
 
-    def clears(state, event, now_s):
-        after, effects = opened(state, event, now_s)
-        if after.session is state.session:
-            return after, effects
+    def clears(state, event):
+        after, effects = opened(state, event)
         return replace(after, state=ControllerState.OPEN, cause=StopCause.NONE), effects
 
-    patch.setitem(controller.EVERYWHERE, OpenReceived, clears)
+    patch.setattr(controller, "open_session", clears)
 
 
 def _nothing_waits_for_the_disk(patch):

@@ -54,9 +54,10 @@ class Witness:
 
     def controller_powered(self) -> None:
         """A controller that has just been switched on: listen to what reaches it."""
-        self.permits, self.starts, self.resets = [], [], 0
+        self.permits, self.starts = [], []
         self._listen(self.pair.process.port.endpoint)
-        self._seen = (None, None, None)
+        _, state, resets = self._seen
+        self._seen = (None, state, resets)  # a latch outlasts a loss of power
 
     def _listen(self, endpoint: Endpoint) -> None:
         receive = endpoint.receive

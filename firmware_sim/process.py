@@ -465,6 +465,7 @@ class Process:
                 if self._link_open:
                     endpoint.send_frame(ControllerFault(effect.code, effect.cause), self._clock())
             case OpenLink(session=session):
+                endpoint.stop_sending()  # an announcement that crossed OPEN must not hold up the answer
                 endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
                 endpoint.use_session(session.tag)
                 endpoint.link.open(session.tag, self._clock())

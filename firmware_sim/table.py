@@ -97,8 +97,9 @@ def stop(state: Controller, cause: StopCause) -> Outcome:
         cause=first,
         memory=replace(state.memory, latched=first) if latched else state.memory,
     )
-    code = FaultCode.LATCHED if latched else FaultCode.STOPPED
-    return stopped, (SendFault(code, cause), AbortTransfers())
+    sent = SendFault(FaultCode.LATCHED if latched else FaultCode.STOPPED, cause)
+    live = state.session is not None and state.session.live  # else there is nothing to void but a reply
+    return stopped, (sent, AbortTransfers()) if live else (sent,)
 
 
 def _void(state: Controller) -> Controller:
@@ -218,7 +219,7 @@ def open_session(state: Controller, event: OpenReceived) -> Outcome:
         heartbeat_fresh=False,
     )
     answer = records.Opened(epoch=opened.epoch, state=opened.state, cause=opened.cause)
-    return opened, (AbortTransfers(), OpenLink(session), Send(answer, session.tag))
+    return opened, (OpenLink(session), Send(answer, session.tag))
 
 
 def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcome:

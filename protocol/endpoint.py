@@ -66,6 +66,7 @@ class Endpoint:
         self._urgent: deque[tuple[int, bytes]] = deque()
         self._sent = dict.fromkeys(Channel, 0)
         self._seen = dict.fromkeys(Channel, 0)
+        self._opening = b""
 
     # ------------------------------------------------------------ sessions
 
@@ -84,6 +85,11 @@ class Endpoint:
         self.link.close()
         self.use_session(NO_SESSION)
         self.abort()
+
+    def stop_sending(self) -> None:
+        """Void every record that goes out; what comes in goes on."""
+        for transfer in self._transfers.values():
+            transfer.stop_sending()
 
     def abort(self) -> None:
         """Void every transfer in progress, both directions."""
@@ -151,6 +157,10 @@ class Endpoint:
             if not envelope.sequence > self._seen[channel]:
                 return [Discarded(f"record {envelope.sequence} after {self._seen[channel]}")]
             self._seen[channel] = envelope.sequence
+        elif isinstance(envelope.record, records.Open):  # its nonce is fresh: the same bytes are a repetition
+            if payload == self._opening:
+                return [Discarded(f"record {envelope.sequence} repeated")]
+            self._opening = payload
         return [
             RecordReceived(
                 envelope.record,

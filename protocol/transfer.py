@@ -127,12 +127,8 @@ class Transfer:
         if isinstance(error, isotp.InvalidCanDataError):
             lost = self.receiving
         if isinstance(error, _SENDING_ENDED):
-            self._stop_sending()
+            self.stop_sending()
         self._errors.append(TransferError(str(error), lost=lost))
-
-    def _stop_sending(self) -> None:
-        self._logic.stop_sending()
-        self._queue.clear()
 
     def send(self, payload: bytes, now_s: float) -> None:
         """Queue a record; records leave one after the other. Raises ValueError unless 1..4095 bytes."""
@@ -156,7 +152,7 @@ class Transfer:
                     f"flow control asks for blocks of {data[1]}, must be 1..{BLOCK_FRAMES}", lost=self.sending
                 )
             )
-            self._stop_sending()
+            self.stop_sending()
             return
         if data[0] >> 4 == _FIRST_FRAME and not _announces_a_record(data):
             self._errors.append(TransferError("first frame announces a length that needs none", lost=False))
@@ -224,6 +220,12 @@ class Transfer:
         return TransferError(
             f"transfer on {self.tx_id:#05x} stood still for more than {self.timeout_s} s", lost=True
         )
+
+    def stop_sending(self) -> None:
+        """Void what goes out, queued and half sent; what comes in goes on."""
+        self._logic.stop_sending()
+        self._queue.clear()
+        self._outbox = deque(frame for frame in self._outbox if frame[1][0] >> 4 == _FLOW_CONTROL)
 
     def abort(self) -> None:
         """Void both directions: queued and half sent, half received and received but not taken."""

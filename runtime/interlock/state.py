@@ -240,6 +240,8 @@ class Interlock:
     cause: StopCause = StopCause.NONE
     """First-out."""
     reason: str = ""
+    answer_due: bool = False
+    """The stop is the controller's answer to a signed record; the Reply with its reason is on the way."""
     stops_sent: frozenset[StopCause] = frozenset()
     """The causes for which a stop has left."""
 

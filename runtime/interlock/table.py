@@ -107,7 +107,15 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
     stopped = _enter(
-        state, phase, now_s, cause=cause, reason=reason, permit=None, nonce=None, stops_sent=sent
+        state,
+        phase,
+        now_s,
+        cause=cause,
+        reason=reason,
+        permit=None,
+        nonce=None,
+        stops_sent=sent,
+        answer_due=cause is StopCause.AUTHENTICATION_FAILED and state.phase in SIGNED,
     )
     return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withheld)
 
@@ -543,9 +551,18 @@ def heartbeat_while_cutting(state: Interlock, event: HeartbeatReceived, now_s: f
 
 
 def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
-    if event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT):
+    """At rest is confirmed; a Reply that is on its way may still say why, until the deadline."""
+    at_rest = event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT)
+    if at_rest and not state.answer_due:
         return _enter(_see(state, event), Phase.STOPPED, now_s), ()
     return _see(state, event), ()
+
+
+def reply_while_stopping(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
+    if not state.answer_due or event.refusal is not Refusal.MAC_INVALID:
+        return _drop_reply(state)
+    reason = f"{state.reason}: it refused with {event.refusal.name}"
+    return replace(state, answer_due=False, reason=reason), ()
 
 
 def _see(state: Interlock, event: HeartbeatReceived) -> Interlock:
@@ -638,6 +655,8 @@ P = Phase
 
 AUTHORISING = frozenset({P.AUTHORISING_RESET, P.AUTHORISING_PERMIT, P.AUTHORISING_START})
 MOVING = frozenset({P.STARTING, P.CUTTING})
+SIGNED = frozenset({P.RESETTING, P.PERMITTING, P.STARTING})
+"""Where the answer to a signed record is awaited."""
 
 TABLE: dict[tuple[Phase, type], Handler] = {
     (P.WAITING, Announced): announced,
@@ -674,6 +693,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
     (P.STOPPING, FaultReceived): ignored,  # it answers our stop; answering it again would never end
+    (P.STOPPING, ReplyReceived): reply_while_stopping,
     (P.STOPPING, Said): said_while_stopping,
 }
 """What only one phase answers to."""

@@ -412,7 +412,7 @@ class Session:
         endpoint, now_s = self._port.endpoint, self._clock()
         match effect:
             case SendStop():
-                endpoint.abort()  # a permit that waits behind the stop must not follow it
+                endpoint.stop_sending()  # a permit that waits behind the stop must not follow it
                 if endpoint.link.is_open:
                     endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
                     self._leave_now()

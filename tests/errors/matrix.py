@@ -67,7 +67,6 @@ BY_ANNOUNCE = Bound("waiting time for a controller", SHORT["announce_wait_s"] + 
 BY_OPERATOR = Bound(
     "reply time-out, then the operator's waiting time", REPLY_S + SHORT["operator_wait_s"] + BOTH_WAYS_S
 )
-BY_LAST_FRAME = Bound("reply time-out, from its last frame on", REPLY_S + BY_CARRIER.seconds)
 
 NONE = StopCause.NONE
 
@@ -111,7 +110,7 @@ FOUND: dict[str, str] = {
     "CRC-32": r"record CRC-32 does not match",
     "counter": r"repeated|counter \d+ after a gap",
     "counter, counted": r"[12] lost",
-    "record number": r"record \d+ after \d+",
+    "record number": r"record \d+ (after \d+|repeated)",
     "transfer": r"channel: |TRANSFER_FAILED",
     "time-out": r"no fresh (controller )?heartbeat within|HEARTBEAT_LOST",
     "echo": r"stale",
@@ -434,7 +433,8 @@ def _openings() -> Iterator[Row]:
         )  # fmt: skip
     yield from (
         Row(ANNOUNCE, Error.REPETITION, True, "the record twice", do.repeat_record, "nobody"),
-        Row(OPEN, Error.REPETITION, False, "the record twice", do.repeat_record, "transfer", stops(StopCause.TRANSFER_FAILED), BY_LAST_FRAME),
+        Row(OPEN, Error.REPETITION, True, "the record twice", do.repeat_record, "record number"),
+        Row(OPEN, Error.REPETITION, True, "the record again under a number of its own", do.say_twice, "state"),
         Row(ANNOUNCE, Error.DELAY, False, LATE, do.delay_record(LATE_S), "deadline", refused(), BY_ANNOUNCE),
         Row(OPEN, Error.DELAY, False, LATE, do.delay_record(LATE_S), "deadline", refused(), BY_REPLY),
         Row(ANNOUNCE, Error.INSERTION, False, COPY, do.insert_while_cutting, "state", stops(StopCause.PEER_REBOOTED), BY_CARRIER),
@@ -482,7 +482,7 @@ NO_ROW: tuple[tuple[tuple[Message, ...], Error, bool, str], ...] = (
     (tuple(m for m in IN_SESSION if m not in (LIMITS, CALIBRATION, TOOL)), Error.INSERTION, False, "out of its step a record is refused or dropped and changes nothing"),
     (RECORDS, Error.MASQUERADE, True, "a second node is never tolerated, nor is a code without the key"),
     ((ANNOUNCE,), Error.REPETITION, False, "outside a session it says nothing new; inside one it is an insertion"),
-    ((OPEN,), Error.REPETITION, True, "an Open that follows at once is broken off by the controller's answer to the first; later it is an insertion"),
+    ((OPEN,), Error.REPETITION, False, "any number of repetitions is discarded, or refused while the session lives"),
     ((ANNOUNCE, OPEN), Error.SEQUENCE, False, "a broken transfer is followed by another, as after a loss"),
     ((ANNOUNCE,), Error.INSERTION, True, "it belongs to no session that it could come from; outside a session it is one of many"),
     ((OPEN,), Error.INSERTION, False, "a session in use is not opened a second time"),

@@ -166,7 +166,7 @@ def masqueraded(pair: Pair, kind: str) -> None:
     assert (pair.state.cause, pair.controller.cause) == (StopCause.AUTHENTICATION_FAILED,) * 2
     assert pair.controller.state is ControllerState.FAULT
     assert not pair.controller.cutting_mode
-    assert pair.state.reason == "the controller reports AUTHENTICATION_FAILED"
+    assert pair.state.reason == "the controller reports AUTHENTICATION_FAILED: it refused with MAC_INVALID"
     assert "refused: MAC_INVALID" in pair.said
     log = judged(pair)
     assert {record.get("first_out") for record in log.of("/audit/decision")} - {None} == {
@@ -175,7 +175,10 @@ def masqueraded(pair: Pair, kind: str) -> None:
     faults = {record["cause"] for record in log.of("/audit/fault") if record["source"] == "controller"}
     assert faults == {"AUTHENTICATION_FAILED"}
     stages = [record["stage"] for record in log.of("/audit/permit") if record["kind"] == kind]
-    assert stages == ["authorised", "sent"], "never acknowledged; the fault has overtaken the reply"
+    assert stages == ["authorised", "sent", "refused"], (
+        "the stop leaves first, then the reply with its reason"
+    )
+    assert refused_in(log, kind) == ["MAC_INVALID"]
 
 
 # ---------------------------------------------------------------- keys
@@ -196,7 +199,8 @@ def test_a_reset_with_a_wrong_key_leaves_the_fault_latched(pair):
     assert pair.state.cause is StopCause.AUTHENTICATION_FAILED
     log = judged(pair)
     stages = [record["stage"] for record in log.of("/audit/permit") if record["kind"] == "reset"]
-    assert stages == ["authorised", "sent"]
+    assert stages == ["authorised", "sent", "refused"]
+    assert refused_in(log, "reset") == ["MAC_INVALID"]
 
 
 def test_a_code_is_good_for_one_kind_of_record_only(pair):

@@ -102,6 +102,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
             log=state.log,
             cause=cause_class(state.cause),
             stops_sent=frozenset(map(cause_class, state.stops_sent)),
+            answer_due=state.answer_due,
         )
         side = replace(side, commits=())
     state = _canonical_view(state)

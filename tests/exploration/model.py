@@ -882,5 +882,6 @@ def _forged_records(state: c.Controller) -> list[Any]:
 
 def _reply(reply: records.Reply) -> records.Reply:
     """Without what the runtime does not look at."""
-    refusal = reply.refusal if reply.refusal is Refusal.ACCEPTED else Refusal.NOT_IN_STATE
+    told_apart = (Refusal.ACCEPTED, Refusal.MAC_INVALID)
+    refusal = reply.refusal if reply.refusal in told_apart else Refusal.NOT_IN_STATE
     return replace(reply, request_sequence=1, refusal=refusal, cause=StopCause.NONE)

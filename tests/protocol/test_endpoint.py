@@ -15,6 +15,16 @@ TAG = 0x12345678
 NOW = 100.0
 BEAT = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
 PERMIT_NONCE = records.Nonce(purpose=Purpose.PERMIT, nonce=bytes(16), epoch=0)
+COLLECT = records.Collect()
+OPEN = records.Open(
+    protocol_version=records.PROTOCOL_VERSION,
+    boot_nonce=bytes(16),
+    runtime_nonce=b"nonce".ljust(16),
+    registration_digest=bytes(32),
+    configuration_digest=bytes(32),
+    verifier_version="test",
+    timing=records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25),
+)
 ANNOUNCE = records.Announce(
     protocol_version=records.PROTOCOL_VERSION,
     firmware_version="test",
@@ -114,6 +124,33 @@ def test_an_announcement_is_heard_inside_and_outside_a_session(runtime):
         _, (item,) = carry(controller, runtime)
         assert (item.record, item.session) == (ANNOUNCE, NO_SESSION)
         controller.use_session(NO_SESSION)
+
+
+def test_an_open_that_is_repeated_is_discarded_and_another_one_is_not(controller):
+    """Also after the first one has opened the session, and whatever number another one bears."""
+    runtime = endpoint(Side.RUNTIME, tag=NO_SESSION)
+    _, payload = runtime.send_record(OPEN, NOW)
+    runtime._transfers[Channel.CONTROL].send(payload, NOW)
+    runtime.send_record(OPEN, NOW)
+    runtime.send_record(replace(OPEN, runtime_nonce=b"another nonce".ljust(16)), NOW)
+    _, heard = carry(runtime, controller)
+    assert [getattr(item, "sequence", item) for item in heard] == [1, Discarded("record 1 repeated"), 2, 3]
+
+
+def test_what_goes_out_is_voided_and_what_comes_in_goes_on(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    runtime.send_record(COLLECT, NOW)
+    runtime.send_record(COLLECT, NOW)
+    for can_id, data in controller.outgoing():
+        runtime.receive(can_id, data, now_s=NOW)
+    for can_id, data in runtime.outgoing():
+        controller.receive(can_id, data, now_s=NOW)
+    runtime.stop_sending()
+    (heard, (item,)) = carry(controller, runtime)
+    assert (heard, item.record) == ([], PERMIT_NONCE)
+    runtime.send_record(COLLECT, NOW)
+    _, items = carry(runtime, controller)
+    assert [getattr(item, "record", None) for item in items][-1] == COLLECT
 
 
 def test_a_record_that_is_none_stops_a_session_and_is_dropped_outside(runtime):

@@ -476,6 +476,51 @@ def test_a_stop_is_confirmed_by_a_controller_at_rest(kind):
     assert effects == ()
 
 
+AUTHENTICATION = FaultReceived(FaultCode.LATCHED, StopCause.AUTHENTICATION_FAILED)
+REFUSED_CODE = {
+    Phase.PERMITTING: reply(records.Permit, Refusal.MAC_INVALID),
+    Phase.STARTING: reply(records.Start, Refusal.MAC_INVALID),
+    Phase.RESETTING: reply(records.Reset, Refusal.MAC_INVALID),
+}
+LATCHED_BEAT = beat(ControllerState.FAULT, cause=StopCause.AUTHENTICATION_FAILED, epoch=EPOCH + 1)
+
+
+@pytest.mark.parametrize("first", [AUTHENTICATION, LATCHED_BEAT], ids=["fault frame", "heartbeat"])
+@pytest.mark.parametrize("phase", REFUSED_CODE, ids=str)
+def test_the_reply_with_its_reason_is_awaited_after_the_stop_that_overtook_it(phase, first):
+    run = Run(in_phase(phase), NOW).feed(first)
+    assert (run.phase, stops(run.effects)) == (Phase.STOPPING, [StopCause.AUTHENTICATION_FAILED])
+    run.feed(LATCHED_BEAT)
+    assert run.phase is Phase.STOPPING
+    run.feed(REFUSED_CODE[phase], LATCHED_BEAT)
+    assert run.phase is Phase.STOPPED
+    assert run.state.reason.endswith(": it refused with MAC_INVALID")
+
+
+@pytest.mark.parametrize("phase", REFUSED_CODE, ids=str)
+def test_a_reply_that_never_comes_is_not_awaited_for_longer_than_a_confirmation(phase):
+    run = Run(in_phase(phase), NOW).feed(AUTHENTICATION, LATCHED_BEAT)
+    assert run.feed(Tick(), after_s=JOB.timing.stop_confirm_s + 0.01).phase is Phase.STOPPED
+    assert "MAC_INVALID" not in run.state.reason
+
+
+@pytest.mark.parametrize("phase", [phase for phase in LIVE if phase is not Phase.STOPPING], ids=str)
+@pytest.mark.parametrize("cause", [StopCause.AUTHENTICATION_FAILED, StopCause.SECOND_NODE], ids=str)
+def test_no_other_stop_waits_for_a_reply(phase, cause):
+    expected = phase in REFUSED_CODE and cause is StopCause.AUTHENTICATION_FAILED
+    after, _ = step(in_phase(phase), FaultReceived(FaultCode.LATCHED, cause), NOW)
+    assert after.answer_due is expected
+
+
+@pytest.mark.parametrize("refusal", [Refusal.ACCEPTED, Refusal.NOT_IN_STATE, Refusal.VOIDED_BY_STOP], ids=str)
+def test_another_reply_while_stopping_is_dropped(refusal):
+    state = in_phase(Phase.STOPPING, answer_due=True)
+    after, effects = step(state, reply(records.Permit, refusal), NOW)
+    assert (after, len(effects)) == (state, 1)
+    after, effects = step(in_phase(Phase.STOPPING), reply(records.Permit, Refusal.MAC_INVALID), NOW)
+    assert (after, len(effects)) == (in_phase(Phase.STOPPING), 1)
+
+
 def test_a_lost_controller_needs_no_confirmation():
     after, effects = step(in_phase(Phase.STOPPING), HeartbeatLost(), NOW)
     assert (after.phase, effects) == (Phase.STOPPED, ())

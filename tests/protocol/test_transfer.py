@@ -386,3 +386,21 @@ def test_any_frames_raise_nothing(frames: list[bytes]):
     one.received()
     one.outgoing()
     one.errors()
+
+
+def test_what_goes_out_is_voided_frames_and_queue_and_what_comes_in_is_received():
+    one, other = pair()
+    one.send(patterned(100), 0.0)
+    one.send(patterned(50), 0.0)
+    other.send(patterned(200, 3), 0.0)
+    for _, data in other.outgoing():
+        one.feed(data)
+    one.stop_sending()
+    assert not one.sending
+    assert [data[0] for _, data in one._outbox] == [0x30], "only the flow control for what comes in"
+    carry(one, other)
+    assert one.received() == [patterned(200, 3)]
+    assert other.received() == []
+    one.send(patterned(30), 0.0)
+    carry(one, other)
+    assert other.received() == [patterned(30)]

@@ -184,11 +184,15 @@ def _constant(name: str) -> Any:
 
 
 class Bus(Strictly):
-    """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program."""
+    """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program.
+
+    ``fd``: bulk records travel in CAN FD frames; the controller must be set to the same.
+    """
 
     interface: Name | None = None
     channel: Name | None = None
     bitrate_bit_s: Annotated[int, Strict(), Field(ge=10_000, le=1_000_000)] = 1_000_000
+    fd: Annotated[bool, Strict()] = False
 
 
 class Timing(Strictly):

@@ -89,7 +89,7 @@ def _run(options: argparse.Namespace) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, wake)
-    with open_bus(interface, channel) as bus:
+    with open_bus(interface, channel, fd=options.fd) as bus:
         _refuse_a_used_bus(bus)
         _say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
         _say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
@@ -101,7 +101,7 @@ def _run(options: argparse.Namespace) -> None:
             )
         process = Process(
             controller,
-            Port(bus, _endpoint()),
+            Port(bus, _endpoint(fd=options.fd)),
             memory_file,
             options=settings,
             words=WordReader(sys.stdin.fileno(), Word) if sys.stdin and not sys.stdin.closed else None,
@@ -170,13 +170,14 @@ def _bus_of(options: argparse.Namespace) -> tuple[str, str]:
     return options.interface, options.channel
 
 
-def _endpoint() -> Endpoint:
+def _endpoint(*, fd: bool) -> Endpoint:
     """Timing until a session agrees on its own."""
     return Endpoint(
         Side.CONTROLLER,
         heartbeat_s=CONSTANTS["heartbeat_ms"].default / 1000,
         timeout_s=CONSTANTS["timeout_ms"].default / 1000,
         transfer_timeout_s=TRANSFER_TIMEOUT_S,
+        fd=fd,
     )
 
 
@@ -208,6 +209,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--key", type=Path, help="pre-shared key; its memory is kept beside it")
     parser.add_argument("--interface", help="python-can interface; default vcan0, else the local virtual bus")
     parser.add_argument("--channel", help="channel of the interface")
+    parser.add_argument("--fd", action="store_true", help="bulk records in CAN FD frames, as the runtime")
     parser.add_argument("--serial", help="serial number; default made from the robot's name")
     parser.add_argument(
         "--time-scale", type=float, default=1.0, help="the plant runs this many times faster than the clock"

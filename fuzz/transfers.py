@@ -19,18 +19,22 @@ OPEN_TIMING = {"heartbeat_s": 0.02, "timeout_s": 0.1}
 
 
 def check(data: bytes) -> None:
-    """A lone transfer that is fed anything, and a controller between whom and the runtime anything happens."""
-    _lone(data)
-    _conversation(data)
+    """A lone transfer that is fed anything, and a controller between whom and the runtime anything happens.
+
+    Both with classic frames and with FD frames.
+    """
+    for fd in (False, True):
+        _lone(data, fd=fd)
+        _conversation(data, fd=fd)
 
 
-def _lone(data: bytes) -> None:
-    transfer = Transfer(CONTROL_IDS[1], CONTROL_IDS[0])
+def _lone(data: bytes, *, fd: bool) -> None:
+    transfer, size = Transfer(CONTROL_IDS[1], CONTROL_IDS[0], fd=fd), 64 if fd else 8
     transfer.send(bytes(100), 0.0)
     fed = 0
-    for at in range(0, len(data), 8):
-        transfer.feed(data[at : at + 8])
-        fed += 8
+    for at in range(0, len(data), size):
+        transfer.feed(data[at : at + size].ljust(8, b"\0"))
+        fed += size
         transfer.expire(at * 0.001)
         for payload in transfer.received():
             expect(len(payload) <= min(fed, PAYLOAD_BYTES_MAX), "no record is longer than its frames")
@@ -38,9 +42,9 @@ def _lone(data: bytes) -> None:
         transfer.errors()
 
 
-def _conversation(data: bytes) -> None:
+def _conversation(data: bytes, *, fd: bool) -> None:
     """Whatever is done to frames, a record that arrives is one that was sent, whole and once."""
-    runtime, controller = _endpoint(Side.RUNTIME), _endpoint(Side.CONTROLLER)
+    runtime, controller = _endpoint(Side.RUNTIME, fd=fd), _endpoint(Side.CONTROLLER, fd=fd)
     sent: list[bytes] = []
     arrived: list[bytes] = []
     for number, (what, content) in enumerate(_ops(data)):
@@ -51,16 +55,17 @@ def _conversation(data: bytes) -> None:
             expect(payload == pack(record, TAG, sequence), "what is sent has one form")
             sent.append(payload)
         for can_id, frame in _altered(runtime.outgoing(), what, content):
-            arrived += _received(controller.receive(can_id, frame, now_s=now_s), sent)
+            items = controller.receive(can_id, frame, is_fd=runtime.is_fd(can_id), now_s=now_s)
+            arrived += _received(items, sent)
         for can_id, frame in _altered(controller.outgoing(), what if content[7] % 2 else 1, content):
-            runtime.receive(can_id, frame, now_s=now_s)
+            runtime.receive(can_id, frame, is_fd=controller.is_fd(can_id), now_s=now_s)
         controller.expire(now_s)
         runtime.expire(now_s)
     expect(len(arrived) == len(set(arrived)), "no record arrives twice")
 
 
-def _endpoint(side: Side) -> Endpoint:
-    endpoint = Endpoint(side, **OPEN_TIMING, transfer_timeout_s=0.05)
+def _endpoint(side: Side, *, fd: bool) -> Endpoint:
+    endpoint = Endpoint(side, **OPEN_TIMING, transfer_timeout_s=0.05, fd=fd)
     endpoint.use_session(TAG)
     endpoint.link.open(TAG, 0.0)
     return endpoint

@@ -8,7 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from protocol import records
-from protocol.frames import TRANSFER_IDS, Frame
+from protocol.frames import BULK_IDS, TRANSFER_IDS, Frame
 from protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
 from protocol.records import Channel, Record, RecordError, Side
 from protocol.states import StopCause
@@ -49,17 +49,21 @@ class Endpoint:
         heartbeat_s: period of heartbeats, s.
         timeout_s: without a fresh heartbeat for this long the peer is lost, s.
         transfer_timeout_s: how long one record may take on the bus, s.
+        fd: bulk records travel in CAN FD frames; everything else stays classic.
     """
 
     def __init__(
-        self, side: Side, *, heartbeat_s: float, timeout_s: float, transfer_timeout_s: float
+        self, side: Side, *, heartbeat_s: float, timeout_s: float, transfer_timeout_s: float, fd: bool = False
     ) -> None:
         self.side = side
-        self.link = Link(side, timeout_s=timeout_s, heartbeat_s=heartbeat_s)
+        self.link = Link(side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=fd)
         self.session = NO_SESSION
         self._transfers = {
             channel: Transfer(
-                TRANSFER_IDS[side][channel], TRANSFER_IDS[side.peer][channel], timeout_s=transfer_timeout_s
+                TRANSFER_IDS[side][channel],
+                TRANSFER_IDS[side.peer][channel],
+                timeout_s=transfer_timeout_s,
+                fd=fd and channel is Channel.BULK,
             )
             for channel in Channel
         }
@@ -78,7 +82,7 @@ class Endpoint:
 
     def use_timing(self, *, heartbeat_s: float, timeout_s: float) -> None:
         """Take over what OPEN agreed on; the link is closed by it."""
-        self.link = Link(self.side, timeout_s=timeout_s, heartbeat_s=heartbeat_s)
+        self.link = Link(self.side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=self.link.fd)
 
     def end_session(self) -> None:
         """Close the link; records travel outside a session."""
@@ -197,6 +201,10 @@ class Endpoint:
         payload = records.pack(record, self.session if session is None else session, self._sent[channel])
         self._transfers[channel].send(payload, now_s)
         return self._sent[channel], payload
+
+    def is_fd(self, can_id: int) -> bool:
+        """Whether frames with this identifier leave as CAN FD."""
+        return self.link.fd and can_id in BULK_IDS
 
     def outgoing(self) -> list[tuple[int, bytes]]:
         """Everything that may leave now, most urgent first."""

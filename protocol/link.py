@@ -117,9 +117,10 @@ class Link:
     - Anything on the stop identifier that is not a sound stop or end is a stop.
     - A heartbeat refreshes only if it echoes one of ours that was sent no longer than the time-out ago.
     - Never seen is stale.
+    - An FD frame is unsound, but for the bulk channel where ``fd`` says so; there a classic one is.
     """
 
-    def __init__(self, side: Side, timeout_s: float, heartbeat_s: float) -> None:
+    def __init__(self, side: Side, timeout_s: float, heartbeat_s: float, *, fd: bool = False) -> None:
         if not 0.0 < PERIODS_MIN * heartbeat_s <= timeout_s < COUNTER_MODULUS * heartbeat_s:
             raise ValueError(
                 f"time-out {timeout_s} s must be {PERIODS_MIN} to {COUNTER_MODULUS - 1} heartbeats of {heartbeat_s} s"
@@ -127,6 +128,7 @@ class Link:
         self.side = side
         self.timeout_s = timeout_s
         self.heartbeat_s = heartbeat_s
+        self.fd = fd
         self._clear()
 
     def _clear(self) -> None:
@@ -210,7 +212,7 @@ class Link:
             return Unlisted()
         shaped = len(data) == 8 and not is_remote and not is_fd
         if can_id not in FRAMES:
-            return self._transfer(can_id, shaped=shaped)
+            return self._transfer(can_id, shaped=shaped, flexible=is_fd and not is_remote)
         return self._single(can_id, data, now_s, shaped=shaped)
 
     def _single(self, can_id: int, data: bytes, now_s: float, *, shaped: bool) -> Outcome:
@@ -220,12 +222,13 @@ class Link:
             return self._stop(data, shaped=shaped)
         return self._judge(can_id, data, now_s, shaped=shaped)
 
-    def _transfer(self, can_id: int, *, shaped: bool) -> Outcome:
+    def _transfer(self, can_id: int, *, shaped: bool, flexible: bool) -> Outcome:
+        channel = next(channel for channel, sent in TRANSFER_IDS[self.side.peer].items() if sent == can_id)
+        if self.fd and channel is Channel.BULK:
+            return ForTransfer(channel) if flexible else Discarded(f"transfer frame {can_id:#05x} is not FD")
         if not shaped:
             return Discarded(f"transfer frame {can_id:#05x} is not 8 bytes classic")
-        return next(
-            ForTransfer(channel) for channel, sent in TRANSFER_IDS[self.side.peer].items() if sent == can_id
-        )
+        return ForTransfer(channel)
 
     def _stop(self, data: bytes, *, shaped: bool) -> Accepted:
         """Whatever stands on the stop identifier stops; only a sound end of session is anything less."""

@@ -28,6 +28,8 @@ class Passed:
     is_remote: bool
     is_error: bool
     is_fd: bool
+    bit_rate_switch: bool = False
+    """The data of an FD frame were sent at the higher bit rate."""
 
 
 Recorder = Callable[[Passed], None]
@@ -91,7 +93,10 @@ class Port:
         """
         frames = self.endpoint.outgoing()
         for can_id, data in frames:
-            message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+            fd = self.endpoint.is_fd(can_id)
+            message = can.Message(
+                arbitration_id=can_id, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd
+            )
             self.bus.send(message, timeout=0)
             self._record("sent", message)
         return bool(frames)
@@ -107,5 +112,6 @@ class Port:
                     message.is_remote_frame,
                     message.is_error_frame,
                     message.is_fd,
+                    message.bitrate_switch,
                 )
             )

@@ -1,4 +1,4 @@
-"""Records over ISO-TP, one channel: classic frames of 8 bytes, driven frame by frame by the caller.
+"""Records over ISO-TP, one channel: classic frames of 8 bytes or FD frames of 64, driven by the caller.
 
 The state machine is `isotp.TransportLayerLogic`. Its own timers read a clock of their own and are set out of the
 way; the deadline stands here, against the caller's time. Errors are values: nothing is raised, nothing is logged.
@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import isotp
 
 FRAME_BYTES = 8
+FD_FRAME_BYTES = 64
+FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_FRAME_BYTES)
+"""What an FD frame of a transfer may be long: the last of a record is the shortest that holds it."""
 BLOCK_FRAMES = 32
 """Consecutive frames between two flow controls: a socket buffer of 278 frames never overflows."""
 PADDING = 0xCC
@@ -47,12 +50,6 @@ class TransferError:
     lost: bool
 
 
-def _announces_a_record(data: bytes) -> bool:
-    """Whether a first frame's length needs more than one frame, in the shortest form of length there is."""
-    short = (data[0] & 0xF) << 8 | data[1]
-    return short >= FRAME_BYTES or (short == 0 and int.from_bytes(data[2:6], "big") > PAYLOAD_BYTES_MAX)
-
-
 @dataclass(frozen=True)
 class _Progress:
     """How far one direction is (None: nothing in progress), and since when it stands there."""
@@ -76,12 +73,16 @@ class Transfer:
         tx_id: identifier to send on.
         rx_id: identifier to receive on.
         timeout_s: how long a transfer in progress may stand still, s.
+        fd: FD frames of up to 64 bytes, both ways, instead of classic ones.
     """
 
-    def __init__(self, tx_id: int, rx_id: int, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, tx_id: int, rx_id: int, timeout_s: float = TIMEOUT_S, *, fd: bool = False) -> None:
         self.tx_id = tx_id
         self.rx_id = rx_id
         self.timeout_s = timeout_s
+        self.fd = fd
+        self._lengths = FD_LENGTHS if fd else (FRAME_BYTES,)
+        self._alone = FD_FRAME_BYTES - 2 if fd else FRAME_BYTES - 1
         self._errors: list[TransferError] = []
         self._clear()
 
@@ -103,8 +104,9 @@ class Transfer:
                 "override_receiver_stmin": 0.0,
                 "blocksize": BLOCK_FRAMES,
                 "tx_padding": PADDING,
-                "tx_data_length": FRAME_BYTES,
+                "tx_data_length": self._lengths[-1],
                 "tx_data_min_length": FRAME_BYTES,
+                "can_fd": self.fd,
                 "max_frame_size": PAYLOAD_BYTES_MAX,
                 "rx_flowcontrol_timeout": _NEVER_MS,
                 "rx_consecutive_frame_timeout": _NEVER_MS,
@@ -141,10 +143,9 @@ class Transfer:
 
     def feed(self, data: bytes) -> None:
         """Take one frame received on `rx_id`."""
-        if len(data) != FRAME_BYTES:
-            self._errors.append(
-                TransferError(f"frame is {len(data)} bytes, must be {FRAME_BYTES}", lost=False)
-            )
+        if len(data) not in self._lengths:
+            wanted = ", ".join(map(str, self._lengths))
+            self._errors.append(TransferError(f"frame is {len(data)} bytes, must be {wanted}", lost=False))
             return
         if data[0] == (_FLOW_CONTROL << 4 | _CONTINUE) and not 1 <= data[1] <= BLOCK_FRAMES:
             self._errors.append(
@@ -154,11 +155,18 @@ class Transfer:
             )
             self.stop_sending()
             return
-        if data[0] >> 4 == _FIRST_FRAME and not _announces_a_record(data):
-            self._errors.append(TransferError("first frame announces a length that needs none", lost=False))
+        if data[0] >> 4 == _FIRST_FRAME and not self._begins_a_record(data):
+            wanted = f"must be {self._lengths[-1]} and announce more than {self._alone}"
+            self._errors.append(TransferError(f"first frame is {len(data)} bytes, {wanted}", lost=False))
             return
         self._inbox.append(isotp.CanMessage(arbitration_id=self.rx_id, data=data))
         self._run()
+
+    def _begins_a_record(self, data: bytes) -> bool:
+        """Whether a first frame is full and its length, in its shortest form, is more than one frame carries alone."""
+        length = (data[0] & 0xF) << 8 | data[1]
+        long = length == 0 and int.from_bytes(data[2:6], "big") > PAYLOAD_BYTES_MAX
+        return len(data) == self._lengths[-1] and (length > self._alone or long)
 
     def _run(self) -> None:
         """Let the state machine work until it has nothing left to do without another frame."""
@@ -217,9 +225,8 @@ class Transfer:
         ):
             return None
         self.abort()
-        return TransferError(
-            f"transfer on {self.tx_id:#05x} stood still for more than {self.timeout_s} s", lost=True
-        )
+        reason = f"transfer on {self.tx_id:#05x} stood still for more than {self.timeout_s} s"
+        return TransferError(reason + "; do both sides use CAN FD?" * self.fd, lost=True)
 
     def stop_sending(self) -> None:
         """Void what goes out, queued and half sent; what comes in goes on."""

@@ -207,11 +207,22 @@ class AuditLog:
         *,
         extended: bool = False,
         remote: bool = False,
+        fd: bool = False,
+        bit_rate_switch: bool = False,
     ) -> None:
         """Add a frame to the file of raw frames (``candump -L`` lines)."""
         if self._stopped:
             return
-        line = candump_line(utc_ns, interface, arbitration_id, data, extended=extended, remote=remote)
+        line = candump_line(
+            utc_ns,
+            interface,
+            arbitration_id,
+            data,
+            extended=extended,
+            remote=remote,
+            fd=fd,
+            bit_rate_switch=bit_rate_switch,
+        )
         self._frames.append(line)
         self._frames_hash.update(line)
         self._frames_bytes += len(line)
@@ -355,12 +366,20 @@ class AuditLog:
 
 
 def candump_line(
-    utc_ns: int, interface: str, arbitration_id: int, data: bytes, *, extended: bool, remote: bool
+    utc_ns: int,
+    interface: str,
+    arbitration_id: int,
+    data: bytes,
+    *,
+    extended: bool = False,
+    remote: bool = False,
+    fd: bool = False,
+    bit_rate_switch: bool = False,
 ) -> bytes:
-    """One line of ``candump -L``."""
+    """One line of ``candump -L``; FD frames with the flags that the kernel gives them (4 FD, 1 bit rate switch)."""
     seconds, rest = divmod(utc_ns, 1_000_000_000)
     identifier = f"{arbitration_id:08X}" if extended else f"{arbitration_id:03X}"
-    content = "R" if remote else data.hex().upper()
+    content = "R" if remote else f"#{4 | bit_rate_switch:X}" * fd + data.hex().upper()
     return f"({seconds}.{rest // 1000:06d}) {interface} {identifier}#{content}\n".encode()
 
 

@@ -45,6 +45,10 @@ def conform(
     ] = False,
     robot: Annotated[Path | None, typer.Option(help="The approved robot.toml it must report.")] = None,
     site: Annotated[Path | None, typer.Option(help="site.toml: heartbeat, time-out, reply time.")] = None,
+    fd: Annotated[
+        bool,
+        typer.Option("--fd", help="Bulk records in CAN FD frames, as the controller; also in site.toml."),
+    ] = False,
     only: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")
     ] = None,
@@ -59,16 +63,18 @@ def conform(
         raise InputError(
             "--plant-disconnected", "", None, f"is not given\n{ABOUT}", "disconnect it, then say so"
         )
-    chosen, secret, timing, reply_s = _inputs(robot, site, only, key)
+    settings = load_site(site).value if site else Site()
+    fd = fd or settings.bus.fd
+    chosen, secret = _inputs(robot, only, key)
     _refuse_existing(out)
-    bus = _open(interface, channel)
+    bus = _open(interface, channel, fd=fd)
     try:
         messages().print(escape(ABOUT), soft_wrap=True)
-        bench = _bench(bus, secret, timing, reply_s)
+        bench = _bench(bus, secret, settings, fd=fd)
         outcome = _run(bench, chosen)
     finally:
         bus.shutdown()
-    report = document(outcome, bench.announce, timing, bus=f"{interface}/{channel}", whole=not only)
+    report = document(outcome, bench.announce, bench.timing, bus=f"{interface}/{channel}", whole=not only)
     text = document_text(report)
     _write(out, text)
     if json:
@@ -78,24 +84,21 @@ def conform(
     raise typer.Exit(PASSED if outcome.passed else FAILED)
 
 
-def _inputs(
-    robot: Path | None, site: Path | None, only: list[str] | None, key: Path
-) -> tuple[tuple[Case, ...], bytes, records.Timing, float]:
-    """Cases, key, timing and reply time. Raises InputError for anything that is not as it must be."""
+def _inputs(robot: Path | None, only: list[str] | None, key: Path) -> tuple[tuple[Case, ...], bytes]:
+    """Cases and key. Raises InputError for anything that is not as it must be."""
     approved = _approved(robot)
     known = tuple(case for case in cases(approved) if approved is not None or not case.approved)
     names = {case.name for case in known}
     for name in only or ():
         if name not in names:
             raise InputError("--only", "", name, "is no case's name", f"one of: {', '.join(sorted(names))}")
-    settings = load_site(site).value if site else Site()
     try:
         secret = load_key(key)
     except KeyFileError as error:
         name, _, rest = str(error).partition(": ")
         raise InputError(name, "", None, rest) from None
     chosen = tuple(case for case in known if not only or case.name in only)
-    return chosen, secret, _timing(settings), settings.timing.reply_timeout_ms / 1000
+    return chosen, secret
 
 
 def _approved(robot: Path | None) -> Approved | None:
@@ -136,10 +139,10 @@ def _write(out: Path | None, text: str) -> None:
         raise InputError(str(out), "", None, f"cannot be written: {error.strerror}") from None
 
 
-def _open(interface: str, channel: str) -> can.BusABC:
+def _open(interface: str, channel: str, *, fd: bool) -> can.BusABC:
     """The bus, on which no session is under way. Raises InputError otherwise."""
     try:
-        bus = open_bus(interface, channel)
+        bus = open_bus(interface, channel, fd=fd)
     except (can.CanInitializationError, RuntimeDirectoryError, ValueError) as error:
         raise InputError("bus", "", None, str(error)) from None
     try:
@@ -165,14 +168,23 @@ def _refuse_a_session(bus: can.BusABC) -> None:
             )
 
 
-def _bench(bus: can.BusABC, key: bytes, timing: records.Timing, reply_s: float) -> Bench:
+def _bench(bus: can.BusABC, key: bytes, settings: Site, *, fd: bool) -> Bench:
     poller = select.poll()
     poller.register(bus.fileno(), select.POLLIN)
 
     def wait(seconds: float) -> None:
         poller.poll(seconds * 1000.0)
 
-    return Bench(bus, key, timing, reply_s=reply_s, clock=time.monotonic, wait=wait, random=os.urandom)
+    return Bench(
+        bus,
+        key,
+        _timing(settings),
+        reply_s=settings.timing.reply_timeout_ms / 1000,
+        clock=time.monotonic,
+        wait=wait,
+        random=os.urandom,
+        fd=fd,
+    )
 
 
 def _run(bench: Bench, chosen: tuple[Case, ...]) -> Outcome:

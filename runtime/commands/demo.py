@@ -72,6 +72,7 @@ def demo(
         Path | None,
         typer.Option(help="Folder for key, logs and inputs; must not exist. Default: a new one here."),
     ] = None,
+    fd: Annotated[bool, typer.Option("--fd", help="Bulk records in CAN FD frames.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Refuse a first registration, explain where to move the bone, admit a second one and cut to the end.
@@ -84,11 +85,11 @@ def demo(
     say = _Teller(console.print)
     try:
         with (
-            _bus(folder, say) as (interface, channel),
-            _controller(folder, interface, channel, say) as controller,
+            _bus(folder, say) as where,
+            _controller(folder, [*where, *["--fd"] * fd], say) as controller,
         ):
             runs = [
-                _run(folder, name, interface, channel, controller, say)
+                _run(folder, name, [*where, *["--fd"] * fd], controller, say)
                 for name in ("registration-first.json", "registration-second.json")
             ]
     except DemoError as error:
@@ -151,24 +152,23 @@ def _folder(out: Path | None) -> Path:
 
 
 @contextmanager
-def _bus(folder: Path, say: _Teller) -> Iterator[tuple[str, str]]:
-    """vcan0 where the kernel has it, else a hub of our own."""
+def _bus(folder: Path, say: _Teller) -> Iterator[list[str]]:
+    """vcan0 where the kernel has it, else a hub of our own; as options of a command."""
     interface, channel = default_interface()
     if interface != LOCAL_INTERFACE:
         say("demo", f"using {interface}/{channel}")
-        yield interface, channel
+        yield ["--interface", interface, "--channel", channel]
         return
     socket = runtime_directory() / f"demo-{os.getpid()}.sock"
     command = ["bus", "serve", "--socket", str(socket), "--log", str(folder / "bus.candump.log")]
     with _process("bus", [sys.executable, "-m", "firmware_sim", *command]) as hub:
         _wait_for(hub, "serving on", "bus", say)
-        yield LOCAL_INTERFACE, str(socket)
+        yield ["--interface", LOCAL_INTERFACE, "--channel", str(socket)]
 
 
 @contextmanager
-def _controller(folder: Path, interface: str, channel: str, say: _Teller) -> Iterator[subprocess.Popen[str]]:
+def _controller(folder: Path, where: list[str], say: _Teller) -> Iterator[subprocess.Popen[str]]:
     command = ["sim", "--robot", "robot.toml", "--key", "site.key", "--time-scale", str(TIME_SCALE)]
-    where = ["--interface", interface, "--channel", channel]
     arguments = [sys.executable, "-m", "firmware_sim", *command, *where]
     with _process("controller", arguments, cwd=folder) as controller:
         _wait_for(controller, "enabling device released", "controller", say)
@@ -212,8 +212,7 @@ def _wait_for(child: subprocess.Popen[str], text: str, name: str, say: _Teller) 
 def _run(
     folder: Path,
     registration: str,
-    interface: str,
-    channel: str,
+    where: list[str],
     controller: subprocess.Popen[str],
     say: _Teller,
 ) -> dict[str, Any]:
@@ -229,8 +228,8 @@ def _run(
         "--key",
         "site.key",
     ]
-    where = ["--interface", interface, "--channel", channel, "--log-dir", "logs", "--json"]
-    arguments = [sys.executable, "-m", "runtime.cli", "run", "hip-stem.plan.json", *files, *where]
+    options = [*files, *where, "--log-dir", "logs", "--json"]
+    arguments = [sys.executable, "-m", "runtime.cli", "run", "hip-stem.plan.json", *options]
     with _process("runtime", arguments, cwd=folder) as runtime:
         _converse({"runtime": runtime, "controller": controller}, say)
         assert runtime.stdout is not None  # noqa: S101 - a pipe was asked for

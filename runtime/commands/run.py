@@ -46,6 +46,10 @@ def run(
     key: Annotated[Path | None, typer.Option(help="Pre-shared key; else key_file of site.toml.")] = None,
     interface: Annotated[str | None, typer.Option(help="python-can interface.")] = None,
     channel: Annotated[str | None, typer.Option(help="Its channel.")] = None,
+    fd: Annotated[
+        bool,
+        typer.Option("--fd", help="Bulk records in CAN FD frames, as the controller; also in site.toml."),
+    ] = False,
     log_dir: Annotated[Path | None, typer.Option(help="Where the audit log goes.")] = None,
     feed_mm_s: Annotated[
         float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
@@ -64,17 +68,17 @@ def run(
             job = make_job(files, now=utc_now())
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
-    view = SessionView(quiet_output=json)
+    view, fd = SessionView(quiet_output=json), fd or files.settings.bus.fd
     with _signals() as signals:
         directory = log_dir or Path(files.settings.log.directory)
         withdrawn_in = withdrawn.load(directory).get(job.registration)
-        bus, name = _bus(interface, channel, files)
+        bus, name = _bus(interface, channel, files, fd=fd)
         try:
             log = _log(directory, files, job.path, name)
             if withdrawn_in is not None:
                 view.note(f"this registration was withdrawn in {withdrawn_in}: register the bone anew")
             state = Interlock(job, registration_withdrawn=withdrawn_in is not None)
-            session, paths = _session(files, state, secret, bus, name, log, view, signals)
+            session, paths = _session(files, state, secret, bus, name, log, view, signals, fd=fd)
         finally:
             bus.shutdown()
     if json:
@@ -93,6 +97,8 @@ def _session(
     log: AuditLog,
     view: SessionView,
     signals: "Signals",
+    *,
+    fd: bool,
 ) -> tuple[Session, Paths]:
     """Run one session; the log is closed and the worker ended whatever happens."""
     timing = state.job.timing
@@ -102,6 +108,7 @@ def _session(
         heartbeat_s=timing.heartbeat_ms / 1000,
         timeout_s=timing.timeout_ms / 1000,
         transfer_timeout_s=timing.reply_timeout_s,
+        fd=fd,
     )
     worker = Worker()
     clean = False
@@ -180,7 +187,7 @@ def _signals() -> Iterator[Signals]:
         os.close(writing)
 
 
-def _bus(interface: str | None, channel: str | None, files: Files) -> tuple[can.BusABC, str]:
+def _bus(interface: str | None, channel: str | None, files: Files, *, fd: bool) -> tuple[can.BusABC, str]:
     """The bus of the options, of site.toml, or the default; and its name."""
     site = files.settings.bus
     chosen = (interface or site.interface, channel or site.channel)
@@ -191,7 +198,7 @@ def _bus(interface: str | None, channel: str | None, files: Files) -> tuple[can.
         elif chosen[1] is None:
             raise InputError("--channel", "", None, "is needed with --interface", "name the channel")
         name = f"{chosen[0]}/{chosen[1]}"
-        return open_bus(str(chosen[0]), str(chosen[1])), name
+        return open_bus(str(chosen[0]), str(chosen[1]), fd=fd), name
     except (can.CanInitializationError, RuntimeDirectoryError) as error:
         raise InputError("bus", "", None, str(error)) from None
 

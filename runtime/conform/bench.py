@@ -150,6 +150,7 @@ class Bench:
         wait: waits until a frame may have come, at most so many seconds.
         random: the operating system's generator.
         recorder: shown every frame that passes, with its time.
+        fd: bulk records in CAN FD frames.
     """
 
     def __init__(
@@ -163,6 +164,7 @@ class Bench:
         wait: Callable[[float], None],
         random: Callable[[int], bytes],
         recorder: Callable[[Seen], None] = lambda _seen: None,
+        fd: bool = False,
     ) -> None:
         self.timing, self.reply_s = timing, reply_s
         self.heartbeat_s, self.timeout_s = timing.heartbeat_ms / 1000, timing.timeout_ms / 1000
@@ -171,7 +173,11 @@ class Bench:
         self._key, self._bus = key, bus
         self._clock, self._wait, self._random, self._recorder = clock, wait, random, recorder
         self.endpoint = TesterEndpoint(
-            Side.RUNTIME, heartbeat_s=self.heartbeat_s, timeout_s=self.timeout_s, transfer_timeout_s=reply_s
+            Side.RUNTIME,
+            heartbeat_s=self.heartbeat_s,
+            timeout_s=self.timeout_s,
+            transfer_timeout_s=reply_s,
+            fd=fd,
         )
         self.port = Port(bus, self.endpoint, self._record)
         self._turn_s = clock()

@@ -285,6 +285,8 @@ class Journal:
             passed.data,
             extended=passed.is_extended,
             remote=passed.is_remote,
+            fd=passed.is_fd,
+            bit_rate_switch=passed.bit_rate_switch,
         )
         if passed.can_id in TRANSFER_FRAMES:
             return

@@ -254,7 +254,7 @@ def test_an_almost_empty_site_file_is_the_default_site():
 def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
     (tmp_path / "site.toml").write_text(
         'schema = "cutgate.site/1"\nkey_file = "k"\nregistration_max_age_s = 900\n[timing]\nheartbeat_ms = 50\n'
-        'timeout_ms = 500\n[permit]\npermit_lifetime_s = 60\n[bus]\ninterface = "socketcan"\nchannel = "can0"\n'
+        'timeout_ms = 500\n[permit]\npermit_lifetime_s = 60\n[bus]\ninterface = "socketcan"\nchannel = "can0"\nfd = true\n'
         '[controller]\nserial = "CG-1"\n[log]\ndirectory = "logs"\n',
         encoding="utf-8",
     )
@@ -264,7 +264,12 @@ def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
         500,
         60,
     )
-    assert (found.bus.channel, found.controller.serial, found.log.directory) == ("can0", "CG-1", "logs")
+    assert (found.bus.channel, found.bus.fd, found.controller.serial, found.log.directory) == (
+        "can0",
+        True,
+        "CG-1",
+        "logs",
+    )
     assert found.start == Site().start
 
 
@@ -283,6 +288,7 @@ def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
         ("[start]\nstart_tolerance_mm = nan", ("start.start_tolerance_mm", "nan", "finite")),
         ("registration_max_age_s = 0", ("registration_max_age_s", "0", "> 0")),
         ('[bus]\ninterface = ""', ("bus.interface", "''", "at least 1")),
+        ("[bus]\nfd = 1", ("bus.fd", "1", "boolean")),
         ("bus = 3", ("bus", "3", "table")),
     ],
 )

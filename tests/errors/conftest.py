@@ -12,8 +12,9 @@ _SEEN: dict[str, Observed] = {}
 
 
 @pytest.fixture
-def pair(tmp_path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
-    with pair_of(tmp_path, *job_of(tmp_path_factory)) as made:
+def pair(request, tmp_path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
+    """Of classic frames; a parameter names the sides that use CAN FD."""
+    with pair_of(tmp_path, *job_of(tmp_path_factory), fd=getattr(request, "param", ())) as made:
         yield made
 
 

@@ -22,6 +22,7 @@ RUNTIME, CONTROLLER = Side.RUNTIME, Side.CONTROLLER
 STOP = 0x011
 SINGLE = {RUNTIME: {STOP, 0x080}, CONTROLLER: {0x010, 0x081, 0x300, 0x301, 0x302, 0x303}}
 TRANSFERS = {RUNTIME: {0x600, 0x640}, CONTROLLER: {0x601, 0x641}}
+BULK = {0x640, 0x641}
 SENT = {side: SINGLE[side] | TRANSFERS[side] for side in Side}
 STANDARD = range(1 << 11)
 PHASES = ["no session", "collecting", "permitted", "cutting"]
@@ -55,6 +56,10 @@ class Shape:
     def is_classic(self) -> bool:
         return self.size == 8 and not self.is_remote and not self.is_fd
 
+    def carries(self, can_id: int, fd: object) -> bool:
+        """Whether a transfer takes it: FD where bulk records travel so, classic everywhere else."""
+        return self.is_fd if fd and can_id in BULK else self.is_classic
+
 
 SHAPES = [
     *(Shape(f"{size} bytes", size) for size in range(9)),
@@ -63,6 +68,7 @@ SHAPES = [
     Shape("extended", is_extended=True),
     Shape("extended remote", 0, is_extended=True, is_remote=True),
     Shape("FD of 8", 8, is_fd=True),
+    Shape("FD of 12", 12, is_fd=True),
     Shape("FD of 64", 64, is_fd=True),
     Shape("extended FD", 64, is_extended=True, is_fd=True),
 ]
@@ -121,6 +127,7 @@ def judged(endpoint: Endpoint, shape: Shape, can_id: int, now_s: float) -> list[
 # ---------------------------------------------------------------- the endpoints, every identifier
 
 
+@pytest.mark.parametrize("pair", [(), tuple(Side)], ids=["classic", "FD"], indirect=True)
 @pytest.mark.parametrize("side", Side)
 @pytest.mark.parametrize("phase", PHASES)
 def test_every_identifier_in_every_shape_is_judged_as_documented_and_enables_nothing(pair, phase, side):
@@ -138,7 +145,7 @@ def test_every_identifier_in_every_shape_is_judged_as_documented_and_enables_not
                     can_id,
                     shape,
                 )
-            elif can_id in TRANSFERS[side.peer] and shape.is_classic:
+            elif can_id in TRANSFERS[side.peer] and shape.carries(can_id, pair.fd):
                 assert items == [], "an empty single frame carries nothing"
             elif inside and can_id == STOP:
                 (item,) = items
@@ -150,6 +157,7 @@ def test_every_identifier_in_every_shape_is_judged_as_documented_and_enables_not
             assert enabling(endpoint) == before, (can_id, shape)
 
 
+@pytest.mark.parametrize("pair", [(), tuple(Side)], ids=["classic", "FD"], indirect=True)
 @pytest.mark.parametrize("side", Side)
 def test_three_unsound_frames_within_a_second_fault_whatever_their_identifier_and_shape(pair, side):
     endpoint = endpoint_of(at(pair, "cutting"), side)
@@ -191,7 +199,7 @@ HEARTBEAT_SHAPES = ["8 bytes", "7 bytes", "remote", "FD of 64", "extended"]
 OTHER_SHAPES = ["8 bytes", "remote", "FD of 64"]
 CLASSES = [
     *(Class(f"the peer's heartbeat, {name}", BY[name], PEER_BEAT) for name in HEARTBEAT_SHAPES),
-    *(Class(f"the peer's transfer, {name}", BY[name], PEER_BULK) for name in OTHER_SHAPES),
+    *(Class(f"the peer's transfer, {name}", BY[name], PEER_BULK) for name in [*OTHER_SHAPES, "FD of 12"]),
     *(Class(f"unlisted, {name}", BY[name], both(0x123)) for name in OTHER_SHAPES),
     Class("extended with its own low bits", BY["extended"], OWN_BEAT),
     *(
@@ -217,6 +225,7 @@ def reached(pair: Pair) -> tuple[Any, ...]:
     )
 
 
+@pytest.mark.parametrize("pair", [(), tuple(Side)], ids=["classic", "FD"], indirect=True)
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.name)
 @pytest.mark.parametrize("side", Side)
 @pytest.mark.parametrize("phase", PHASES)

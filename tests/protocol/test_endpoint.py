@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from protocol import records
 from protocol.endpoint import NO_SESSION, Endpoint, RecordReceived
@@ -36,8 +38,8 @@ ANNOUNCE = records.Announce(
 )
 
 
-def endpoint(side, tag=TAG):
-    made = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
+def endpoint(side, tag=TAG, *, fd=False):
+    made = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd)
     if tag:
         made.use_session(tag)
         made.link.open(tag, NOW)
@@ -64,7 +66,9 @@ def carry(one, other, now_s=NOW, change=lambda _can_id, data: data):
                 moved = True
                 passing = change(can_id, data)
                 if passing is not None:
-                    items[receiver] += receiver.receive(can_id, passing, now_s=now_s)
+                    items[receiver] += receiver.receive(
+                        can_id, passing, is_fd=sender.is_fd(can_id), now_s=now_s
+                    )
         if not moved:
             return items[one], items[other]
         rounds += 1
@@ -302,3 +306,52 @@ def test_a_controllers_heartbeat_carries_what_it_was_given(runtime, controller):
     controller.send_frame(beat, NOW)
     _, (item,) = carry(controller, runtime)
     assert item.frame == replace(beat, echo=item.frame.echo)
+
+
+# ------------------------------------------------------------------ CAN FD
+
+
+def test_with_fd_bulk_frames_alone_leave_as_fd_also_after_the_timing_was_agreed(runtime):
+    assert not any(runtime.is_fd(can_id) for can_id in range(0x800))
+    with_fd = endpoint(Side.RUNTIME, fd=True)
+    with_fd.use_timing(heartbeat_s=0.05, timeout_s=0.5)
+    assert [can_id for can_id in range(0x800) if with_fd.is_fd(can_id)] == [0x640, 0x641]
+    with_fd.send_record(records.Collect(), NOW)
+    with_fd.send_record(BLOCKS[0], NOW)
+    assert [(can_id, len(data)) for can_id, data in with_fd.outgoing()] == [(0x600, 8), (0x640, 64)]
+
+
+BLOCKS = records.split(bytes(range(256)) * 40)
+
+
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "FD"])
+@given(
+    what=st.dictionaries(
+        st.integers(0, 400), st.sampled_from(["lost", "doubled", "flipped", "late"]), max_size=3
+    ),
+    place=st.integers(0, 511),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_block_that_arrives_is_the_one_that_was_sent_once_and_in_order(what, place, fd):
+    """Frames to the controller are counted; a flipped bit anywhere in one is found by a CRC unless it was padding."""
+    runtime, controller = endpoint(Side.RUNTIME, fd=fd), endpoint(Side.CONTROLLER, fd=fd)
+    got, late, count = [], [], 0
+    for block in BLOCKS:
+        runtime.send_record(block, NOW)
+    while frames := runtime.outgoing():
+        for can_id, data in frames:
+            change, count = what.get(count), count + 1
+            waiting, late = late, [data] if change == "late" else []
+            at, bit = divmod(place % (8 * len(data)), 8)
+            flip = bytes([data[at] ^ (1 << bit if change == "flipped" else 0)])
+            arriving = data[:at] + flip + data[at + 1 :]
+            for passing in [arriving] * {"lost": 0, "doubled": 2, "late": 0}.get(change, 1) + waiting:
+                got += controller.receive(can_id, passing, is_fd=fd, now_s=NOW)
+        for can_id, data in controller.outgoing():
+            runtime.receive(can_id, data, is_fd=fd, now_s=NOW)
+    received = [item.record for item in got if isinstance(item, RecordReceived)]
+    indices = [record.index for record in received]
+    assert received == [BLOCKS[index] for index in indices]
+    assert indices == sorted(set(indices))
+    if not what:
+        assert received == BLOCKS

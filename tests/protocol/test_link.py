@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from protocol.e2e import protect
 from protocol.frames import (
+    BULK_IDS,
+    CONTROL_IDS,
     DATA_IDS,
     FRAMES,
     IDS,
@@ -157,6 +159,21 @@ def test_transfer_frames_go_to_their_channel(can_id: int, channel: Channel):
     assert isinstance(link().receive(can_id, bytes(7), now_s=0.0), Discarded)
     assert isinstance(link().receive(can_id, bytes(8), is_fd=True, now_s=0.0), Discarded)
     assert isinstance(link().receive(can_id, bytes(8), is_remote=True, now_s=0.0), Discarded)
+
+
+@pytest.mark.parametrize("side", Side)
+def test_with_fd_only_the_bulk_channel_takes_fd_frames_and_takes_no_other(side: Side):
+    made = Link(side, TIMEOUT_S, PERIOD_S, fd=True)
+    made.open(TAG, 0.0)
+    for can_id in SENT_BY[side.peer]:
+        bulk = can_id in BULK_IDS
+        for size in (8, 12, 64):
+            outcome = made.receive(can_id, bytes(size), is_fd=True, now_s=0.0)
+            assert (outcome == ForTransfer(Channel.BULK)) is bulk, can_id
+        for flags in ({}, {"is_remote": True}, {"is_remote": True, "is_fd": True}):
+            outcome = made.receive(can_id, bytes(8), **flags, now_s=0.0)
+            assert (outcome == ForTransfer(Channel.CONTROL)) is (can_id in CONTROL_IDS and not flags)
+            assert outcome != ForTransfer(Channel.BULK)
 
 
 @pytest.mark.parametrize("side", Side)

@@ -4,6 +4,7 @@ import can
 import pytest
 
 from protocol import port as ports
+from protocol import records
 from protocol.endpoint import Endpoint
 from protocol.frames import IDS, ControllerHeartbeat, RuntimeHeartbeat
 from protocol.link import Discarded, Violation
@@ -99,6 +100,21 @@ def test_only_what_is_queued_is_sent():
     assert [(m.arbitration_id, m.is_extended_id, m.is_fd) for m in made.bus.sent] == [
         (IDS[RuntimeHeartbeat], False, False)
     ]
+
+
+def test_with_fd_bulk_frames_leave_with_bit_rate_switch_and_the_recorder_sees_it():
+    seen = []
+    made = Port(
+        Bus(),
+        Endpoint(Side.RUNTIME, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=True),
+        seen.append,
+    )
+    made.endpoint.send_frame(BEAT, NOW)
+    made.endpoint.send_record(records.split(bytes(100))[0], NOW, session=1)
+    assert made.flush()
+    sent = [(m.arbitration_id, m.is_fd, m.bitrate_switch, len(m.data)) for m in made.bus.sent]
+    assert sent == [(IDS[RuntimeHeartbeat], False, False, 8), (0x640, True, True, 64)]
+    assert [(passed.is_fd, passed.bit_rate_switch) for passed in seen] == [(False, False), (True, True)]
 
 
 def test_a_bus_that_fails_says_so_whatever_is_asked_of_it():

@@ -7,13 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.transfer import BLOCK_FRAMES, PAYLOAD_BYTES_MAX, Transfer, TransferError
+from protocol.transfer import BLOCK_FRAMES, FD_LENGTHS, PAYLOAD_BYTES_MAX, Transfer, TransferError
 
 SOCKET_BUFFER_FRAMES = 278
 
 
-def pair() -> tuple[Transfer, Transfer]:
-    return Transfer(0x600, 0x601), Transfer(0x601, 0x600)
+both_kinds = pytest.mark.parametrize("fd", [False, True], ids=["classic", "FD"])
+
+
+def pair(*, fd: bool = False) -> tuple[Transfer, Transfer]:
+    return Transfer(0x600, 0x601, fd=fd), Transfer(0x601, 0x600, fd=fd)
 
 
 def step(sender: Transfer, receiver: Transfer) -> int:
@@ -40,9 +43,10 @@ def quiet(*transfers: Transfer) -> bool:
     return not any(transfer.errors() for transfer in transfers)
 
 
-@pytest.mark.parametrize("length", [1, 6, 7, 8, 13, 14, 223, 230, 231, 4000, 4095])
-def test_record_arrives_whole(length: int):
-    one, other = pair()
+@both_kinds
+@pytest.mark.parametrize("length", [1, 6, 7, 8, 13, 14, 61, 62, 63, 64, 125, 126, 223, 230, 231, 4000, 4095])
+def test_record_arrives_whole(length: int, fd: bool):
+    one, other = pair(fd=fd)
     one.send(patterned(length), 0.0)
     carry(one, other)
     assert other.received() == [patterned(length)]
@@ -89,6 +93,114 @@ def test_frames_are_classic_padded_and_on_the_own_identifier():
             one.feed(data)
         if not sent and not answered:
             return
+
+
+def test_fd_frames_are_full_but_the_last_which_is_the_shortest_that_holds_the_rest():
+    for length in range(1, 300):
+        one, other = pair(fd=True)
+        one.send(patterned(length), 0.0)
+        sent: list[bytes] = []
+        while frames := one.outgoing():
+            sent += [data for _, data in frames]
+            for _, data in frames:
+                other.feed(data)
+            for _, data in other.outgoing():
+                assert len(data) == 8
+                one.feed(data)
+        head = (1 if length <= 7 else 2) if length <= 62 else 1
+        rest = length if length <= 62 else (length - 62 - 1) % 63 + 1
+        assert [len(data) for data in sent[:-1]] == [64] * (len(sent) - 1)
+        assert len(sent[-1]) == min(size for size in FD_LENGTHS if size >= rest + head)
+        assert sent[-1][rest + head :] == b"\xcc" * (len(sent[-1]) - rest - head)
+
+
+@both_kinds
+@given(
+    lengths=st.lists(st.integers(1, 4095), min_size=1, max_size=4),
+    disturbed=st.lists(
+        st.tuples(st.integers(0, 300), st.sampled_from(["lost", "doubled", "late"]), st.booleans()),
+        max_size=4,
+    ),
+)
+@settings(max_examples=60, deadline=None)
+def test_whatever_is_lost_doubled_or_late_a_record_arrives_whole_or_not_at_all(
+    lengths: list[int], disturbed: list[tuple[int, str, bool]], fd: bool
+):
+    """Frames of both directions are counted; what is late comes behind the next frame of its direction."""
+    one, other = pair(fd=fd)
+    sent = [patterned(length, seed) for seed, length in enumerate(lengths)]
+    for payload in sent:
+        one.send(payload, 0.0)
+    what = {(back, at): change for at, change, back in disturbed}
+    count, held = {False: 0, True: 0}, {False: [], True: []}
+
+    def carried(frames: list[tuple[int, bytes]], back: bool) -> list[bytes]:
+        out: list[bytes] = []
+        for _, data in frames:
+            change = what.get((back, count[back]))
+            count[back] += 1
+            waiting, held[back] = held[back], [data] if change == "late" else []
+            out += [data] * {None: 1, "lost": 0, "doubled": 2, "late": 0}[change] + waiting
+        return out
+
+    received: list[bytes] = []
+    while frames := one.outgoing():
+        for data in carried(frames, False):
+            other.feed(data)
+        received += other.received()
+        for data in carried(other.outgoing(), True):
+            one.feed(data)
+    assert all(payload in sent for payload in received)
+    if not disturbed:
+        assert received == sent
+        assert not one.busy
+    for transfer in (one, other):  # what does not go on is given up in words
+        stood = transfer.busy
+        expired = transfer.expire(0.0) or transfer.expire(2.0)
+        assert (expired is not None) is stood
+        assert not transfer.busy
+
+
+def test_fd_side_that_is_given_up_asks_for_the_other_side():
+    one, _ = pair(fd=True)
+    one.send(patterned(100), 0.0)
+    one.expire(0.0)
+    expired = one.expire(2.0)
+    assert expired is not None
+    assert expired.reason.endswith("; do both sides use CAN FD?")
+
+
+@pytest.mark.parametrize("length", [7, 9, 10, 63])
+def test_frame_that_no_fd_transfer_has_is_reported(length: int):
+    one, _ = pair(fd=True)
+    one.feed(bytes(length))
+    (error,) = one.errors()
+    assert (error.lost, error.reason) == (
+        False,
+        f"frame is {length} bytes, must be 8, 12, 16, 20, 24, 32, 48, 64",
+    )
+
+
+@pytest.mark.parametrize(
+    ("length", "announced", "begins"),
+    [(64, 63, True), (64, 62, False), (64, 4095, True), (48, 4095, False), (8, 100, False)],
+)
+def test_fd_first_frame_is_full_and_announces_what_needs_another(length: int, announced: int, begins: bool):
+    _, other = pair(fd=True)
+    other.feed(bytes([0x10 | announced >> 8, announced & 0xFF]).ljust(length, b"a"))
+    assert other.receiving is begins
+    assert bool(other.errors()) is not begins
+    assert bool(other.outgoing()) is begins
+
+
+def test_short_frame_amid_an_fd_record_never_completes_it():
+    _, other = pair(fd=True)
+    other.feed(bytes([0x10, 200]).ljust(64, b"a"))
+    other.feed(b"\x21".ljust(32, b"a"))
+    assert [error.lost for error in other.errors()] == [False]
+    other.feed(b"\x22".ljust(64, b"a"))
+    assert [error.lost for error in other.errors()] == [True]
+    assert other.received() == []
 
 
 def test_never_more_frames_at_once_than_a_socket_buffer_holds():
@@ -376,9 +488,10 @@ def test_no_clock_and_no_sleep_is_used(monkeypatch: pytest.MonkeyPatch):
     assert quiet(one, other)
 
 
-@given(st.lists(st.binary(min_size=8, max_size=8), max_size=40))
-def test_any_frames_raise_nothing(frames: list[bytes]):
-    one, _ = pair()
+@both_kinds
+@given(frames=st.lists(st.binary(min_size=8, max_size=8) | st.binary(min_size=64, max_size=64), max_size=40))
+def test_any_frames_raise_nothing(frames: list[bytes], fd: bool):
+    one, _ = pair(fd=fd)
     one.send(patterned(50), 0.0)
     for data in frames:
         one.feed(data)

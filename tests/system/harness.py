@@ -218,7 +218,7 @@ class Observer:
     def __init__(self, channel: Path) -> None:
         self.frames: list[can.Message] = []
         self.at_once: Callable[[can.Message], None] = lambda _message: None
-        self.bus = can.Bus(interface="cutgate", channel=str(channel))
+        self.bus = can.Bus(interface="cutgate", channel=str(channel), fd=True)
         self._changed = threading.Condition()
         self._ended = False
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -354,6 +354,7 @@ class Rig:
         key: str = "site.key",
         robot: Path = ROBOT,
         joints: str | None = STANDS,
+        fd: bool = False,
         fresh: bool = False,
         ready: bool = True,
     ) -> Child:
@@ -361,6 +362,7 @@ class Rig:
         options = ["--robot", str(robot), "--key", str(self.folder / key), "--time-scale", str(scale)]
         options += [f"--joints={joints}"] if joints is not None else []
         options += [word for fault in faults for word in ("--fault", fault)]
+        options += ["--fd"] * fd
         child = self._start("controller", "firmware_sim", ["sim", *options, *self._where], fresh=fresh)
         if ready:
             child.line("enabling device released")
@@ -375,6 +377,7 @@ class Rig:
         key: str = "site.key",
         logs: str = "logs",
         json: bool = False,
+        fd: bool = False,
         fresh: bool = False,
         script: Script | None = None,
     ) -> Child:
@@ -389,7 +392,7 @@ class Rig:
             str(here / key),
         ]
         options += ["--site", str(here / "site.toml"), "--log-dir", str(here / logs), *self._where]
-        options += ["--json"] * json
+        options += ["--json"] * json + ["--fd"] * fd
         return self._start(
             "runtime",
             "runtime.cli",

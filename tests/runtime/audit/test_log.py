@@ -236,10 +236,11 @@ def test_record_0_names_program_machine_and_simulation(tmp_path):
         ({}, b"(1.000002) can0 012#AB\n"),
         ({"extended": True}, b"(1.000002) can0 00000012#AB\n"),
         ({"remote": True}, b"(1.000002) can0 012#R\n"),
+        ({"fd": True}, b"(1.000002) can0 012##4AB\n"),
+        ({"fd": True, "bit_rate_switch": True}, b"(1.000002) can0 012##5AB\n"),
     ],
 )
 def test_raw_frames_are_candump_lines(options, line):
-    options = {"extended": False, "remote": False} | options
     assert candump_line(1_000_002_000, "can0", 0x12, b"\xab", **options) == line
 
 

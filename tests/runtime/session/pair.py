@@ -6,7 +6,7 @@ Nothing here waits: the disk answers when the test says so, verification is done
 import os
 import select
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -266,10 +266,13 @@ class Terminal:
 
 
 class Pair:
-    """Two loops, one bus, one clock."""
+    """Two loops, one bus, one clock. ``fd``: the sides whose bulk records travel in FD frames."""
 
-    def __init__(self, directory: Path, files: InputFiles, job: SessionJob) -> None:
+    def __init__(
+        self, directory: Path, files: InputFiles, job: SessionJob, fd: Collection[Side] = ()
+    ) -> None:
         self.directory, self.files, self.job = directory, files, job
+        self.fd = fd
         self.clock = Clock()
         self.disk = Disk(clock=self.clock)
         self.wire = Wire(self.clock, durable=lambda: self.disk.durable)
@@ -328,6 +331,7 @@ class Pair:
             heartbeat_s=timing.heartbeat_ms / 1000,
             timeout_s=timing.timeout_ms / 1000,
             transfer_timeout_s=timing.reply_timeout_s,
+            fd=side in self.fd,
         )
 
     def begin(self, job: SessionJob | None = None) -> "Pair":
@@ -533,9 +537,9 @@ def _let_go(log: AuditLog) -> None:
 
 
 @contextmanager
-def pair_of(directory: Path, files: InputFiles, job: SessionJob) -> Iterator[Pair]:
+def pair_of(directory: Path, files: InputFiles, job: SessionJob, fd: Collection[Side] = ()) -> Iterator[Pair]:
     """A pair whose descriptors are closed at the end."""
-    pair = Pair(directory, files, job)
+    pair = Pair(directory, files, job, fd)
     try:
         yield pair
     finally:

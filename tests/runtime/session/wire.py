@@ -41,6 +41,7 @@ class Seen:
     can_id: int
     data: bytes
     durable: int
+    is_fd: bool = False
 
 
 Rule = Callable[[can.Message], list[can.Message]]
@@ -66,7 +67,9 @@ class Wire:
         """Deliver to the other node, whatever the rules make of it."""
         side = next(side for side, node in self.nodes.items() if node is sender)
         data = bytes(message.data)
-        self.seen.append(Seen(self.clock(), side, message.arbitration_id, data, self.durable()))
+        self.seen.append(
+            Seen(self.clock(), side, message.arbitration_id, data, self.durable(), message.is_fd)
+        )
         passing = [message]
         for rule in self.rules:
             passing = [after for before in passing for after in rule(before)]
@@ -157,4 +160,12 @@ def flip(message: can.Message) -> list[can.Message]:
     """One bit of the last byte."""
     data = bytes(message.data)
     changed = data[:-1] + bytes([data[-1] ^ 1])
-    return [can.Message(arbitration_id=message.arbitration_id, data=changed, is_extended_id=False)]
+    return [
+        can.Message(
+            arbitration_id=message.arbitration_id,
+            data=changed,
+            is_extended_id=False,
+            is_fd=message.is_fd,
+            bitrate_switch=message.bitrate_switch,
+        )
+    ]

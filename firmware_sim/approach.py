@@ -20,8 +20,9 @@ from firmware_sim.kinematics import (
     follow,
     limit_text,
 )
+from firmware_sim.path_check import pose_of
 from protocol import records
-from protocol.records import UNIT, Calibration, Limits, Path, joints_to_counts, joints_to_memory
+from protocol.records import UNIT, Calibration, Limits, PathCodes, joints_to_counts, joints_to_memory
 
 ROUNDING_UM: Final = 1
 """Both sides round the distances up to whole um; the last bit of a product may put one of them on the next."""
@@ -52,7 +53,9 @@ def pose_beyond(pose: Pose, distance_um: int) -> Pose:
     return Pose((x + mm * i, y + mm * j, z + mm * k), pose.axis)
 
 
-def own_ends(path: Path, arm: Arm, limits: Limits, first: Joints, last: Joints, *, clearance_um: int) -> Ends:
+def own_ends(
+    path: PathCodes, arm: Arm, limits: Limits, first: Joints, last: Joints, *, clearance_um: int
+) -> Ends:
     """Entry and exit, followed from the joints at the path's first and last pose.
 
     Raises:
@@ -60,8 +63,7 @@ def own_ends(path: Path, arm: Arm, limits: Limits, first: Joints, last: Joints, 
     """
     found = []
     for name, index, joints in (("entry", 0, first), ("exit", -1, last)):
-        (x, y, z), (i, j, k) = path.tips_mm[index].tolist(), path.axes[index].tolist()
-        pose = Pose((x, y, z), (i, j, k))
+        pose = pose_of(path, index)
         distance_um = beyond_um(path.tips_mm, pose.tip, pose.axis, clearance_um)
         try:
             reached = follow(arm, pose, pose_beyond(pose, distance_um), joints)

@@ -24,7 +24,7 @@ from firmware_sim.kinematics import (
     limit_text,
     wrap_many,
 )
-from protocol.records import UNIT, Calibration, Limits, Path, Tool
+from protocol.records import UNIT, Calibration, Limits, PathCodes, RecordError, Tool
 from protocol.states import Refusal
 
 SURE_STEP_RAD: Final = 1.0
@@ -49,7 +49,7 @@ class PathCheck:
     """A check that is done in parts, so that heartbeats go on meanwhile: `while not check.step(512): ...`.
 
     Args:
-        path: the path as stored.
+        path: the path as stored; its poses are judged here, part by part.
         limits: the controller's limits; the sign of its q1 limits is its elbow.
         calibration: its calibration.
         tool: the mounted tool.
@@ -58,7 +58,7 @@ class PathCheck:
 
     def __init__(
         self,
-        path: Path,
+        path: PathCodes,
         limits: Limits,
         calibration: Calibration,
         tool: Tool,
@@ -69,7 +69,7 @@ class PathCheck:
         self._arm = calibrated_arm(
             calibration, tool_mm=tool.length_mm, elbow=path.elbow, hold_roll_rad=hold_roll_rad
         )
-        self._vertical = _is_vertical(path.axes[:1])[0]
+        self._vertical = _is_vertical(path.decoded(0, 1)[1])[0]
         self._next = 0
         self._before = np.empty(5)
         self._first: Joints | None = None
@@ -77,7 +77,7 @@ class PathCheck:
         self.verdict: PathVerdict | None = self._check_header(tool)
 
     @property
-    def path(self) -> Path:
+    def path(self) -> PathCodes:
         """What is checked."""
         return self._path
 
@@ -120,8 +120,12 @@ class PathCheck:
         return None
 
     def _check_poses(self, begin: int, end: int) -> PathVerdict | None:
-        axes = self._path.axes[begin:end]
-        joints = inverse_many(self._arm, self._path.tips_mm[begin:end], axes)
+        try:
+            self._path.judge(begin, end)
+        except RecordError as error:
+            return PathVerdict(Refusal.PATH_MALFORMED, 0, str(error))
+        tips, axes = self._path.decoded(begin, end)
+        joints = inverse_many(self._arm, tips, axes)
         broken = self._unwind(joints, begin)
         inside = np.all((joints >= self._limits.q_min) & (joints <= self._limits.q_max), axis=1)
         vertical = _is_vertical(axes)
@@ -145,7 +149,7 @@ class PathCheck:
             Rows that cannot be reached continuously, with the reason; they are NaN from there on.
         """
         back = 1 if begin else 0  # the pose before the first row
-        axes = self._path.axes[begin - back : begin + len(joints)]
+        axes = self._path.decoded(begin - back, begin + len(joints))[1]
         rows = np.vstack((self._before, joints)) if back else joints.copy()
         if not back:
             rows[0, 0] += math.tau * self._path.q0_turns
@@ -175,8 +179,7 @@ class PathCheck:
         return follow(self._arm, start, end, joints)[0] - q0_start
 
     def _pose(self, index: int) -> Pose:
-        (x, y, z), (i, j, k) = self._path.tips_mm[index].tolist(), self._path.axes[index].tolist()
-        return Pose((x, y, z), (i, j, k))
+        return pose_of(self._path, index)
 
     def _why(self, joints: Floats, *, vertical: bool) -> str:
         if vertical and (not self._vertical or self._arm.hold_roll_rad is None):
@@ -185,6 +188,13 @@ class PathCheck:
             return "wrist centre is out of reach of the links"
         text = limit_text(as_joints(joints), as_joints(self._limits.q_min), as_joints(self._limits.q_max))
         return text or "tool axis leaves the vertical on which the roll is held"
+
+
+def pose_of(path: PathCodes, index: int) -> Pose:
+    """One pose of a path, index from its end if negative."""
+    index %= len(path)
+    (tip,), (axis,) = (part.tolist() for part in path.decoded(index, index + 1))
+    return Pose(tuple(tip), tuple(axis))
 
 
 def _is_vertical(axes: Floats) -> NDArray[np.bool_]:

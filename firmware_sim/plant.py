@@ -29,7 +29,7 @@ from firmware_sim.kinematics import (
     turn_rad,
 )
 from protocol.path import HEADER_BYTES, POSE_BYTES, PathHeader, decode_axes
-from protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose, split
+from protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose
 from protocol.states import StopCause
 
 STEP_MM: Final = 5.0
@@ -74,10 +74,8 @@ class StoredPath:
     @classmethod
     def of(cls, body: bytes) -> Self:
         """The stored path of canonical bytes, in the blocks that the wire would carry."""
-        blocks = split(body)
-        return cls(
-            PathHeader.of(body), [block.data for block in blocks], [block.block_crc32 for block in blocks]
-        )
+        blocks = [body[at : at + BLOCK_BYTES] for at in range(0, len(body), BLOCK_BYTES)]
+        return cls(PathHeader.of(body), blocks, [zlib.crc32(block) for block in blocks])
 
     def __len__(self) -> int:
         """How many poses."""

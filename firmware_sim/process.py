@@ -330,7 +330,7 @@ class Process:
             if block.index == 0:
                 self._assembly = records.Assembly()
             self._assembly = self._assembly.add(block)
-            path = records.Path.parse(self._assembly.data) if self._assembly.complete else None
+            path = records.PathCodes.parse(self._assembly.data) if self._assembly.complete else None
         except records.RecordError as error:
             self._say(f"path refused: {error}")
             self._feed(PathChecked(b"", Refusal.PATH_MALFORMED, 0, None))

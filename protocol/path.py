@@ -126,8 +126,8 @@ class PathHeader(Block):
 
 
 @dataclass(frozen=True)
-class Path:
-    """A path in controller coordinates, as verified, stored and executed.
+class PathCodes:
+    """A path whose header has been judged and whose poses have not: taking it over costs nothing, however long it is.
 
     Attributes:
         elbow: the arm's elbow on the whole path.
@@ -151,12 +151,6 @@ class Path:
                 f"path poses are {len(self.pose_bytes)} bytes, must be a multiple of {POSE_BYTES}"
             )
         self._header()
-        mapped = np.abs(self.poses[:, 3:].astype(np.int64))
-        _refuse_first(~np.all(mapped <= SCALE, axis=1), "axis code is beyond 2**30")
-        half_sum = np.sqrt(np.sum((0.5 * (self.axes[1:] + self.axes[:-1])) ** 2, axis=1))
-        _refuse_first(
-            ~(half_sum >= _HALF_SUM_MIN), f"axis is more than {TURN_MAX_DEG} deg from the next pose's"
-        )
 
     def _header(self) -> PathHeader:
         return PathHeader(
@@ -171,6 +165,72 @@ class Path:
             tool_length_u=self.tool_length_u,
             count=len(self.pose_bytes) // POSE_BYTES,
         )
+
+    def body(self) -> bytes:
+        """The canonical bytes."""
+        return self._header().body() + self.pose_bytes
+
+    @classmethod
+    def parse(cls, body: bytes) -> Self:
+        """The path of canonical bytes; raises RecordError for anything wrong with what is judged."""
+        header = PathHeader.of(body)
+        return cls(
+            elbow=header.elbow,
+            q0_turns=header.q0_turns,
+            roll_turns=header.roll_turns,
+            feed_u=header.feed_u,
+            tool_length_u=header.tool_length_u,
+            pose_bytes=bytes(body[HEADER_BYTES:]),
+        )
+
+    @property
+    def digest(self) -> bytes:
+        """SHA-256 of the canonical bytes."""
+        return digest(self.body())
+
+    def __len__(self) -> int:
+        return len(self.pose_bytes) // POSE_BYTES
+
+    @property
+    def poses(self) -> NDArray[np.int32]:
+        """The codes, (n, 5), read-only."""
+        return np.frombuffer(self.pose_bytes, dtype="<i4").reshape(-1, 5)
+
+    def judge(self, begin: int, end: int) -> None:
+        """Look at these poses, and at how each follows the one before it. Raises RecordError for the first wrong one."""
+        before = max(begin - 1, 0)
+        _judge(self.poses[before:end], self.decoded(before, end)[1], before)
+
+    def decoded(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """Tips, mm, and unit axes of these poses, (k, 3) each."""
+        codes = self.poses[begin:end]
+        return codes[:, :3] / 1000.0, decode_axes(codes[:, 3:])
+
+    @functools.cached_property
+    def tips_mm(self) -> Floats:
+        """Cutter tips, mm, (n, 3), read-only."""
+        tips = self.poses[:, :3] / 1000.0
+        tips.setflags(write=False)
+        return tips
+
+    @property
+    def feed_mm_s(self) -> float:
+        """Programmed feed, mm/s."""
+        return self.feed_u / UNIT
+
+    @property
+    def tool_length_mm(self) -> float:
+        """Wrist centre to tip, mm."""
+        return self.tool_length_u / UNIT
+
+
+@dataclass(frozen=True)
+class Path(PathCodes):
+    """A path in controller coordinates, as verified, stored and executed: every pose of it has been judged."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _judge(self.poses, self.axes, 0)
 
     @classmethod
     def quantised(
@@ -216,43 +276,6 @@ class Path:
             pose_bytes=poses.tobytes(),
         )
 
-    def body(self) -> bytes:
-        """The canonical bytes."""
-        return self._header().body() + self.pose_bytes
-
-    @classmethod
-    def parse(cls, body: bytes) -> Self:
-        """The path of canonical bytes; raises RecordError for anything wrong with them."""
-        header = PathHeader.of(body)
-        return cls(
-            elbow=header.elbow,
-            q0_turns=header.q0_turns,
-            roll_turns=header.roll_turns,
-            feed_u=header.feed_u,
-            tool_length_u=header.tool_length_u,
-            pose_bytes=bytes(body[HEADER_BYTES:]),
-        )
-
-    @property
-    def digest(self) -> bytes:
-        """SHA-256 of the canonical bytes."""
-        return digest(self.body())
-
-    def __len__(self) -> int:
-        return len(self.pose_bytes) // POSE_BYTES
-
-    @property
-    def poses(self) -> NDArray[np.int32]:
-        """The codes, (n, 5), read-only."""
-        return np.frombuffer(self.pose_bytes, dtype="<i4").reshape(-1, 5)
-
-    @functools.cached_property
-    def tips_mm(self) -> Floats:
-        """Cutter tips, mm, (n, 3), read-only."""
-        tips = self.poses[:, :3] / 1000.0
-        tips.setflags(write=False)
-        return tips
-
     @functools.cached_property
     def axes(self) -> Floats:
         """Unit tool axes, (n, 3), read-only."""
@@ -260,21 +283,20 @@ class Path:
         axes.setflags(write=False)
         return axes
 
-    @property
-    def feed_mm_s(self) -> float:
-        """Programmed feed, mm/s."""
-        return self.feed_u / UNIT
 
-    @property
-    def tool_length_mm(self) -> float:
-        """Wrist centre to tip, mm."""
-        return self.tool_length_u / UNIT
+def _judge(codes: NDArray[np.int32], axes: Floats, first: int) -> None:
+    """Refuse axis codes beyond their scale, and neighbouring axes too far apart; ``first`` is the first pose's number."""
+    mapped = np.abs(codes[:, 3:].astype(np.int64))
+    _refuse_first(~np.all(mapped <= SCALE, axis=1), "axis code is beyond 2**30", first)
+    half_sum = np.sqrt(np.sum((0.5 * (axes[1:] + axes[:-1])) ** 2, axis=1))
+    wrong = ~(half_sum >= _HALF_SUM_MIN)
+    _refuse_first(wrong, f"axis is more than {TURN_MAX_DEG} deg from the next pose's", first)
 
 
-def _refuse_first(wrong: NDArray[np.bool_], why: str) -> None:
+def _refuse_first(wrong: NDArray[np.bool_], why: str, first: int = 0) -> None:
     """Raise for the first pose at which something is wrong."""
     if np.any(wrong):
-        raise RecordError(f"path pose {int(np.argmax(wrong))}: {why}")
+        raise RecordError(f"path pose {first + int(np.argmax(wrong))}: {why}")
 
 
 @dataclass(frozen=True)

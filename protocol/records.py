@@ -42,6 +42,7 @@ from protocol.path import (
     Elbow,
     Path,
     PathBlock,
+    PathCodes,
     block_of_pose,
     split,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "Opened",
     "Path",
     "PathBlock",
+    "PathCodes",
     "PathStored",
     "Permit",
     "Record",

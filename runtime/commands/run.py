@@ -26,7 +26,7 @@ from runtime.commands.screen import working
 from runtime.commands.session_view import SessionView, print_outcome, run_document
 from runtime.interlock.state import Interlock, Phase, Word
 from runtime.session import withdrawn
-from runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
+from runtime.session.job import VERIFIER, Files, log_bytes, make_job, read_files, utc_now
 from runtime.session.journal import Journal, plain
 from runtime.session.loop import Session, wake_pipe
 from runtime.session.worker import Request, Worker
@@ -110,6 +110,7 @@ def _session(
         transfer_timeout_s=timing.reply_timeout_s,
         fd=fd,
     )
+    space = log_bytes(state.job)
     worker = Worker()
     clean = False
     session = Session(
@@ -124,6 +125,7 @@ def _session(
         if sys.stdin is not None and not sys.stdin.closed
         else None,
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
+        log_bytes=space,
     )
     signals.interrupts(session)
     try:

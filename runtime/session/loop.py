@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any, Protocol, assert_never
 
 import can
-import numpy as np
 
 from config.terminal import WordReader
 from protocol import permit as permits
@@ -48,7 +47,6 @@ from runtime.interlock.state import (
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
-    Job,
     JointsMeasured,
     LogChanged,
     LogHealth,
@@ -75,14 +73,8 @@ from runtime.interlock.state import (
 )
 from runtime.interlock.table import MOVING, step
 from runtime.interlock.tracking import Watch
-from runtime.kinematics.arm import TURN
 from runtime.session.journal import Journal
 from runtime.session.worker import Answer, Broken, Request, Worker
-
-LOG_BYTES_FIXED = 4_000_000
-LOG_BYTES_PER_SECOND = 100_000
-"""Estimate of the log's growth: about 280 frames a second at a 20 ms heartbeat, before compression."""
-
 
 EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
     records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
@@ -127,6 +119,7 @@ class Session:
         worker: the verification process.
         view: shows what happens.
         words: the operator's terminal, None without one.
+        log_bytes: how far the log may grow, for which space is reserved twice over (``session.job.log_bytes``).
         clock: monotonic seconds.
         random: the operating system's generator.
     """
@@ -143,6 +136,7 @@ class Session:
         view: View,
         words: WordReader[Word] | None = None,
         checkpoint_deadline_s: float,
+        log_bytes: int,
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
     ) -> None:
@@ -156,6 +150,7 @@ class Session:
         self._view = view
         self._words = words
         self._checkpoint_deadline_s = checkpoint_deadline_s
+        self._log_bytes = log_bytes
         self._clock = clock
         self._random = random
         self._blocks = records.split(state.job.path)
@@ -186,12 +181,15 @@ class Session:
         return self.state
 
     def begin(self, wake: int) -> None:
-        """Before the first turn: what to wait for, and space for the log."""
+        """Before the first turn: what to wait for, space for the log, and the one look at the whole path."""
         for descriptor in (wake, self._port.bus.fileno(), self._journal.log.fileno(), self._worker.fileno()):
             self._poller.register(descriptor, select.POLLIN)
         if self._words is not None and self._words.descriptor is not None:
             self._poller.register(self._words.descriptor, select.POLLIN)
-        self._reserve()
+        health = LogHealth(writable=True, reserved_bytes=0, needed_bytes=self._log_bytes)
+        self.state = replace(self.state, log=health)
+        self._journal.log.reserve(2 * self._log_bytes)
+        _ = self.state.job.path_digest
 
     def _wait(self, wake: int) -> set[int]:
         due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
@@ -386,16 +384,6 @@ class Session:
         if words.descriptor is None and descriptor is not None:
             self._poller.unregister(descriptor)
 
-    def _reserve(self) -> None:
-        """Space for the whole cut with approach and retract, twice over; the permissive asks for it."""
-        job = self.state.job
-        path = records.Path.parse(job.path)
-        lengths = np.linalg.norm(np.diff(path.tips_mm, axis=0), axis=1)
-        seconds = float(np.sum(lengths)) / path.feed_mm_s + _approach_s(job, path)
-        needed = LOG_BYTES_FIXED + int(LOG_BYTES_PER_SECOND * seconds) + 3 * len(self.state.job.path)
-        self.state = replace(self.state, log=LogHealth(writable=True, reserved_bytes=0, needed_bytes=needed))
-        self._journal.log.reserve(2 * needed)
-
     # ------------------------------------------------------------ the table and its effects
 
     def _feed(self, event: Event) -> None:
@@ -480,15 +468,6 @@ class Session:
         if endpoint.link.is_open:
             code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
             endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
-
-
-def _approach_s(job: Job, path: records.Path) -> float:
-    """About how long approach and retract take: joints through their limits, at most a turn; the path's extent."""
-    limits = records.Limits.parse(job.limits)
-    travel = np.minimum(limits.q_max - limits.q_min, [TURN, TURN, np.inf, TURN, TURN])
-    slowest_s = float(np.max(travel / limits.speed)) * 100.0 / job.timing.approach_speed_percent
-    extent_mm = float(np.linalg.norm(np.ptp(path.tips_mm, axis=0))) + job.timing.approach_clearance_mm
-    return 2.0 * (slowest_s + extent_mm / path.feed_mm_s)
 
 
 def _view_of(beat: ControllerHeartbeat) -> ControllerView:

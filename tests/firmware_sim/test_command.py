@@ -44,7 +44,7 @@ def given(tmp_path, monkeypatch):
     key.chmod(0o600)
     shutil.copy(ROBOT, tmp_path / "robot.toml")
     monkeypatch.setattr(command, "LISTEN_S", 0.0)
-    monkeypatch.setattr(command, "open_bus", lambda *_: Bus())
+    monkeypatch.setattr(command, "open_bus", lambda *_, **_fd: Bus())
     monkeypatch.setattr(command.sys, "stdin", None)
     processes = []
     monkeypatch.setattr(command.Process, "run", lambda self, wake: processes.append((self, wake)))
@@ -196,13 +196,18 @@ def test_an_interface_needs_its_channel(given, capsys):
     refused(capsys, given[0][:-2], "--interface needs --channel")
 
 
-@pytest.mark.parametrize(("more", "channel"), [([], "there"), (["--channel", "other"], "other")])
-def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, channel):
+@pytest.mark.parametrize(
+    ("more", "channel", "fd"),
+    [([], "there", False), (["--channel", "other"], "other", False), (["--fd"], "there", True)],
+)
+def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, channel, fd):
     opened = []
     monkeypatch.setattr(command, "default_interface", lambda: ("cutgate", "there"))
-    monkeypatch.setattr(command, "open_bus", lambda *place: opened.append(place) or Bus())
+    monkeypatch.setattr(command, "open_bus", lambda *place, fd: opened.append((*place, fd)) or Bus())
     assert command.main([*given[0][:4], *more]) == command.EXIT_OK
-    assert opened == [("cutgate", channel)]
+    assert opened == [("cutgate", channel, fd)]
+    ((process, _),) = given[1]
+    assert process.port.endpoint.is_fd(0x641) is fd
 
 
 @pytest.mark.parametrize(
@@ -210,7 +215,7 @@ def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, cha
     [can.CanInitializationError("no bus"), can.CanOperationError("gone"), RuntimeDirectoryError("mode")],
 )
 def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capsys, monkeypatch, error):
-    def fail(*_):
+    def fail(*_, **_fd):
         raise error
 
     monkeypatch.setattr(command, "open_bus", fail)
@@ -229,7 +234,7 @@ def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capsys, monkeypatch, er
 )
 def test_a_bus_that_carries_our_frames_already_is_refused(given, capsys, monkeypatch, message, used):
     monkeypatch.setattr(command, "LISTEN_S", 0.01)
-    monkeypatch.setattr(command, "open_bus", lambda *_: Bus(message))
+    monkeypatch.setattr(command, "open_bus", lambda *_, **_fd: Bus(message))
     if used:
         refused(capsys, given[0], "already carries cutgate frames", f"0x{message.arbitration_id:03X}")
     else:

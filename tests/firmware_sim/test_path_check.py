@@ -6,12 +6,13 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_sim.kinematics import Pose, calibrated_arm, follow, forward, inverse
 from firmware_sim.path_check import PathCheck
-from protocol.records import UNIT, Path, Tool
+from protocol.path import encode_axes
+from protocol.records import UNIT, Path, PathCodes, RecordError, Tool
 from protocol.states import Refusal
 from tests.firmware_sim.arms import (
     CALIBRATED,
@@ -51,6 +52,30 @@ def test_the_first_joints_are_known_afterwards():
     arm = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
     expected = inverse(arm, Pose(tuple(PATH.tips_mm[0]), tuple(PATH.axes[0])))
     assert inspection.first_joints == pytest.approx(expected, abs=1e-12)
+
+
+@given(
+    wrong=st.integers(0, 199),
+    kind=st.sampled_from(["code", "turn"]),
+    part=st.integers(1, 250),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_malformed_pose_is_refused_in_parts_as_it_is_in_one_look(wrong, kind, part):
+    """The whole look of the protocol's own path is the oracle; what comes before the pose is checked before it."""
+    good = line_path((500.0, 0.0, 100.0), (450.0, 120.0, 60.0), poses=200)
+    codes = good.poses.copy()
+    if kind == "code":
+        codes[wrong, 3] = -(2**30) - 1
+    else:
+        codes[wrong, 3:] = encode_axes(-good.axes[wrong : wrong + 1])[0]
+    found = {field.name: getattr(good, field.name) for field in dataclasses.fields(good)}
+    found["pose_bytes"] = codes.tobytes()
+    with pytest.raises(RecordError) as whole:
+        Path(**found)
+    inspection = PathCheck(PathCodes(**found), WIDE, NOMINAL, TOOL)
+    while not inspection.step(part):
+        pass
+    assert inspection.verdict == (Refusal.PATH_MALFORMED, 0, str(whole.value))
 
 
 INSIDE = (0.2, 1.2, 200.0, 0.4, 0.6)

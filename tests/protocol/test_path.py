@@ -20,6 +20,7 @@ from protocol.path import (
     Assembly,
     Path,
     PathBlock,
+    PathCodes,
     PathHeader,
     block_of_pose,
     decode_axes,
@@ -239,3 +240,20 @@ def test_a_header_that_does_not_fit_its_path_is_refused(change):
     path = Path.quantised(TIPS, [UP, UP], feed_mm_s=3.5, tool_length_mm=160.0, elbow="right")
     with pytest.raises(RecordError):
         PathHeader.of(change(path.body()))
+
+
+@pytest.mark.parametrize("begin", [0, 1, 3])
+def test_codes_are_taken_over_unlooked_at_and_judged_where_asked(begin: int):
+    codes = Path.parse(long_path(6).body()).poses.copy()
+    codes[3, 3] = SCALE + 1
+    body = long_path(6).body()[:HEADER_BYTES] + codes.tobytes()
+    taken = PathCodes.parse(body)
+    assert (taken.body(), len(taken)) == (body, 6)
+    taken.judge(0, 3)
+    taken.judge(5, 6)
+    with pytest.raises(RecordError, match=r"path pose 3: axis code is beyond"):
+        taken.judge(begin, 4)
+    with pytest.raises(RecordError, match=r"path pose 3: axis code is beyond"):
+        taken.judge(4, 5)
+    with pytest.raises(RecordError, match=r"path pose 3: axis code is beyond"):
+        Path.parse(body)

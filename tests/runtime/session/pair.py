@@ -39,7 +39,7 @@ from runtime.audit.log import Clock as LogClock
 from runtime.audit.replay import Replay, replay
 from runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
 from runtime.interlock.state import Job as SessionJob
-from runtime.session.job import VERIFIER, make_job, read_files
+from runtime.session.job import VERIFIER, log_bytes, make_job, read_files
 from runtime.session.job import Files as InputFiles
 from runtime.session.journal import Journal
 from runtime.session.loop import Session, wake_pipe
@@ -365,6 +365,7 @@ class Pair:
             view=self.notes,
             words=self.terminal.reader,
             checkpoint_deadline_s=5.0,
+            log_bytes=log_bytes(self.job),
             clock=self.clock,
             random=Generator(f"runtime {self.sessions}"),
         )

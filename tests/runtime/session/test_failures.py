@@ -145,7 +145,7 @@ def command(pair, monkeypatch, tmp_path):
     key.write_text(KEY.hex())
     key.chmod(0o600)
     node = pair.wire.nodes[RUNTIME]
-    monkeypatch.setattr("runtime.commands.run._bus", lambda *_: (node, "test/a\udcffb"))
+    monkeypatch.setattr("runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
     monkeypatch.setattr("runtime.commands.run.Worker", Prover)
     monkeypatch.setattr("runtime.commands.run.sys.stdin", None)
     monkeypatch.setattr("runtime.commands.run.sys.argv", ["cutgate", "run", "pl\udcffan"])

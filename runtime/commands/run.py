@@ -111,11 +111,11 @@ def _session(
         fd=fd,
     )
     space = log_bytes(state.job)
-    worker = Worker()
+    worker = Worker(state.job.path)
     clean = False
     session = Session(
         state,
-        request=Request(0, state.job.path, b"", b"", b"", state.job.registration, files.robot.value, timing),
+        request=Request(0, b"", b"", b"", b"", state.job.registration, files.robot.value, timing),
         key=key,
         port=Port(bus, endpoint, journal.frame),
         journal=journal,

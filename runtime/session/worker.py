@@ -5,11 +5,14 @@ does, so it cannot outlive the runtime.
 """
 
 import multiprocessing
+import os
+import pickle
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
@@ -29,13 +32,18 @@ from runtime.verification.recorded import problem_from_records
 from runtime.verification.summary import summary
 
 JOIN_S = 2.0
+LENGTH_BYTES = 4
+READ_BYTES = 1 << 20
 NOWHERE = (0, 0, 0, 0, 0)
 """Stands in a request until the arm's joints have been measured."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be proved: the bytes the controller stored and reported, and where its arm stands."""
+    """What is to be proved: the bytes the controller stored and reported, and where its arm stands.
+
+    ``path`` is empty for the one that the worker was started with: 20 MB would hold up the loop that submits them.
+    """
 
     number: int
     path: bytes
@@ -157,7 +165,7 @@ def _quantiser(path: records.Path) -> Quantise:
     return quantise
 
 
-def _serve(requests: Connection) -> None:
+def _serve(requests: Connection, path: bytes) -> None:
     """The worker's process: answer until the pipe ends. Signals are the runtime's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -167,7 +175,7 @@ def _serve(requests: Connection) -> None:
         except (EOFError, OSError):  # the runtime has gone, killed perhaps
             return
         try:
-            answer: Answer | Broken = prove(request)
+            answer: Answer | Broken = prove(request if request.path else replace(request, path=path))
         except Exception as error:  # noqa: BLE001 - whatever it is, nothing was proved and the runtime is told
             answer = Broken(request.number, f"{type(error).__name__}: {error}")
         try:
@@ -189,12 +197,19 @@ def _signals_wait() -> Iterator[None]:
 
 
 class Worker:
-    """The verification process, seen from the loop: submit, poll ``fileno``, collect."""
+    """The verification process, seen from the loop: submit, poll ``fileno``, collect.
 
-    def __init__(self) -> None:
+    Args:
+        path: what requests without a path are about.
+    """
+
+    def __init__(self, path: bytes = b"") -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), name="cutgate-verifier", daemon=True)
+        self._came = bytearray()
+        self._process = context.Process(
+            target=_serve, args=(theirs, path), name="cutgate-verifier", daemon=True
+        )
         with _signals_wait():
             self._process.start()
         theirs.close()
@@ -216,11 +231,35 @@ class Worker:
             return
 
     def poll(self) -> Answer | Broken | None:
-        """The next answer, if there is one; Broken if the worker has died."""
-        try:
-            return self._pipe.recv() if self._pipe.poll() else None
-        except (EOFError, OSError):
-            return Broken(0, f"the verification process ended with code {self._process.exitcode}")
+        """The next answer, once all of it is there; Broken if the worker has died. Never waits for the worker.
+
+        Read as ``Connection.send`` writes it: four bytes of length, then the pickled answer; nothing of the next one.
+        """
+        with socket.socket(fileno=os.dup(self._pipe.fileno())) as pipe:
+            try:
+                while not self._whole:
+                    came = pipe.recv(min(self._missing, READ_BYTES), socket.MSG_DONTWAIT)
+                    if not came:
+                        raise ConnectionResetError
+                    self._came += came
+            except BlockingIOError:
+                return None
+            except OSError:
+                return Broken(0, f"the verification process ended with code {self._process.exitcode}")
+        answer: Answer | Broken = pickle.loads(self._came[LENGTH_BYTES:])  # noqa: S301 - from our own process
+        self._came.clear()
+        return answer
+
+    @property
+    def _missing(self) -> int:
+        """Bytes that are still to come, of the length or else of the answer."""
+        head = self._came[:LENGTH_BYTES]
+        end = LENGTH_BYTES + (int.from_bytes(head, "big") if len(head) == LENGTH_BYTES else 0)
+        return end - len(self._came)
+
+    @property
+    def _whole(self) -> bool:
+        return len(self._came) > LENGTH_BYTES and self._missing == 0
 
     def close(self) -> None:
         """End the worker; killed if it does not end by itself within a bounded time."""

@@ -84,10 +84,10 @@ def worker_by_fork() -> None:
     """The verification process too is forked instead of started anew; it keeps nothing but its own pipe."""
     serve_requests, fork_context = worker._serve, multiprocessing.get_context("fork")
 
-    def alone(requests: Connection) -> None:
+    def alone(requests: Connection, path: bytes) -> None:
         os.closerange(3, requests.fileno())
         os.closerange(requests.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
-        serve_requests(requests)
+        serve_requests(requests, path)
 
     worker._serve = alone
     multiprocessing.get_context = lambda _method=None: fork_context  # type: ignore[method-assign, assignment]

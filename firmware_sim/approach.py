@@ -11,11 +11,9 @@ from typing import Final, Self
 
 from firmware_sim.kinematics import (
     Arm,
-    Floats,
     Joints,
     KinematicsError,
     Pose,
-    Vector3,
     as_joints,
     follow,
     limit_text,
@@ -26,6 +24,7 @@ from protocol.records import UNIT, Calibration, Limits, PathCodes, joints_to_cou
 
 ROUNDING_UM: Final = 1
 """Both sides round the distances up to whole um; the last bit of a product may put one of them on the next."""
+PART_POSES: Final = 4096
 AGREEMENT: Final = 0.01
 """deg, mm: within this the runtime's joints at entry and exit must be the controller's own."""
 
@@ -40,9 +39,13 @@ class Ends:
     exit_joints_u: tuple[int, ...]
 
 
-def beyond_um(tips_mm: Floats, tip: Vector3, axis: Vector3, clearance_um: int) -> int:
-    """From a pose along its axis to the clearance beyond every tip (n, 3) of the path, up to whole um."""
-    farthest_mm = float(((tips_mm - tip) @ axis).max())
+def beyond_um(path: PathCodes, pose: Pose, clearance_um: int) -> int:
+    """From a pose along its axis to the clearance beyond every tip of the path, up to whole um.
+
+    In parts: large temporary arrays would cost ten times the arithmetic, in one turn of the loop.
+    """
+    parts = (path.poses[at : at + PART_POSES, :3] / 1000.0 for at in range(0, len(path), PART_POSES))
+    farthest_mm = max(float(((tips_mm - pose.tip) @ pose.axis).max()) for tips_mm in parts)
     return math.ceil(clearance_um + 1000.0 * farthest_mm)
 
 
@@ -64,7 +67,7 @@ def own_ends(
     found = []
     for name, index, joints in (("entry", 0, first), ("exit", -1, last)):
         pose = pose_of(path, index)
-        distance_um = beyond_um(path.tips_mm, pose.tip, pose.axis, clearance_um)
+        distance_um = beyond_um(path, pose, clearance_um)
         try:
             reached = follow(arm, pose, pose_beyond(pose, distance_um), joints)
         except KinematicsError as error:

@@ -11,7 +11,7 @@ from typing import Any
 
 from firmware_sim.__main__ import main as controller_side
 from firmware_sim.process import Process
-from runtime.cli import execute
+from runtime.commands.app import execute
 from runtime.session.loop import Session
 
 PROGRAMS = {"runtime": (Session, execute), "controller": (Process, controller_side)}

@@ -17,7 +17,7 @@ from protocol import permit as permits
 from protocol import records
 from protocol.states import ControllerState, Purpose, Refusal, StopCause
 from runtime.audit.inspect import Log, Status
-from runtime.cli import execute
+from runtime.commands.app import execute
 from runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import KEY, Pair, Stranger
 from tests.runtime.session.test_session import first_frames

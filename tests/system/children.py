@@ -20,10 +20,9 @@ from typing import Any
 from firmware_sim import command
 from firmware_sim.__main__ import main as controller_side
 from protocol.port import Port
-from runtime import cli
 from runtime.audit import log as audit_log
 from runtime.audit.disk import Reservation, SystemDisk
-from runtime.commands import run
+from runtime.commands import app, run
 from runtime.interlock import permissives, table
 from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
 from runtime.session import worker
@@ -75,7 +74,7 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
     if program == "runtime.cli":
         worker_by_fork()
         bend(script or Script())
-        sys.exit(cli.execute(arguments))
+        sys.exit(app.execute(arguments))
     command.LISTEN_S = LISTEN_S  # type: ignore[misc]
     sys.exit(controller_side(arguments))
 

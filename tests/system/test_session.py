@@ -11,7 +11,7 @@ from protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
 from protocol.states import StopCode
 from runtime.audit.inspect import Status
 from runtime.audit.replay import Outcome, replay
-from runtime.cli import execute
+from runtime.commands.app import execute
 from runtime.session.job import VERIFIER
 from runtime.verification import certified
 from tests.system.harness import FAST, POSES, ROOT, is_kind, judged, registration

@@ -8,7 +8,7 @@ import pytest
 
 from runtime.audit import records
 from runtime.audit.inspect import read_log
-from runtime.cli import execute
+from runtime.commands.app import execute
 from runtime.commands.screen import output
 from runtime.review.show import print_story
 from runtime.review.story import story

@@ -11,7 +11,7 @@ import pytest
 
 from firmware_sim.hil.plugin import hub_process
 from protocol.permit import new_key_file
-from runtime.cli import execute
+from runtime.commands.app import execute
 
 ROBOT = Path(__file__).parents[3] / "examples" / "robot.toml"
 

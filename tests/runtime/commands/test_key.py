@@ -3,7 +3,7 @@
 import stat
 
 from protocol.permit import load_key
-from runtime import cli
+from runtime.commands import app as cli
 
 
 def test_a_new_key_is_readable_by_its_owner_only_and_can_be_loaded(tmp_path, capsys):

@@ -18,7 +18,7 @@ from plotly.offline import get_plotlyjs
 from pydantic import Field
 from rich.console import Console
 
-from runtime import cli
+from runtime.commands import app as cli
 from runtime.commands import reach as command
 from runtime.commands.reach_page import page
 from runtime.commands.reach_picture import KINDS, kind_of, layers, picture

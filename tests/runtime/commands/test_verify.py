@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime import cli
+from runtime.commands import app as cli
 from tests.runtime.commands.contract import VerdictDocument
 
 ROOT = Path(__file__).parents[3]

@@ -11,7 +11,7 @@ from protocol import records
 from protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
 from protocol.states import ControllerState, FaultCode, StopCause
 from runtime.audit.inspect import Status, read_log
-from runtime.cli import INTERNAL, execute
+from runtime.commands.app import INTERNAL, execute
 from runtime.interlock.state import Phase, Send
 from runtime.session.journal import Journal
 from runtime.session.loop import Session

@@ -1,0 +1,59 @@
+"""All commands of ``cutgate``, and what an error looks like from outside; ``runtime.cli`` is the way in."""
+
+from typing import Final
+
+import typer
+from typer.exceptions import TyperException
+
+from config.load import InputError
+from runtime.cli import INTERRUPTED
+from runtime.commands import audit, conform, controller_side, demo, key, reach, recheck, run, verify
+
+REFUSED: Final = 2
+INTERNAL: Final = 70
+
+app = typer.Typer(
+    name="cutgate",
+    help="Decides whether a bone-milling robot may start to cut.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def _root() -> None:
+    """Decides whether a bone-milling robot may start to cut."""
+
+
+for command in (verify, recheck, reach, run, controller_side, conform, key, audit, demo):
+    command.register(app)
+
+
+def execute(arguments: list[str] | None = None) -> int:
+    """Runs one command and returns its exit code; no exception leaves.
+
+    Args:
+        arguments: without the program's name; None for the process's own.
+    """
+    try:
+        code = app(arguments, prog_name="cutgate", standalone_mode=False)
+    except InputError as error:
+        typer.echo(str(error), err=True)
+        return REFUSED
+    except TyperException as error:
+        show = getattr(error, "show", None)
+        show() if show else typer.echo(error.format_message(), err=True)
+        return REFUSED
+    except (KeyboardInterrupt, typer.Abort):
+        return INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - the last line of defence: one line and a code, never a traceback
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
+        text = str(error).replace("\n", " ")
+        typer.echo(f"cutgate: internal error: {type(error).__name__}: {text} ({where})", err=True)
+        return INTERNAL
+    return code if isinstance(code, int) else 0

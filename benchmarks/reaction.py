@@ -58,7 +58,7 @@ HEARTBEAT_S, TIMEOUT_S = 0.02, 0.1
 TIMING = records.Timing(20, 100, 120, 2000, 500, 200, 0, 25)
 TURN = "20 ms, one turn"
 LOST = "120 ms, time-out and one turn"
-TRIALS, TRIALS_CUTTING, TRIALS_RUNTIME = 50, 30, 10
+TRIALS, TRIALS_CUTTING, TRIALS_RUNTIME = 50, 25, 8
 SETTLE_S = 0.06
 """After a fault frame the joints are looked at for so long: three samples."""
 

@@ -51,3 +51,27 @@ def test_the_sampling_rival_agrees_with_the_gate_where_both_look(script):
     problem = paths.hip_stem()
     found, margin = certified.verify(problem).boundaries, rivals.dense(problem, 0.1)
     assert margin[2] == pytest.approx(min(found["top"].clearance, found["bottom"].clearance), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("data", "is_fd", "nominal", "fast"),
+    [
+        (b"\x55" * 64, True, 29, 5 + 512 + 25 + 7 + 1),  # no five equal bits: 25 of count and CRC, 7 fixed
+        (b"\x55" * 16, True, 29, 5 + 128 + 21 + 6 + 1),
+        (bytes(8), True, 29, 5 + 64 + 21 + 6 + 1 + 13),  # 67 zeros in a row
+        (b"\x55" * 7 + b"\xe0", True, 29, 5 + 64 + 21 + 6 + 1),  # five at the end: the fixed one serves
+    ],
+)
+def test_bits_of_an_fd_frame_are_those_counted_by_hand(script, data, is_fd, nominal, fast):
+    """Identifier 0x555: 17 bits alternate up to the bit rate switch, 12 follow at the nominal rate after the CRC."""
+    frame = script("bits").Sent(0x555, data, is_fd)
+    assert frame.bits == nominal + fast
+    assert frame.seconds == pytest.approx(nominal * 1e-6 + fast * 0.2e-6)
+
+
+def test_bits_of_a_classic_frame_lie_between_none_and_all_stuffed(script):
+    """Identifier 0 without data has 19 zeros, the CRC of which is 0 as well: 34 zeros, a stuff bit after every five."""
+    sent = script("bits").Sent
+    assert sent(0, b"").bits == 34 + 6 + 13
+    for value in range(256):
+        assert 111 <= sent(0x640, bytes([value] * 8)).bits <= script("bits").WORST_BITS

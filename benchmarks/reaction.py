@@ -25,7 +25,7 @@ from config.records import calibration_record, limits_record, tool_record
 from firmware_sim.hil.plugin import hub_process
 from firmware_sim.kinematics import as_joints
 from firmware_sim.process import Options, Process, Word
-from firmware_sim.state import Controller, Holdings, Identity
+from firmware_sim.state import Controller, Holdings, Identity, Memory
 from protocol import records
 from protocol.e2e import protect
 from protocol.endpoint import Endpoint
@@ -45,7 +45,7 @@ from protocol.parameters import counts_nearest
 from protocol.permit import KEY_BYTES, load_key, new_key_file
 from protocol.port import Passed, Port
 from protocol.records import Side
-from protocol.states import ControllerState, Refusal, RuntimeCode, StopCause
+from protocol.states import ControllerState, Refusal, RuntimeCode, StopCause, StopCode
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from runtime.conform.bench import Bench, DeviationError, HaltError
@@ -113,7 +113,10 @@ class Tester(Bench):
 
     def again(self) -> None:
         """End whatever session there is, and let the controller come to rest."""
-        self.stop_now()
+        self.endpoint.abort()
+        if self.endpoint.link.is_open:
+            self.stop(StopCause.OPERATOR_QUIT, StopCode.END)
+            self.port.flush()
         self.endpoint.end_session()
         self.begin()
         until_s = time.monotonic() + HEARTBEAT_S
@@ -315,9 +318,10 @@ class Stage:
         )
         self.seen, self.bus = Seen(), bus
         self.controller = Process(
-            Controller(
+            Controller.powered_up(
                 Identity("SIM-1", load_key(rig.folder / "site.key"), os.urandom(16)),
                 Holdings(limits, calibration, tool),
+                Memory(),
             ),
             Port(bus, endpoint, self.seen.record),
             rig.folder / "memory.json",

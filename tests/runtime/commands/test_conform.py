@@ -62,8 +62,9 @@ def test_a_key_open_to_others_is_refused(place: Path, capsys: pytest.CaptureFixt
     assert "0644" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("fd", [[], ["--fd"]], ids=["classic", "FD"])
 def test_a_simulated_controller_in_its_own_process_passes(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    place: Path, capsys: pytest.CaptureFixture[str], fd: list[str]
 ) -> None:
     """50 and 500 ms: the machine may be slow. The whole suite runs in virtual time elsewhere."""
     site = place / "site.toml"
@@ -78,9 +79,9 @@ def test_a_simulated_controller_in_its_own_process_passes(
         "--key",
         str(place / "key"),
     ]
-    command += ["--interface", "cutgate", "--channel", str(place / "bus.sock")]
+    command += ["--interface", "cutgate", "--channel", str(place / "bus.sock"), *fd]
     only = ("permit: right", "permit: wrong path digest", "start: enabling device released", "second node")
-    more = ["--plant-disconnected", "--json", "--site", str(site), "--out", str(place / "report.json")]
+    more = ["--plant-disconnected", "--json", "--site", str(site), "--out", str(place / "report.json"), *fd]
     with hub_process(place / "bus.sock"):
         assert execute(arguments(place, "--plant-disconnected")) == 2, "nobody announces himself"
         with subprocess.Popen(

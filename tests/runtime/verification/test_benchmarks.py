@@ -75,3 +75,14 @@ def test_bits_of_a_classic_frame_lie_between_none_and_all_stuffed(script):
     assert sent(0, b"").bits == 34 + 6 + 13
     for value in range(256):
         assert 111 <= sent(0x640, bytes([value] * 8)).bits <= script("bits").WORST_BITS
+
+
+def test_no_upload_is_nearer_to_the_bit_rate_than_full_frames_can_be(script):
+    _, *rows = script("wire").pose_and_upload()
+    classic, fd = ({name: row[column] for name, *row in rows} for column in (0, 1))
+    assert classic["bytes of the path"] == fd["bytes of the path"] == str(40 + 20 * 2000)
+    for mode in (classic, fd):
+        lowest, found = (
+            float(mode[name]) for name in ("full frames without stuff bits / limit", "upload / limit")
+        )
+        assert 1.0 < lowest < found < 1.25 * lowest

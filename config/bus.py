@@ -18,7 +18,7 @@ import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import can
 from can.interfaces.socketcan import SocketcanBus
@@ -26,6 +26,9 @@ from can.interfaces.socketcan import SocketcanBus
 SOCKETCAN_CHANNEL: Final = "vcan0"
 LOCAL_INTERFACE: Final = "cutgate"
 LOCAL_CHANNEL: Final = "bus0"
+BITRATE_BIT_S: Final = 1_000_000
+DATA_BITRATE_BIT_S: Final = 5_000_000
+"""Nominal, and of the data of FD frames."""
 RECEIVE_BUFFER_BYTES: Final = 4 * 1024 * 1024
 """Asked of the kernel: its default holds 278 frames, less than one uploaded block may bring at once."""
 
@@ -154,13 +157,17 @@ def socket_path(channel: str = LOCAL_CHANNEL) -> Path:
     return runtime_directory() / f"{channel}.sock"
 
 
-def open_bus(interface: str, channel: str, *, fd: bool = False) -> can.BusABC:
+def open_bus(
+    interface: str, channel: str, *, fd: bool = False, bitrate_bit_s: int = BITRATE_BIT_S
+) -> can.BusABC:
     """Open a bus; see the module's text for what its reader is promised.
 
     Args:
         interface: python-can's name of the interface, `cutgate` for the local virtual bus.
         channel: that interface's channel, for the local bus a socket path or a name.
-        fd: whether CAN FD frames are sent and received.
+        fd: whether CAN FD frames are sent and received, their data at 5 Mbit/s.
+        bitrate_bit_s: what an interface is set to that python-can sets up. The kernel's is set with `ip link`; the
+            virtual ones have none.
 
     Raises:
         can.CanInitializationError: no such interface or channel, nobody serving, or a bus that leaves the machine.
@@ -177,7 +184,10 @@ def open_bus(interface: str, channel: str, *, fd: bool = False) -> can.BusABC:
     try:
         if interface == "socketcan":
             return LatchingSocketcanBus(channel, fd=fd)
-        return can.Bus(channel=channel, interface=interface, fd=fd, ignore_config=True)
+        rates: dict[str, Any] = {"bitrate": bitrate_bit_s}
+        if fd:
+            rates["data_bitrate"] = DATA_BITRATE_BIT_S
+        return can.Bus(channel=channel, interface=interface, fd=fd, ignore_config=True, **rates)
     except can.CanInitializationError:
         raise
     except (can.CanError, NotImplementedError, OSError, ValueError, ImportError) as error:

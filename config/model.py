@@ -186,6 +186,7 @@ def _constant(name: str) -> Any:
 class Bus(Strictly):
     """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program.
 
+    ``bitrate_bit_s``: of an interface that python-can sets up; the kernel's are set with ``ip link``.
     ``fd``: bulk records travel in CAN FD frames; the controller must be set to the same.
     """
 

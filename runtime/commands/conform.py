@@ -67,7 +67,7 @@ def conform(
     fd = fd or settings.bus.fd
     chosen, secret = _inputs(robot, only, key)
     _refuse_existing(out)
-    bus = _open(interface, channel, fd=fd)
+    bus = _open(interface, channel, fd=fd, bitrate_bit_s=settings.bus.bitrate_bit_s)
     try:
         messages().print(escape(ABOUT), soft_wrap=True)
         bench = _bench(bus, secret, settings, fd=fd)
@@ -139,10 +139,10 @@ def _write(out: Path | None, text: str) -> None:
         raise InputError(str(out), "", None, f"cannot be written: {error.strerror}") from None
 
 
-def _open(interface: str, channel: str, *, fd: bool) -> can.BusABC:
+def _open(interface: str, channel: str, *, fd: bool, bitrate_bit_s: int) -> can.BusABC:
     """The bus, on which no session is under way. Raises InputError otherwise."""
     try:
-        bus = open_bus(interface, channel, fd=fd)
+        bus = open_bus(interface, channel, fd=fd, bitrate_bit_s=bitrate_bit_s)
     except (can.CanInitializationError, RuntimeDirectoryError, ValueError) as error:
         raise InputError("bus", "", None, str(error)) from None
     try:

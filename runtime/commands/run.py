@@ -199,10 +199,10 @@ def _bus(interface: str | None, channel: str | None, files: Files, *, fd: bool) 
             chosen = (default[0], chosen[1] or default[1])
         elif chosen[1] is None:
             raise InputError("--channel", "", None, "is needed with --interface", "name the channel")
-        name = f"{chosen[0]}/{chosen[1]}"
-        return open_bus(str(chosen[0]), str(chosen[1]), fd=fd), name
+        bus = open_bus(str(chosen[0]), str(chosen[1]), fd=fd, bitrate_bit_s=site.bitrate_bit_s)
     except (can.CanInitializationError, RuntimeDirectoryError) as error:
         raise InputError("bus", "", None, str(error)) from None
+    return bus, f"{chosen[0]}/{chosen[1]}"
 
 
 def _key(option: Path | None, files: Files) -> bytes:

@@ -141,6 +141,16 @@ def test_any_other_interface_of_python_can_is_opened_by_name():
         assert two.recv(10.0).arbitration_id == 5
 
 
+@pytest.mark.parametrize(
+    ("fd", "rates"), [(False, {"bitrate": 250_000}), (True, {"bitrate": 250_000, "data_bitrate": 5_000_000})]
+)
+def test_an_interface_that_python_can_sets_up_is_told_its_bit_rates(monkeypatch, fd, rates):
+    asked = {}
+    monkeypatch.setattr(can, "Bus", lambda **options: asked.update(options))
+    open_bus("pcan", "PCAN_USBBUS1", fd=fd, bitrate_bit_s=250_000)
+    assert asked == {"channel": "PCAN_USBBUS1", "interface": "pcan", "fd": fd, "ignore_config": True, **rates}
+
+
 class FakeSocket:
     """A CAN socket that records which buffer options succeeded."""
 

@@ -25,6 +25,7 @@ from runtime.audit.disk import Reservation, SystemDisk
 from runtime.commands import app, run
 from runtime.interlock import permissives, table
 from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
+from runtime.interlock.tracking import Watch
 from runtime.session import worker
 
 SECOND_BLOCK = "second block"
@@ -49,6 +50,7 @@ class Script:
         disk_stops_at: from this phase on no sync answers any more.
         space_unanswered: the reservation of space is never answered.
         blind: names of permissives that this defective runtime takes as true.
+        unwatched: this defective runtime does not hold measured joints against the verified path either.
     """
 
     at: str | None = None
@@ -60,6 +62,7 @@ class Script:
     disk_stops_at: Phase | None = None
     space_unanswered: bool = False
     blind: tuple[str, ...] = ()
+    unwatched: bool = False
 
 
 def serve(streams: Sequence[Connection], program: str, arguments: list[str], script: Script | None) -> None:
@@ -128,6 +131,8 @@ def bend(script: Script) -> None:
     for name in script.blind:
         permissive: Any = getattr(permissives, name)
         table.FOR_START = tuple(asked for asked in table.FOR_START if asked is not permissive)
+    if script.unwatched:
+        Watch.sample = lambda watch, _joints, _now_s: (watch, "")  # type: ignore[method-assign]
 
 
 class Trap:

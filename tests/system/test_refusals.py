@@ -67,11 +67,13 @@ def test_an_arm_off_the_start_pose_is_seen_by_the_runtime(rig):
 
 
 def test_an_arm_off_the_start_pose_is_refused_by_the_controller_too(rig):
-    blind = Script(blind=("start_distance", "start_angle"))
+    """Of a runtime that neither asks nor watches: its tracking watch would stop it before START is complete, or after."""
+    blind = Script(blind=("start_distance", "start_angle"), unwatched=True)
     sim, run = rig.permitted("off-start@permitted", script=blind)
     sim.say("hold")
     run.line("not ready to start: measured wrist centre")  # the view is not blind
     until_refused(run, "NOT_AT_START")
+    assert "refused: NOT_AT_START" in sim.line("refused")
     ended(rig, sim, run)
 
 

@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -134,7 +134,7 @@ def of(kind: type[Frame]) -> int:
     return IDS[kind]
 
 
-def nth(can_id: int, which: range, change: Rule) -> Rule:
+def nth(can_id: int, which: Container[int], change: Rule) -> Rule:
     """Apply ``change`` to those frames of an identifier, counted from now."""
     count = 0
 

@@ -250,6 +250,8 @@ def runtime_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C901, 
             )
         case interlock_state.HeartbeatReceived(view, _):
             return _beat_case(state, view)
+        case interlock_state.JointsMeasured(joints_u) if state.phase is Phase.FINISHING:
+            return "at the start joints" if joints_u == builders.START_JOINTS else "elsewhere"
         case interlock_state.RecordDurable(token):
             return "pending token" if token == state.token else "another token"
         case interlock_state.LogChanged(log):
@@ -282,10 +284,10 @@ def _beat_case(state: Any, view: Any) -> str:  # noqa: PLR0911 - one line each
         return view.state.name
     if view.state not in expected:
         return "unexpected state"
-    if view.state is C.DONE:
-        return "DONE"
     if not view.emergency_stop_clear:
         return "emergency stop"
+    if view.state is C.DONE:
+        return "DONE"
     return "expected state" if view.device_pressed else "device released"
 
 
@@ -294,7 +296,7 @@ def _awaits(state: Any) -> str:
     return type(state.awaiting.event).__name__.removesuffix("Received") if state.awaiting else ""
 
 
-def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: PLR0911 - one line each
+def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C901, PLR0911 - one line each
     """What distinguishes this event from others of its kind, where the table looks at it."""
     match event:
         case controller_state.PathChecked(_, refusal, _, _):
@@ -315,6 +317,8 @@ def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: PLR
             if not inputs.emergency_stop_clear:
                 return "emergency stop"
             return "pressed" if inputs.device_pressed else "released"
+        case controller_state.PathFinished():
+            return "at the start joints" if state.measured_u == controllers.START_JOINTS else "elsewhere"
         case controller_state.Tick():
             said = "late" if after_s else "in time"
             return f"{said} after CUT" if state.cut_ordered else said
@@ -473,7 +477,7 @@ def phases() -> str:
     return table(head, rows)
 
 
-LISTS: Final = ("IDENTITY", "COLLECTED", "FOR_RESET", "FOR_PERMIT", "FOR_START", "FINAL")
+LISTS: Final = ("IDENTITY", "COLLECTED", "FOR_RESET", "FOR_PERMIT", "FOR_START", "AT_START", "FINAL")
 NAMED_BOUNDS: Final = {
     "serial_number": "`[controller] serial` of site.toml; any where none is set",
     "limits_approved": "equal to robot.toml's, as canonical bytes",
@@ -604,7 +608,8 @@ Generated from the code by `make docs`; change it there. Every arrow and every r
 handlers bear the names they have in the code. After the slash stands what leaves.
 """
 RUNTIME_WAY: Final = """What enables (permit, start) leaves only from the two phases AUTHORISING, when its record is durable and every
-permissive has held once more at that moment. Stops are left out here; they stand below.
+permissive has held once more at that moment. The controller's word for the end leads to FINISHING, where the heartbeat
+says INHIBIT again: the joints measured next must show the arm back. Stops are left out here; they stand below.
 """
 RUNTIME_HELD: Final = """A controller that carries a stop cause or a latched fault is acknowledged and reset by the operator; the reset passes
 the audit log like a permit.
@@ -622,8 +627,8 @@ at most something is remembered. An ended session (DONE, REFUSED, STOPPED) answe
 """
 PERMISSIVES: Final = """All of a list are judged each time, in this order, so that a person sees every reason at once. `IDENTITY` is judged when
 a controller announces itself, `COLLECTED` when its records are complete, `FOR_RESET`, `FOR_PERMIT` and `FOR_START` when
-the word or the nonce is due and again when the record is durable. What fails of `FINAL` can no longer come true, and
-ends the session at once.
+the word or the nonce is due and again when the record is durable, `AT_START` once more when the controller reports the
+end. What fails of `FINAL` can no longer come true, and ends the session at once.
 """
 CONTROLLER_WAY: Final = """Requests that are refused change nothing and are not drawn. A start moves nothing yet: the arm moves while the last
 fresh heartbeat says CUT with this epoch.

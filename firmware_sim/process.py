@@ -521,7 +521,7 @@ class Process:
         self._measured_joints = self._arm_state.joints
 
     def _measure(self) -> None:
-        """Where the arm stands, for PERMIT and START."""
+        """Where the arm stands, for PERMIT, START and the end of the retract."""
         self._feed(JointsMeasured(records.joints_to_counts(self._arm_state.joints)))
 
     @property
@@ -555,6 +555,7 @@ class Process:
             self._say(f"the arm stopped by itself: {fault.detail}")
             self._feed(Fault(fault.cause))
         elif advance.state.done:
+            self._measure()
             self._feed(PathFinished())
 
     # ------------------------------------------------------------ what is sent

@@ -106,7 +106,7 @@ def _same_branch(case: Case) -> bool:
     return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
 
 
-def _at_start(case: Case) -> bool:
+def at_start(case: Case) -> bool:
     """The arm stands at the bound start joints, within the start tolerance and inside its limits."""
     session, held, measured_u = case.controller.session, case.controller.holdings, case.controller.measured_u
     if session is None or measured_u is None:
@@ -219,7 +219,7 @@ PERMIT_RULES: tuple[Rule, ...] = (
     (Refusal.BRANCH, _same_branch),
     (Refusal.APPROACH, _own_approach),
     (Refusal.APPROACH_SPEED, _speed_as_opened),
-    (Refusal.START_JOINTS, _at_start),
+    (Refusal.START_JOINTS, at_start),
 )
 
 START_RULES: tuple[Rule, ...] = (
@@ -236,7 +236,7 @@ START_RULES: tuple[Rule, ...] = (
     (Refusal.START_JOINTS, lambda c: c.request.start_joints_u == _permit(c).start_joints_u),
     *HELD_RULES,
     (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),
-    (Refusal.NOT_AT_START, _at_start),
+    (Refusal.NOT_AT_START, at_start),
 )
 
 RESET_RULES: tuple[Rule, ...] = (

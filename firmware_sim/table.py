@@ -16,6 +16,7 @@ from firmware_sim.rules import (
     RESET_RULES,
     START_RULES,
     Case,
+    at_start,
     first_refusal,
 )
 from firmware_sim.state import (
@@ -403,10 +404,15 @@ def measured(state: Controller, event: JointsMeasured, _now_s: float) -> Outcome
     return replace(state, measured_u=event.joints_u), ()
 
 
-def finished(state: Controller, _event: PathFinished, _now_s: float) -> Outcome:
-    """The end of the retract: cutting mode off, the permit is spent. It counts only where the arm was free to move."""
+def finished(state: Controller, event: PathFinished, now_s: float) -> Outcome:
+    """The end of the retract: cutting mode off, the permit is spent. It counts only where the arm was free to move.
+
+    The measured arm must be back where it began: a retract that ends elsewhere is a deviation.
+    """
     if not state.may_move:
         return state, ()
+    if not at_start(Case(state, event, now_s)):
+        return stop(state, StopCause.TRACKING_DEVIATION)
     done = replace(
         state,
         state=ControllerState.DONE,

@@ -38,6 +38,7 @@ SAYS: Final = {
     Phase.AUTHORISING_START: "start authorised, its record is being made durable",
     Phase.STARTING: "record durable, start sent",
     Phase.CUTTING: "moving: approach, then cutting",
+    Phase.FINISHING: "the controller reports the end of the retract",
     Phase.STOPPING: "STOP sent",
 }
 """What a person is told on entering a phase."""

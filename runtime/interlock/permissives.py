@@ -412,6 +412,9 @@ FINAL: tuple[Evaluate, ...] = (
 )
 """No operator act can cure these within the session."""
 
+AT_START: tuple[Evaluate, ...] = (start_distance, start_angle)
+"""Where the arm begins, and where it must be back at the end."""
+
 FOR_PERMIT: tuple[Evaluate, ...] = (
     *FINAL,
     heartbeat_fresh,
@@ -419,8 +422,7 @@ FOR_PERMIT: tuple[Evaluate, ...] = (
     not_latched,
     emergency_stop,
     epoch_current,
-    start_distance,
-    start_angle,
+    *AT_START,
 )
 
 FOR_START: tuple[Evaluate, ...] = (

@@ -33,6 +33,8 @@ class Phase(StrEnum):
     AUTHORISING_START = auto()
     STARTING = auto()
     CUTTING = auto()
+    FINISHING = auto()
+    """The controller reports the end of the retract; joints measured since then must show the arm back at its start."""
     STOPPING = auto()
     """A stop has left; the controller's confirmation is awaited for a bounded time."""
     DONE = auto()

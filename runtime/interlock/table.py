@@ -15,6 +15,7 @@ from typing import Any
 from protocol import records
 from protocol.states import WITHDRAWING, ControllerState, Purpose, Refusal, StopCause, StopCode
 from runtime.interlock.permissives import (
+    AT_START,
     COLLECTED,
     FOR_PERMIT,
     FOR_RESET,
@@ -544,10 +545,21 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
 
 
 def heartbeat_while_cutting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """The controller's word for the end is not enough: the joints it measures from then on decide."""
     seen, effects = heartbeat(state, event, now_s)
     if seen.phase is state.phase and event.view.state is ControllerState.DONE:
-        return _enter(seen, Phase.DONE, now_s), (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
+        return _enter(seen, Phase.FINISHING, now_s), ()
     return seen, effects
+
+
+def measured_while_finishing(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
+    """The cut is completed where the arm began, within the start tolerance."""
+    seen, _ = measured(state, event, now_s)
+    off = failing(AT_START, seen, now_s)
+    if off:
+        reason = f"the controller reports the end, but the arm is not back: {_reasons(off)}"
+        return stop(seen, StopCause.TRACKING_DEVIATION, reason, now_s)
+    return _enter(seen, Phase.DONE, now_s), (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
 
 
 def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -654,7 +666,7 @@ Handler = Callable[[Interlock, Any, float], Outcome]
 P = Phase
 
 AUTHORISING = frozenset({P.AUTHORISING_RESET, P.AUTHORISING_PERMIT, P.AUTHORISING_START})
-MOVING = frozenset({P.STARTING, P.CUTTING})
+MOVING = frozenset({P.STARTING, P.CUTTING, P.FINISHING})
 SIGNED = frozenset({P.RESETTING, P.PERMITTING, P.STARTING})
 """Where the answer to a signed record is awaited."""
 
@@ -690,6 +702,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.STARTING, ReplyReceived): start_answered,
     (P.STARTING, HeartbeatReceived): heartbeat_while_cutting,
     (P.CUTTING, HeartbeatReceived): heartbeat_while_cutting,
+    (P.FINISHING, JointsMeasured): measured_while_finishing,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
     (P.STOPPING, FaultReceived): ignored,  # it answers our stop; answering it again would never end
@@ -734,6 +747,7 @@ EXPECTED: dict[Phase, frozenset[ControllerState]] = {
     P.AUTHORISING_START: frozenset({C.PERMITTED}),
     P.STARTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
     P.CUTTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
+    P.FINISHING: frozenset({C.DONE}),
 }
 """What the controller may report in each phase; anything else stops."""
 
@@ -755,6 +769,7 @@ DEADLINES: dict[Phase, Callable[[Timing], float]] = {
     P.NONCE_START: lambda t: t.reply_timeout_s,
     P.AUTHORISING_START: lambda t: t.commit_deadline_s,
     P.STARTING: lambda t: t.reply_timeout_s,
+    P.FINISHING: lambda t: 2 * t.timeout_ms / 1000,  # as long as the tracking watch waits for a sample
     P.STOPPING: lambda t: t.stop_confirm_s,
 }
 """How long each phase may last. CUTTING lasts as long as heartbeats do."""
@@ -777,6 +792,7 @@ MISSED: dict[Phase, tuple[StopCause, str]] = {
     P.NONCE_START: (StopCause.TRANSFER_FAILED, "no nonce for the start"),
     P.AUTHORISING_START: (StopCause.AUDIT_FAILED, "the start's record did not reach the disk"),
     P.STARTING: (StopCause.TRANSFER_FAILED, "no answer to the start"),
+    P.FINISHING: (StopCause.TRACKING_DEVIATION, "no measured joints after the end was reported"),
     P.STOPPING: (StopCause.NONE, "no confirmation of the stop"),
 }
 """What a missed deadline means."""

@@ -12,7 +12,7 @@ from protocol.port import Passed
 from protocol.states import Purpose, Refusal, StopCause
 from runtime.audit import records as audit
 from runtime.audit.log import AuditLog, Paths
-from runtime.interlock.permissives import COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
+from runtime.interlock.permissives import AT_START, COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
 from runtime.interlock.state import (
     Announced,
     BlockStored,
@@ -63,6 +63,7 @@ SHOWN: dict[Phase, tuple[Evaluate, ...]] = {
     Phase.PERMITTED: FOR_START,
     Phase.NONCE_START: FOR_START,
     Phase.AUTHORISING_START: FOR_START,
+    Phase.FINISHING: AT_START,
 }
 """Which permissives a decision taken in this phase rests on."""
 

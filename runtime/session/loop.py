@@ -303,8 +303,10 @@ class Session:
         if sample is None or sample.received_s == self._sample_s:
             return
         self._sample_s = sample.received_s
+        self._look(
+            lambda watch: watch.sample(sample.joints, self._turn_s)
+        )  # the last one too: it may end the session
         self._feed(JointsMeasured(records.joints_to_counts(sample.joints)))
-        self._look(lambda watch: watch.sample(sample.joints, self._turn_s))
 
     def _begin_watch(self) -> None:
         """The arm is watched against the course of the very verdict that was permitted; without one it stops."""

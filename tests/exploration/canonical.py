@@ -126,7 +126,7 @@ def _canonical_view(state: r.Interlock) -> r.Interlock:
     The device and the permitted state count from the permit on, and once the arm moves only what comes next counts.
     """
     view = state.controller
-    if state.phase is r.Phase.CUTTING or view is None:
+    if state.phase in (r.Phase.CUTTING, r.Phase.FINISHING) or view is None:
         return replace(state, controller=None, device=r.DeviceCycle.UNSEEN, heartbeat_fresh=False)
     view = replace(view, cause=cause_class(view.cause))
     if state.phase in BEFORE_PERMIT:
@@ -141,7 +141,7 @@ P = r.Phase
 HELD = frozenset({P.HELD, P.NONCE_RESET, P.AUTHORISING_RESET, P.RESETTING})
 """Where the acknowledged cause is what a reset will name."""
 DEVICE_COUNTS = frozenset({P.PERMITTED, P.NONCE_START, P.AUTHORISING_START, P.STARTING})
-BEFORE_PERMIT = frozenset(P) - r.ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.STOPPING}
+BEFORE_PERMIT = frozenset(P) - r.ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.FINISHING, P.STOPPING}
 
 
 def _canonical_tokens(state: r.Interlock, commits: tuple[r.Commit, ...]) -> RuntimeSide:

@@ -558,7 +558,8 @@ class Model:
         if state.session is not None:
             yield feed("clock", c.HeartbeatLost(), sound=True)
         yield feed("clock", c.Tick(), sound=True, late_s=LATE)
-        yield feed("plant", c.PathFinished(), sound=True)
+        yield feed("plant", c.PathFinished(), sound=True, first=c.JointsMeasured(fixed.START_JOINTS))
+        yield feed("plant", c.PathFinished(), first=c.JointsMeasured(OFF_START))
         yield feed("shell", c.Fault(StopCause.SEQUENCE_ERROR))
         if world.latches:
             yield feed("shell", c.Fault(StopCause.SECOND_NODE))

@@ -712,6 +712,25 @@ def test_the_end_of_the_path_ends_cutting_mode_and_spends_the_permit():
     assert after.session.live
 
 
+@pytest.mark.parametrize(("joint", "tolerance_u"), [(0, 31_830), (2, 500_000), (3, 200_000), (4, -200_000)])
+def test_the_end_of_the_path_counts_only_where_the_measured_arm_is_back_within_the_start_tolerance(
+    joint, tolerance_u
+):
+    inside, beyond = (
+        JointsMeasured((*START_JOINTS[:joint], START_JOINTS[joint] + by_u, *START_JOINTS[joint + 1 :]))
+        for by_u in (tolerance_u, tolerance_u + (3 if tolerance_u > 0 else -3))
+    )
+    assert fed(CUTTING, inside, PathFinished()).state is C.DONE
+    after = fed(CUTTING, beyond, PathFinished())
+    assert (after.state, after.cause) == (C.INHIBITED, StopCause.TRACKING_DEVIATION)
+    assert is_void(after)
+
+
+def test_the_end_of_the_path_does_not_count_without_a_measurement():
+    after = fed(replace(CUTTING, measured_u=None), PathFinished())
+    assert (after.state, after.cause) == (C.INHIBITED, StopCause.TRACKING_DEVIATION)
+
+
 @each_state
 def test_the_end_of_the_path_means_nothing_where_the_arm_was_not_free_to_move(name):
     state = EVERY_STATE[name]

@@ -60,7 +60,7 @@ BEFORE_START = (
 )
 AFTER_START = (
     Moment(Phase.STARTING, sent=True),
-    *map(Moment, (Phase.CUTTING, HALF_THE_CUT, Phase.STOPPING, Phase.DONE)),
+    *map(Moment, (Phase.CUTTING, HALF_THE_CUT, Phase.FINISHING, Phase.STOPPING, Phase.DONE)),
 )
 MOMENTS = (*BEFORE_PERMIT, *BEFORE_START, *AFTER_START)
 
@@ -91,7 +91,7 @@ def killed(folder: Path, moment: Moment, *, unsynced: bool = False) -> Killed:
 
     with Rig(folder) as rig:
         rig.bus.at_once = look
-        sim = rig.sim(scale=FAST if moment.at in (HALF_THE_CUT, Phase.DONE) else 1)
+        sim = rig.sim(scale=FAST if moment.at in (HALF_THE_CUT, Phase.FINISHING, Phase.DONE) else 1)
         if moment.at in RESETS:  # a node that speaks for the controller makes it latch
             rig.bus.bus.send(can.Message(0, IDS[ControllerHeartbeat], is_extended_id=False, data=bytes(8)))
             sim.line("state FAULT")

@@ -124,6 +124,8 @@ VIEW = ControllerView(
 
 START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
 STANDING = JointsMeasured(START_JOINTS)
+ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 2_000_000, *START_JOINTS[3:])
+"""2 mm off the start joints."""
 
 VERDICT = Verdict(
     request=REQUEST,
@@ -233,6 +235,7 @@ EXPECTED_STATE: dict[Phase, ControllerState] = {
     Phase.AUTHORISING_START: ControllerState.PERMITTED,
     Phase.STARTING: ControllerState.PERMITTED,
     Phase.CUTTING: ControllerState.CUTTING,
+    Phase.FINISHING: ControllerState.DONE,
     Phase.HELD: ControllerState.FAULT,
     Phase.NONCE_RESET: ControllerState.FAULT,
     Phase.AUTHORISING_RESET: ControllerState.FAULT,
@@ -280,6 +283,7 @@ def events(state: Interlock) -> list[Event]:
         beat(epoch=epoch + 1),
         beat(ControllerState.PERMITTED, epoch=epoch, fresh=False),
         STANDING,
+        JointsMeasured(ELSEWHERE),
         *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
         LogChanged(state.log),
         *(Said(word) for word in Word),
@@ -393,6 +397,7 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.AUTHORISING_START: lambda s: (RecordDurable(s.token),),
     Phase.STARTING: lambda _s: (reply(records.Start),),
     Phase.CUTTING: lambda _s: (beat(ControllerState.CUTTING), beat(ControllerState.DONE)),
+    Phase.FINISHING: lambda _s: (STANDING,),
     Phase.HELD: lambda s: (
         beat(ControllerState.FAULT, epoch=s.epoch, cause=StopCause.NONE),
         Said(Word.RESET),

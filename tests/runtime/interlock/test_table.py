@@ -58,6 +58,7 @@ from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
     BOOT_NONCE,
+    ELSEWHERE,
     EPOCH,
     FRESH,
     JOB,
@@ -98,8 +99,6 @@ ENABLING_PHASES = {
     Phase.AUTHORISING_RESET: (records.Reset, Phase.RESETTING, Phase.HELD, p.FOR_RESET),
 }
 PENDING = RecordDurable(TOKEN)
-ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 2_000_000, *START_JOINTS[3:])
-"""2 mm off the start joints."""
 each_phase = pytest.mark.parametrize("phase", LIVE, ids=str)
 each_authorising = pytest.mark.parametrize("phase", ENABLING_PHASES, ids=str)
 
@@ -123,8 +122,13 @@ def test_nothing_enables_but_the_pending_durable_record(phase):
             assert not more_permissive, event
 
 
+ORDERS = MOVING - {Phase.FINISHING}
+"""Where the heartbeat orders the cut. Once the end is reported nothing is ordered any more, only watched."""
+
+
 def test_only_two_phases_order_the_cut_and_each_is_reached_through_its_start():
-    assert {phase for phase, order in HEARTBEAT_CODE.items() if order is RuntimeCode.CUT} == MOVING
+    assert {phase for phase, order in HEARTBEAT_CODE.items() if order is RuntimeCode.CUT} == ORDERS
+    assert len(ORDERS) == 2
     for phase in Phase:
         state = in_phase(phase)
         for event in events(state):
@@ -451,7 +455,7 @@ def test_a_heartbeat_before_the_opened_record_is_seen_and_judged_later():
     assert after.controller == view(ControllerState.FAULT, cause=StopCause.BONE_MOVED)
 
 
-@pytest.mark.parametrize("phase", MOVING, ids=str)
+@pytest.mark.parametrize("phase", ORDERS, ids=str)
 @pytest.mark.parametrize("kind", [ControllerState.PERMITTED, ControllerState.CUTTING], ids=str)
 def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
     _, effects = step(in_phase(phase), beat(kind, device_pressed=False), NOW)
@@ -462,10 +466,48 @@ def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
 
 @pytest.mark.parametrize("phase", MOVING, ids=str)
 @pytest.mark.parametrize("pressed", [True, False])
-def test_done_ends_the_session_in_order_also_with_the_device_already_released(phase, pressed):
-    after, effects = step(in_phase(phase), beat(ControllerState.DONE, device_pressed=pressed), NOW)
+def test_done_and_the_arm_back_end_the_session_in_order_also_with_the_device_already_released(phase, pressed):
+    done = beat(ControllerState.DONE, device_pressed=pressed)
+    after, effects = step(in_phase(phase), done, NOW)
+    assert (after.phase, after.cause, effects) == (Phase.FINISHING, StopCause.NONE, ())
+    after, effects = step(step(after, done, NOW)[0], STANDING, NOW)
     assert (after.phase, after.cause) == (Phase.DONE, StopCause.NONE)
     assert effects == (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
+
+
+def off_start(joint, by_u):
+    """Joints measured so far off the start, 1e-6 deg | mm."""
+    return JointsMeasured((*START_JOINTS[:joint], START_JOINTS[joint] + by_u, *START_JOINTS[joint + 1 :]))
+
+
+@pytest.mark.parametrize(("joint", "tolerance_u"), [(2, 500_000), (3, 200_000), (4, -200_000)])
+def test_the_end_counts_within_the_start_tolerance_and_not_beyond(joint, tolerance_u):
+    inside, beyond = (off_start(joint, tolerance_u * part // 1_000_000) for part in (1_000_000, 1_000_005))
+    state = in_phase(Phase.FINISHING)
+    assert step(state, inside, NOW)[0].phase is Phase.DONE
+    after, effects = step(state, beyond, NOW)
+    assert (after.phase, after.cause) == (Phase.STOPPING, StopCause.TRACKING_DEVIATION)
+    assert stops(effects) == [StopCause.TRACKING_DEVIATION]
+    assert "the controller reports the end, but the arm is not back: measured" in after.reason
+    assert "(required: <= 0." in after.reason
+
+
+def test_only_what_is_measured_after_the_end_was_reported_counts_for_it():
+    """The sample from before stood at the start; the next one does not."""
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(STANDING, beat(ControllerState.DONE))
+    assert run.phase is Phase.FINISHING
+    run.feed(JointsMeasured(ELSEWHERE))
+    assert run.state.cause is StopCause.TRACKING_DEVIATION
+
+
+def test_an_end_that_is_taken_back_is_a_violation():
+    after, _ = step(in_phase(Phase.FINISHING), beat(ControllerState.CUTTING), NOW)
+    assert after.cause is StopCause.PROTOCOL_VIOLATION
+
+
+def test_an_emergency_stop_counts_until_the_session_has_ended():
+    pressed = beat(ControllerState.DONE, emergency_stop_clear=False)
+    assert step(in_phase(Phase.FINISHING), pressed, NOW)[0].cause is StopCause.EMERGENCY_STOP
 
 
 @pytest.mark.parametrize("kind", ControllerState, ids=str)
@@ -543,10 +585,10 @@ def test_every_phase_that_waits_has_a_deadline(phase):
         return
     bound_s = DEADLINES[phase](TIMING)
     cause, _ = MISSED[phase]
-    state = in_phase(phase, since_s=NOW)
-    for inside in (NOW, NOW + bound_s):
+    state = in_phase(phase, since_s=0.0)  # from 0 on, for no sum to be rounded
+    for inside in (0.0, bound_s):
         assert step(state, Tick(), inside) == (state, ())
-    for outside in (math.nextafter(NOW + bound_s, math.inf), NOW - 0.1, math.nan):
+    for outside in (math.nextafter(bound_s, math.inf), -0.1, math.nan):
         after, effects = step(state, Tick(), outside)
         if phase is Phase.STOPPING:
             assert (after.phase, effects) == (Phase.STOPPED, ())
@@ -1047,7 +1089,7 @@ def test_the_happy_path_from_announcement_to_done():
     ):
         run.until(phase)
         codes[phase] = code(run.state)
-    assert {phase for phase, order in codes.items() if order is RuntimeCode.CUT} == MOVING
+    assert {phase for phase, order in codes.items() if order is RuntimeCode.CUT} == ORDERS
     assert {phase for phase, order in codes.items() if order is RuntimeCode.READY} == {
         Phase.PERMITTING,
         Phase.PERMITTED,
@@ -1058,6 +1100,7 @@ def test_the_happy_path_from_announcement_to_done():
     assert (run.phase, run.effects) == (Phase.CUTTING, ())
     run.feed(Tick(), after_s=3600.0)
     assert run.phase is Phase.CUTTING
+    assert code(run.until(Phase.FINISHING).state) is RuntimeCode.INHIBIT
     run.until(Phase.DONE)
     assert run.state.cause is StopCause.NONE
 

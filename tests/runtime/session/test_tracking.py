@@ -3,6 +3,7 @@
 import math
 import random
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -168,10 +169,70 @@ def test_progress_that_jumps_while_the_joints_do_not_is_stopped(pair, monkeypatc
 def test_a_controller_that_says_done_too_early_is_not_believed(pair):
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT, 0.1)
-    pair.process._arm_state = replace(pair.process._arm_state, done=True)
+    pair.process.controller = replace(pair.controller, state=ControllerState.DONE)
     pair.turn()
     assert pair.end() is Phase.STOPPED
     assert "the controller reports the end, at most" in pair.state.reason
+
+
+def test_an_end_elsewhere_than_at_the_start_is_none_for_the_controller_itself(pair):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT, 0.1)
+    pair.process._arm_state = replace(pair.process._arm_state, done=True)
+    assert pair.end() is Phase.STOPPED
+    assert (pair.controller.state, pair.controller.cause) == (
+        ControllerState.INHIBITED,
+        StopCause.TRACKING_DEVIATION,
+    )
+    assert not any(beat.state is ControllerState.DONE for _, beat in pair.wire.frames(ControllerHeartbeat))
+    assert pair.state.reason == "the controller reports TRACKING_DEVIATION"
+
+
+def test_a_drift_so_late_that_done_is_reported_is_no_completed_cut(pair):
+    """Within tolerance of the path all the way, by a site's wide one; the controller does not see it at all."""
+    wide = replace(pair.job.timing, tracking_tolerance_mm=5.0, tracking_tolerance_deg=2.0)
+    pair.power_up(time_scale=1.0)
+    pair.begin(replace(pair.job, timing=wide))
+    on(pair, Leg.RETRACT, 0.8)
+    pair.process._happen(FaultName.DRIFT)
+    assert pair.end() is Phase.STOPPED
+    assert any(line.startswith("state DONE") for line in pair.said)
+    assert pair.state.cause is StopCause.TRACKING_DEVIATION
+    assert pair.state.reason.startswith(
+        "the controller reports the end, but the arm is not back: measured wrist centre to the verified start: "
+    )
+    assert pair.controller.cause is StopCause.TRACKING_DEVIATION
+    pair.close()
+    last = next(entry for entry in pair.read().of("/audit/decision") if entry["from_state"] == "finishing")
+    assert (last["event"], last["to_state"], last["first_out"]) == (
+        "joints measured",
+        "stopping",
+        "TRACKING_DEVIATION",
+    )
+    assert last["reason"] == pair.state.reason
+    assert last["permissives"][0]["holds"] is False
+    assert pair.replayed().outcome is Outcome.IDENTICAL
+
+
+def after_the_end(pair, rule, message):
+    """The rule holds from the controller's DONE on."""
+    return rule(message) if pair.controller.state is ControllerState.DONE else [message]
+
+
+@pytest.mark.parametrize("lost", [2, 1000])
+def test_the_end_waits_for_joints_measured_after_it_and_not_for_ever(pair, lost):
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.RETRACT)
+    losing = [nth(of(kind), range(lost), lose) for kind in JOINTS]
+    pair.wire.rules += [partial(after_the_end, pair, rule) for rule in losing]
+    pair.until(lambda: pair.phase is Phase.FINISHING)
+    began_s = pair.clock()
+    if lost == 2:
+        assert pair.end() is Phase.DONE
+        return
+    assert "no measured joints" in stopped_by_the_watch(pair)
+    (stop, _) = pair.wire.frames(RuntimeStop)[0]
+    assert stop.at_s - began_s <= 0.200 + 2 * pair.turn_s
 
 
 @pytest.mark.parametrize("kind", [*JOINTS, Progress])

@@ -38,9 +38,11 @@ c-sources: $(READY)
 coverage-own: $(READY)
 	$(BIN)/python -m mutation.modules
 
-# Tests of the tests, an hour or two; fails on a survivor that mutation/survivors.toml does not list.
+# Tests of the tests, some minutes; fails unless mutation/survivors.toml lists exactly what lives.
+# MODULES, SAMPLE and JOBS make it less or slower; WRITE=docs/mutation.md writes the page as well.
 mutation: $(READY)
-	$(BIN)/python -m mutation.run $(if $(SAMPLE),--sample $(SAMPLE)) $(MODULES)
+	$(BIN)/python -m mutation.run $(if $(JOBS),--jobs $(JOBS)) $(if $(SAMPLE),--sample $(SAMPLE)) \
+		$(if $(WRITE),--write $(WRITE)) $(MODULES)
 
 # Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 bench: $(READY)

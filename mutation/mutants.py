@@ -1,8 +1,7 @@
-"""Small, plausible mistakes in one module: each mutant is the module's source with one of them made.
+"""Small, plausible mistakes in one module: each mutant is the module's syntax tree with one of them made.
 
-Comparisons flip, conditions are negated, ``and`` and ``or`` change places, numbers grow by one, truth values flip;
-entries of tables and keyword arguments vanish, and so do early returns, raises and calls made for their effect.
-Strings and assertions are left alone: the ones are for people, the others for the type checker.
+Each operator below makes one kind of mistake; its docstring says which. Strings, annotations and assertions are left
+alone: the first are for people, the others for the type checker.
 """
 
 import ast
@@ -15,16 +14,33 @@ FLIPPED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
 }  # fmt: skip
+SWAPPED: Final[dict[type[ast.operator], type[ast.operator]]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.FloorDiv, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.FloorDiv, ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.BitOr: ast.BitAnd,
+    ast.BitAnd: ast.BitOr, ast.BitXor: ast.BitOr,
+}  # fmt: skip
 ENTRIES_MIN: Final = 2
 """A table of one entry is no table."""
+
+Change = Callable[[Any], Any]
+"""Makes the mistake in the node it is given."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One mistake: where, what it makes of what, and the whole module with it."""
+    """One mistake: where, what it makes of what, of which kind, and the whole module with it.
+
+    Every line keeps its number, so that a function without the mistake compiles to what it was.
+    """
 
     name: str
-    source: str
+    kind: str
+    tree: ast.Module
+
+    @property
+    def source(self) -> str:
+        """The module as it would be written."""
+        return ast.unparse(self.tree)
 
 
 def mutants(source: str) -> list[Mutant]:
@@ -32,77 +48,193 @@ def mutants(source: str) -> list[Mutant]:
     tree = ast.parse(source)
     found: list[Mutant] = []
     met: dict[str, int] = {}
-    for place, node in enumerate(ast.walk(tree)):
-        for change in _changes(node):
-            copy = deepcopy(tree)
-            twin = next(other for number, other in enumerate(ast.walk(copy)) if number == place)
-            where, before = _where(tree, node), _short(node)
-            change(twin)
-            name = f"{where}: {before} -> {_short(twin)}"
-            met[name] = met.get(name, 0) + 1
-            numbered = name if met[name] == 1 else f"{name} ({met[name]})"
-            found.append(Mutant(numbered, ast.unparse(ast.fix_missing_locations(copy))))
+    for number, statement in enumerate(tree.body):
+        for place, (where, node) in enumerate(_walk(statement)):
+            for kind, operator in OPERATORS.items():
+                for change in operator(node):
+                    copy = deepcopy(statement)
+                    twin = _walk(copy)[place][1]
+                    change(twin)
+                    name = f"{where}: {_short(node)} -> {_short(twin)}"
+                    met[name] = met.get(name, 0) + 1
+                    numbered = name if met[name] == 1 else f"{name} ({met[name]})"
+                    body = [*tree.body[:number], ast.fix_missing_locations(copy), *tree.body[number + 1 :]]
+                    found.append(Mutant(numbered, kind, ast.Module(body, [])))
     return found
 
 
-def _changes(node: ast.AST) -> Iterator[Callable[[Any], None]]:  # noqa: C901, PLR0912 - one case a kind of mistake
+def _walk(statement: ast.stmt) -> list[tuple[str, ast.AST]]:
+    """Every node but those in annotations and assertions, outer ones first, and where it stands."""
+    nodes: list[tuple[str, ast.AST]] = [(_name(statement), statement)]
+    for where, node in nodes:
+        for field, value in ast.iter_fields(node):
+            if field in {"annotation", "returns"}:
+                continue
+            for inner in value if isinstance(value, list) else [value]:
+                if isinstance(inner, ast.AST) and not isinstance(inner, ast.Assert):
+                    method = isinstance(node, ast.ClassDef) and isinstance(inner, ast.FunctionDef)
+                    nodes.append((f"{where}.{_name(inner)}" if method else where, inner))
+    return nodes
+
+
+# ---------------------------------------------------------------- the operators
+
+
+def comparison(node: ast.AST) -> Iterator[Change]:
+    """A comparison is flipped, or its bound goes to the other side."""
+    if isinstance(node, ast.Compare):
+        for number, op in enumerate(node.ops):
+            yield lambda twin, number=number, op=op: _put(twin.ops, number, FLIPPED[type(op)]())
+
+
+def connective(node: ast.AST) -> Iterator[Change]:
+    """``and`` and ``or`` change places."""
+    if isinstance(node, ast.BoolOp):
+        other = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        yield lambda twin: setattr(twin, "op", other)
+
+
+def negation(node: ast.AST) -> Iterator[Change]:
+    """A condition that is no comparison is negated, and so is what stands between ``and`` and ``or``."""
+    negated = {ast.Not: ast.Not(), ast.USub: ast.USub()}
     match node:
-        case ast.Compare(ops=ops):
-            for number, op in enumerate(ops):
-                yield lambda twin, number=number, op=op: _set(twin.ops, number, FLIPPED[type(op)]())
-        case ast.BoolOp(op=op):
-            yield lambda twin, op=op: setattr(twin, "op", ast.Or() if isinstance(op, ast.And) else ast.And())
-        case ast.If(test=test) | ast.IfExp(test=test) if not isinstance(test, ast.Compare):
+        case ast.If(test=test) | ast.IfExp(test=test) | ast.While(test=test) if not _own(test):
             yield lambda twin: setattr(twin, "test", ast.UnaryOp(ast.Not(), twin.test))
-        case ast.Constant(value=bool() as value):
-            yield lambda twin, value=value: setattr(twin, "value", not value)
-        case ast.Constant(value=int() | float() as value):
-            yield lambda twin, value=value: setattr(twin, "value", value + 1)
-        case ast.Dict(keys=keys) if len(keys) >= ENTRIES_MIN:
-            for number in range(len(keys)):
-                yield lambda twin, number=number: (twin.keys.pop(number), twin.values.pop(number))  # type: ignore[func-returns-value]
-        case ast.Set(elts=elts) if len(elts) >= ENTRIES_MIN:
-            for number in range(len(elts)):
-                yield lambda twin, number=number: twin.elts.pop(number)
-        case ast.AnnAssign(value=ast.Tuple(elts=elts)) if len(elts) >= ENTRIES_MIN:
-            for number in range(len(elts)):
-                yield lambda twin, number=number: twin.value.elts.pop(number)
-        case ast.Call(keywords=keywords):
-            for number, keyword in enumerate(keywords):
-                if keyword.arg:
-                    yield lambda twin, number=number: twin.keywords.pop(number)
-    yield from _deletions(node)
+        case ast.UnaryOp(op=ast.Not() | ast.USub() as op):
+            yield lambda twin: setattr(twin, "operand", ast.UnaryOp(negated[type(op)], twin.operand))
+        case ast.BoolOp(values=items) | ast.comprehension(ifs=items):
+            for number, item in enumerate(items):
+                if not _own(item):
+                    yield lambda twin, number=number: _negate(
+                        twin.values if isinstance(twin, ast.BoolOp) else twin.ifs, number
+                    )
 
 
-def _deletions(node: ast.AST) -> Iterator[Callable[[Any], None]]:
-    """Early returns, raises and calls made for their effect."""
-    if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Return | ast.Raise):
-        yield lambda twin: _set(twin.body, -1, ast.Pass())
-    for number, statement in enumerate(getattr(node, "body", []) if isinstance(node, ast.stmt) else []):
-        if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
-            yield lambda twin, number=number: _set(twin.body, number, ast.Pass())
+def _own(test: ast.expr) -> bool:
+    """Whether the expression has mutants of its own that turn it round, or is only a text to be shown."""
+    turned = isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not)
+    return turned or isinstance(test, ast.Compare | ast.Constant)
 
 
-def _set(items: list[Any], number: int, value: Any) -> None:
-    items[number] = value
+def truth(node: ast.AST) -> Iterator[Change]:
+    """A truth value flips."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield lambda twin: setattr(twin, "value", not twin.value)
+
+
+def number(node: ast.AST) -> Iterator[Change]:
+    """A number grows by one."""
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        yield lambda twin: setattr(twin, "value", twin.value + 1)
+
+
+def arithmetic(node: ast.AST) -> Iterator[Change]:
+    """Plus and minus, times and divided, the bits' and and or, and the shifts change places."""
+    if isinstance(node, ast.BinOp | ast.AugAssign) and type(node.op) in SWAPPED:
+        yield lambda twin: setattr(twin, "op", SWAPPED[type(twin.op)]())
+
+
+def entry(node: ast.AST) -> Iterator[Change]:
+    """An entry of a table or a set vanishes."""
+    match node:
+        case ast.Dict(keys=entries) | ast.Set(elts=entries):
+            pass
+        case ast.Assign(value=ast.Tuple(elts=entries)) | ast.AnnAssign(value=ast.Tuple(elts=entries)):
+            pass
+        case _:
+            return
+    for place in range(len(entries) if len(entries) >= ENTRIES_MIN else 0):
+        yield lambda twin, place=place: [
+            column.pop(place) for column in _columns(getattr(twin, "value", twin))
+        ]
+
+
+def _columns(table: ast.AST) -> list[list[Any]]:
+    return [table.keys, table.values] if isinstance(table, ast.Dict) else [table.elts]  # type: ignore[attr-defined]
+
+
+def argument(node: ast.AST) -> Iterator[Change]:
+    """A keyword argument is left out."""
+    if isinstance(node, ast.Call):
+        for place, keyword in enumerate(node.keywords):
+            if keyword.arg:
+                yield lambda twin, place=place: twin.keywords.pop(place)
+
+
+def leaving(node: ast.AST) -> Iterator[Change]:
+    """An early return or a raise is left out."""
+    match node:
+        case ast.If(body=body) | ast.match_case(body=body) | ast.ExceptHandler(body=body) if isinstance(
+            body[-1], ast.Return | ast.Raise
+        ):
+            yield lambda twin: _put(twin.body, -1, ast.Pass())
+
+
+def effect(node: ast.AST) -> Iterator[Change]:
+    """A call made for its effect is left out."""
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+        yield lambda twin: setattr(twin, "value", ast.Constant(...))
+
+
+def memory(node: ast.AST) -> Iterator[Change]:
+    """What is to be remembered in an attribute or an entry is not."""
+    match node:
+        case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
+            yield lambda twin: _put(twin.targets, 0, ast.Name("_", ast.Store()))
+        case ast.AnnAssign(target=ast.Attribute(), value=ast.expr()):
+            yield lambda twin: (
+                setattr(twin, "target", ast.Name("_", ast.Store())),
+                setattr(twin, "simple", 1),
+            )
+
+
+def _put(items: list[Any], place: int, value: Any) -> None:
+    items[place] = value
+
+
+def _negate(items: list[ast.expr], place: int) -> None:
+    items[place] = ast.UnaryOp(ast.Not(), items[place])
+
+
+OPERATORS: Final[dict[str, Callable[[ast.AST], Iterator[Change]]]] = {
+    operator.__name__: operator
+    for operator in (
+        comparison,
+        connective,
+        negation,
+        truth,
+        number,
+        arithmetic,
+        entry,
+        argument,
+        leaving,
+        effect,
+        memory,
+    )
+}
+"""Every kind of mistake that is made."""
+
+
+# ---------------------------------------------------------------- names
 
 
 def _short(node: ast.AST) -> str:
-    """The code in one line; of a statement with a body, head and last statement."""
-    if isinstance(node, ast.If):
-        return f"if {ast.unparse(node.test)}: {ast.unparse(node.body[-1])}"
-    if isinstance(node, ast.FunctionDef | ast.With | ast.Try | ast.For | ast.While | ast.ClassDef):
-        return "; ".join(ast.unparse(statement).partition("\n")[0] for statement in node.body)
+    """The code in one line; of what has a body, its head and last statement."""
+    match node:
+        case ast.If():
+            return f"if {ast.unparse(node.test)}: {ast.unparse(node.body[-1])}"
+        case ast.While():
+            return f"while {ast.unparse(node.test)}"
+        case ast.match_case():
+            return f"case {ast.unparse(node.pattern)}: {ast.unparse(node.body[-1])}"
+        case ast.ExceptHandler():
+            return f"except {ast.unparse(node.type) if node.type else ''}: {ast.unparse(node.body[-1])}"
     return " ".join(ast.unparse(node).split())
 
 
-def _where(tree: ast.Module, node: ast.AST) -> str:
-    """The function, class or name that the node stands in."""
-    for statement in tree.body:
-        if any(inner is node for inner in ast.walk(statement)):
-            if isinstance(statement, ast.Assign):
-                return ast.unparse(statement.targets[0])
-            if isinstance(statement, ast.AnnAssign):
-                return ast.unparse(statement.target)
-            return str(getattr(statement, "name", "module"))
-    return "module"
+def _name(statement: ast.AST) -> str:
+    """The function, class or name that the statement defines."""
+    match statement:
+        case ast.Assign(targets=[target, *_]) | ast.AnnAssign(target=target):
+            return ast.unparse(target)
+    return str(getattr(statement, "name", "module"))

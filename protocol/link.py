@@ -121,7 +121,7 @@ class Link:
     """
 
     def __init__(self, side: Side, timeout_s: float, heartbeat_s: float, *, fd: bool = False) -> None:
-        if not 0.0 < PERIODS_MIN * heartbeat_s <= timeout_s < COUNTER_MODULUS * heartbeat_s:
+        if not PERIODS_MIN * heartbeat_s <= timeout_s < COUNTER_MODULUS * heartbeat_s:
             raise ValueError(
                 f"time-out {timeout_s} s must be {PERIODS_MIN} to {COUNTER_MODULUS - 1} heartbeats of {heartbeat_s} s"
             )

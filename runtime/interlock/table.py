@@ -342,7 +342,7 @@ def parameter(state: Interlock, event: ParameterReceived, now_s: float) -> Outco
     refusing = failing(COLLECTED, got, now_s)
     if refusing:
         return refuse(got, _reasons(refusing), now_s)
-    return _enter(got, Phase.UPLOADING, now_s, block=0), (SendBlock(0),)
+    return _enter(got, Phase.UPLOADING, now_s), (SendBlock(got.block),)
 
 
 def parameter_changed(state: Interlock, event: ParameterReceived, now_s: float) -> Outcome:

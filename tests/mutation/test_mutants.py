@@ -5,35 +5,65 @@ import sys
 
 import pytest
 
+from mutation import run
+from mutation.forked import Verdict
 from mutation.modules import OWN_TESTS, ROOT
-from mutation.mutants import mutants
-from mutation.run import listed
+from mutation.mutants import OPERATORS, mutants
+from mutation.run import complaints, listed, sample, strangers
+
+SAMPLE = 12
 
 SOURCE = """
 TABLE = {1: f, 2: g}
-def admits(value, state):
+CODES = (1, 2)
+def admits(self, value, state: A | None = None):
+    assert value < 99
     if not state:
         return False
-    return 0.0 <= value < 7 and state is not None
+    self.seen += state.count
+    self.last = value
+    state.note(value, loud=True)
+    match state.kind:
+        case K.OPEN:
+            return held(value)
+    return 0.0 <= value < 7 and state is not None or state.calm
 """
 
 
 @pytest.mark.parametrize(
-    "made",
+    ("kind", "made"),
     [
-        "TABLE = {2: g}",
-        "if not not state:",
-        "pass",
-        "return True",
-        "return 0.0 < value < 7 and",
-        "return 0.0 <= value <= 7 and",
-        "return 0.0 <= value < 8 and",
-        "value < 7 and state is None",
-        "value < 7 or state is not None",
+        ("entry", "TABLE = {2: g}"),
+        ("entry", "CODES = (2,)"),
+        ("negation", "if not not state:"),
+        ("negation", "is not None or not state.calm"),
+        ("leaving", "if not state:\n        pass"),
+        ("leaving", "case K.OPEN:\n            pass"),
+        ("truth", "return True"),
+        ("truth", "loud=False"),
+        ("comparison", "return 0.0 < value < 7 and"),
+        ("comparison", "return 0.0 <= value <= 7 and"),
+        ("comparison", "value < 7 and state is None"),
+        ("number", "return 0.0 <= value < 8 and"),
+        ("connective", "(0.0 <= value < 7 or state is not None) or"),
+        ("arithmetic", "self.seen -= state.count"),
+        ("argument", "state.note(value)"),
+        ("effect", "self.last = value\n    ..."),
+        ("memory", "_ = value"),
     ],
 )
-def test_each_kind_of_mistake_is_made_once(made):
-    assert sum(made in mutant.source for mutant in mutants(SOURCE)) == 1
+def test_each_kind_of_mistake_is_made_once(kind, made):
+    assert [mutant.kind for mutant in mutants(SOURCE) if made in mutant.source] == [kind]
+
+
+def test_every_operator_is_tried_above():
+    assert {mutant.kind for mutant in mutants(SOURCE)} == set(OPERATORS)
+
+
+def test_strings_annotations_and_assertions_are_left_alone():
+    for mutant in mutants(SOURCE):
+        assert "state: A | None=None" in mutant.source
+        assert "assert value < 99" in mutant.source
 
 
 def test_no_mutant_is_the_original_and_no_two_share_a_name():
@@ -42,11 +72,43 @@ def test_no_mutant_is_the_original_and_no_two_share_a_name():
     assert SOURCE.strip() not in {mutant.source for mutant in found}
 
 
+def test_a_name_says_where_and_outlives_moved_lines():
+    method = "class A:\n    def f(self):\n        return 1\n"
+    assert [mutant.name for mutant in mutants(method)] == ["A.f: 1 -> 2"]
+    assert [mutant.name for mutant in mutants("\n\n" + method)] == ["A.f: 1 -> 2"]
+
+
+# ---------------------------------------------------------------- the list
+
+
 def test_every_listed_survivor_is_a_mutant_and_has_a_reason():
-    for module in {module for module, _ in listed()}:
-        names = {mutant.name for mutant in mutants((ROOT / module).read_text(encoding="utf-8"))}
-        assert {name for other, name in listed() if other == module} <= names
+    assert strangers(listed()) == []
     assert all(len(reason) > 10 for reason in listed().values())
+
+
+def test_what_is_no_mutant_must_not_be_listed():
+    assert strangers({("protocol/e2e.py", "crc16: 1 -> 2"): "why"}) == [
+        "STALE survivor protocol/e2e.py crc16: 1 -> 2: there is no such mutant"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "known", "said"),
+    [
+        (Verdict.FAILED, False, None),
+        (Verdict.UNIMPORTABLE, False, None),
+        (Verdict.HANGS, False, None),
+        (Verdict.ALIVE, False, "NEW"),
+        (Verdict.UNDECIDED, False, "NEW"),
+        (Verdict.ALIVE, True, None),
+        (Verdict.FAILED, True, "STALE"),
+        (Verdict.HANGS, True, "STALE"),
+    ],
+)
+def test_the_list_holds_what_lives_and_nothing_else(verdict, known, said):
+    reasons = {("m.py", "f: 1 -> 2"): "why"} if known else {}
+    found = complaints("m.py", {"f: 1 -> 2": verdict}, reasons)
+    assert [line.split()[0] for line in found] == ([said] if said else [])
 
 
 def test_every_named_module_and_test_file_is_there():
@@ -54,9 +116,31 @@ def test_every_named_module_and_test_file_is_there():
         assert all((ROOT / name).is_file() for name in (module, *tests))
 
 
-def test_a_few_mutants_of_the_end_to_end_check_are_killed():
-    """The short mode: the rest runs with make mutation."""
-    words = [sys.executable, "-m", "mutation.run", "protocol/e2e.py", "--sample", "3"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
+# ---------------------------------------------------------------- the run
+
+
+def test_a_sample_is_spread_and_always_the_same_until_a_module_changes(monkeypatch):
+    found = {module: mutants((ROOT / module).read_text(encoding="utf-8")) for module in OWN_TESTS}
+    first = sample(found, 40)
+    assert sum(map(len, first.values())) == 40
+    assert sum(map(bool, first.values())) > len(OWN_TESTS) / 2
+    assert sample(found, 40) == first
+    monkeypatch.setattr(run, "_source", lambda _module: "changed")
+    assert sample(found, 40) != first
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("module", OWN_TESTS)
+def test_a_few_mutants_of_each_module_end_as_the_list_says(module):
+    """The short mode; which few changes with the modules. The rest runs with make mutation."""
+    words = [sys.executable, "-m", "mutation.run", module, "--sample", str(SAMPLE), "--jobs", "2"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 mutants, 3 killed" in done.stdout
+    assert f"{module}: {SAMPLE} mutants" in done.stdout
+
+
+def test_the_page_is_about_a_whole_run_only(tmp_path):
+    words = [sys.executable, "-m", "mutation.run", "protocol/e2e.py", "--write", str(tmp_path / "page")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "whole run" in done.stderr

@@ -1,14 +1,14 @@
 """One side's single frames: age, counters, session, second node, stop."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.e2e import protect
+from protocol.e2e import intact, protect
 from protocol.frames import (
     BULK_IDS,
     CONTROL_IDS,
@@ -30,8 +30,10 @@ from protocol.link import (
     Accepted,
     Discarded,
     ForTransfer,
+    JointSample,
     Link,
     Outcome,
+    Statistics,
     Unlisted,
     Violation,
 )
@@ -84,6 +86,29 @@ def test_timing_that_cannot_show_age_is_refused(timeout_s: float, heartbeat_s: f
         Link(Side.RUNTIME, timeout_s, heartbeat_s)
 
 
+@pytest.mark.parametrize("factor", [3.0, 255.0])
+def test_timing_at_the_ends_of_its_range_is_taken(factor: float):
+    assert Link(Side.RUNTIME, factor * 0.25, 0.25).timeout_s == factor * 0.25
+
+
+def test_a_counter_that_goes_round_within_the_time_out_shows_no_age():
+    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
+        Link(Side.RUNTIME, 256 * 0.25, 0.25)
+
+
+def test_a_link_is_made_closed():
+    made = Link(Side.RUNTIME, TIMEOUT_S, PERIOD_S)
+    assert not made.is_open
+    assert made.receive(IDS[ControllerHeartbeat], bytes(8), now_s=0.0) == Discarded("no session")
+
+
+@pytest.mark.parametrize("tag", [1, (1 << 32) - 1])
+def test_every_other_number_is_the_tag_of_a_session(tag: int):
+    made = link()
+    made.open(tag, 0.0)
+    assert made.tag == tag
+
+
 @pytest.mark.parametrize("tag", [0, -1, 1 << 32])
 def test_session_needs_a_tag(tag: int):
     with pytest.raises(ValueError, match="session tag"):
@@ -110,6 +135,36 @@ def test_closed_link_accepts_nothing_and_expires_nothing():
     assert not controller.fresh(0.2)
     assert controller.expire(1e9) is None
     assert controller.sample is None
+
+
+def test_what_a_closed_link_sends_belongs_to_no_session():
+    runtime = link(Side.RUNTIME)
+    runtime.close()
+    can_id, data = runtime.encode(CUT, 0.0)
+    assert intact(data, DATA_IDS[can_id], 0)
+
+
+@pytest.mark.parametrize(
+    "judged",
+    [
+        Accepted(CUT, 0),
+        Discarded("why"),
+        Violation(StopCause.CORRUPTION, "why"),
+        Unlisted(),
+        ForTransfer(Channel.BULK),
+        Statistics(),
+        JointSample(np.zeros(5), 0, 0.0),
+    ],
+    ids=lambda judged: type(judged).__name__,
+)
+def test_what_was_judged_stays_as_it_was(judged):
+    with pytest.raises(FrozenInstanceError):
+        judged.counter = 1
+
+
+def test_a_sample_equals_itself_alone():
+    """Arrays do not say whether they are equal."""
+    assert JointSample(np.zeros(5), 0, 0.0) != JointSample(np.zeros(5), 0, 0.0)
 
 
 # ------------------------------------------------------------------ identifiers
@@ -197,7 +252,9 @@ def test_losses_up_to_three_steps_are_counted_and_more_is_a_violation():
             assert (outcome.lost, controller.statistics.losses) == (lost, lost)
         else:
             assert isinstance(outcome, Violation)
-            assert outcome.cause is StopCause.SEQUENCE_ERROR
+            assert outcome == Violation(
+                StopCause.SEQUENCE_ERROR, f"0x080 counter {lost + 1} after a gap of {lost}"
+            )
 
 
 def test_repetition_is_discarded_and_refreshes_nothing():
@@ -316,6 +373,7 @@ def test_stop_and_end_are_accepted_as_sent():
         runtime, controller = pair()
         outcome = deliver(runtime, controller, RuntimeStop(code, StopCause.OPERATOR_STOP), 0.0)
         assert outcome == Accepted(RuntimeStop(code, StopCause.OPERATOR_STOP), 0)
+        assert controller.statistics == Statistics(accepted=1)
 
 
 @given(st.binary(max_size=64), st.booleans(), st.booleans())
@@ -324,6 +382,7 @@ def test_anything_on_the_stop_identifier_stops(data: bytes, is_remote: bool, is_
     assert isinstance(outcome, Accepted)
     assert isinstance(outcome.frame, RuntimeStop)
     assert outcome.frame.code is StopCode.STOP
+    assert outcome.counter == (data[2] if len(data) > 2 else 0)
 
 
 @given(st.integers(0, 63))
@@ -333,6 +392,14 @@ def test_end_with_one_flipped_bit_is_a_stop(bit: int):
     outcome = link().receive(0x011, bytes(data), now_s=0.0)
     assert isinstance(outcome, Accepted)
     assert outcome.frame == RuntimeStop(StopCode.STOP, StopCause.CORRUPTION)
+
+
+@pytest.mark.parametrize(("data", "counter"), [(b"", 0), (b"ab", 0), (b"ab\x07", 7)])
+def test_a_stop_cut_short_is_a_stop_and_counted(data: bytes, counter: int):
+    controller = link()
+    outcome = controller.receive(0x011, data, now_s=0.0)
+    assert outcome == Accepted(RuntimeStop(StopCode.STOP, StopCause.CORRUPTION), counter)
+    assert controller.statistics == Statistics(crc_failures=1)
 
 
 def test_sound_stop_frame_with_unlisted_code_is_a_stop():
@@ -354,6 +421,7 @@ def test_repeated_stop_stops_again():
 
 def test_never_seen_is_stale():
     assert not link().fresh(0.0)
+    assert link().expire(0.0) is None
     assert link().expire(TIMEOUT_S) is None
     assert link().expire(TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
 
@@ -479,6 +547,11 @@ def test_three_joint_frames_of_one_counter_are_one_sample():
         assert runtime.sample.counter == turn % 256
         assert runtime.sample.received_s == 0.02 * turn
         assert np.allclose(runtime.sample.joints, [0.001 * turn, *JOINTS[1:]], rtol=0.0, atol=0.006)
+
+
+def test_a_part_before_any_first_part_carries_the_counter_before_zero():
+    for part in joint_frames(JOINTS)[1:]:
+        assert link().encode(part, 0.0)[1][2] == 255
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])

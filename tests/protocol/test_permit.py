@@ -67,6 +67,22 @@ def test_key_file_round_trip_under_any_umask(tmp_path: Path):
         assert load_key(path) == KEY
 
 
+def test_a_key_file_is_closed_whether_or_not_it_is_taken(tmp_path: Path, monkeypatch):
+    opened = []
+    really = os.open
+    monkeypatch.setattr(os, "open", lambda *args: opened.append(really(*args)) or opened[-1])
+    path = tmp_path / "key"
+    new_key_file(path, KEY)
+    load_key(path)
+    path.chmod(0o640)
+    with pytest.raises(KeyFileError):
+        load_key(path)
+    assert len(opened) == 3
+    for descriptor in opened:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(descriptor)
+
+
 def test_key_file_is_never_overwritten(tmp_path: Path):
     path = tmp_path / "key"
     new_key_file(path, KEY)

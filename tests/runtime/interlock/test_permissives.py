@@ -1,16 +1,17 @@
 """Each permissive on its own: it alone fails, says why and what to do, and anything undefined denies."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
+from protocol import records
 from protocol.states import ControllerState, Refusal, StopCause
 from runtime.interlock import permissives as p
 from runtime.interlock.state import DeviceCycle
 from tests.altering import altered
-from tests.runtime.interlock.builders import JOB, NOW, READY, START_JOINTS, VERDICT
+from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
 
 
 def _off(joint: int, by: int) -> tuple[int, ...]:
@@ -43,7 +44,7 @@ ALONE = [
     ),
     ("stored.digest", bytes(32), p.path_digest, "0" * 16, None),
     ("verdict.admissible", False, p.verdict_admissible, "admissible", "admissible"),
-    ("verdict.path", bytes(32), p.verdict_current, "0" * 16, None),
+    ("verdict.path", b"v" * 32, p.verdict_current, "76" * 8, JOB.path_digest.hex()[:16]),
     ("verdict.limits", bytes(32), p.verdict_current, None, None),
     ("verdict.calibration", bytes(32), p.verdict_current, None, None),
     ("verdict.tool", bytes(32), p.verdict_current, None, None),
@@ -177,6 +178,29 @@ def test_an_old_measurement_is_not_the_arm_now(age_s):
         _name(p.start_distance),
         _name(p.start_angle),
     }
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.1])
+def test_a_measurement_is_the_arm_now_up_to_the_time_out(age_s):
+    assert p.measured_now(replace(READY, measured_s=0.0), age_s) == START_JOINTS
+
+
+def test_the_links_are_as_long_as_they_were_calibrated():
+    """Both links sweep what the shoulder turns by, the forearm what the elbow adds to it."""
+    long = replace(CALIBRATION, upper_link_error_u=7_000_000, forearm_link_error_u=3_000_000)
+    one_deg = records.UNIT
+    turned, _ = p.start_offset(long, (one_deg, 2 * one_deg, 0, 0, 0), (0,) * 5)
+    assert turned == pytest.approx(math.radians(1) * 457.0 + math.radians(3) * 453.0)
+
+
+def test_joints_of_another_number_are_no_measurement():
+    with pytest.raises(ValueError, match="zip"):
+        p.start_offset(CALIBRATION, (0,) * 6, (0,) * 5)
+
+
+def test_what_was_judged_stays_as_it_was():
+    with pytest.raises(FrozenInstanceError):
+        p.start_distance(READY, NOW).holds = True
 
 
 def test_an_undefined_time_denies_whatever_depends_on_it():

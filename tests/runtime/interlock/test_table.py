@@ -195,6 +195,12 @@ def test_a_record_that_is_durable_too_late_enables_nothing(phase, now_s):
 
 
 @each_authorising
+def test_a_record_that_is_durable_just_in_time_enables(phase):
+    state = in_phase(phase, since_s=NOW - TIMING.commit_deadline_s)
+    assert enabled(step(state, PENDING, NOW)[1])
+
+
+@each_authorising
 def test_a_stop_in_between_withholds_and_the_record_is_dead(phase):
     for name, event in stop_events(in_phase(phase)).items():
         stopped, effects = step(in_phase(phase), event, NOW)
@@ -339,7 +345,7 @@ def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase):
     if phase is Phase.STOPPING:
         assert [type(effect) for effect in effects] == [Refused]
         return
-    assert after.cause is StopCause.OPERATOR_QUIT
+    assert (after.cause, after.reason, after.permit) == (StopCause.OPERATOR_QUIT, "the operator quit", None)
     if phase in MOVING:
         assert after.phase is Phase.STOPPING
         assert stops(effects) == [StopCause.OPERATOR_QUIT]
@@ -656,7 +662,7 @@ def test_start_only_asks_for_a_nonce():
 def test_a_device_released_after_the_word_start_takes_the_word_back(phase):
     """Pressed again in time, it still needs a new word: the word counts only after the press."""
     run = Run(in_phase(phase), NOW).feed(beat(ControllerState.PERMITTED, device_pressed=False))
-    assert run.phase is Phase.PERMITTED
+    assert (run.phase, run.state.nonce) == (Phase.PERMITTED, None)
     assert (Withheld(TOKEN) in run.effects) is (phase is Phase.AUTHORISING_START)
     assert any(isinstance(effect, Refused) for effect in run.effects)
     run.feed(
@@ -740,14 +746,32 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
     )
 
 
+def test_tolerances_leave_in_millionths():
+    wide = replace(TIMING, start_tolerance_mm=2.25, start_tolerance_deg=1.75, approach_clearance_mm=12.5)
+    run = Run(altered(FRESH, "job.timing", wide)).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    timing = run.effects[1].record.timing
+    assert (timing.start_tolerance_um, timing.start_tolerance_mdeg, timing.approach_clearance_um) == (
+        2250,
+        1750,
+        12_500,
+    )
+
+
+def test_a_simulated_controller_s_time_scale_is_the_session_s():
+    faster = replace(ANNOUNCE, firmware_version="simulator x60")
+    assert Run(FRESH).feed(Announced(faster, RUNTIME_NONCE)).state.session.time_scale == 60.0
+
+
 def test_an_open_that_was_lost_is_sent_again_at_the_next_announcement():
-    run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
+    run = Run(FRESH, 77.0).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
     first = run.effects[1]
     opening = run.state
     run.feed(Announced(ANNOUNCE, b"another nonce..."), after_s=0.9)
     assert (run.state, run.effects) == (opening, ()), "it may have crossed our OPEN"
     run.feed(Announced(ANNOUNCE, b"another nonce..."), after_s=0.2)
     assert (run.state, run.effects) == (opening, (first,)), "the same session, the same deadline"
+    half = replace(opening, since_s=NOW - TIMING.reply_timeout_s / 2)
+    assert step(half, Announced(ANNOUNCE, b"another nonce..."), NOW) == (half, (first,))
 
 
 def test_a_second_open_that_was_not_needed_is_refused_without_harm():
@@ -897,7 +921,7 @@ def test_refused_acknowledgements_and_resets_are_shown_and_the_session_stays_hel
     assert run.phase is Phase.HELD
     assert (run.effects[0].word, "EMERGENCY_STOP" in run.effects[0].reason) == (Word.ACKNOWLEDGE, True)
     run = Run(in_phase(Phase.RESETTING), NOW).feed(reply(records.Reset, Refusal.NONCE_EXPIRED))
-    assert run.phase is Phase.HELD
+    assert (run.phase, run.state.nonce) == (Phase.HELD, None)
     assert (run.effects[0].word, "NONCE_EXPIRED" in run.effects[0].reason) == (Word.RESET, True)
 
 
@@ -952,8 +976,10 @@ def test_blocks_go_one_after_the_other():
     assert run.feed(BlockStored(0)).effects == (SendBlock(1),)
     assert run.feed(BlockStored(1)).effects == (SendBlock(2),)
     assert run.feed(BlockStored(2)).effects == ()
+    before = run.state.token
     run.feed(STANDING, PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
-    assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token, START_JOINTS),))
+    assert (run.phase, run.state.token) == (Phase.VERIFYING, before + 1)
+    assert run.effects == (Verify(before + 1, START_JOINTS),)
 
 
 @pytest.mark.parametrize("old", [None, 0.2])
@@ -1041,7 +1067,7 @@ def test_a_refused_permit_ends_and_a_refused_start_may_be_tried_again(refusal):
     assert (after.phase, after.permit) == (Phase.REFUSED, None)
     assert refusal.name in after.reason
     after, effects = step(in_phase(Phase.STARTING), reply(records.Start, refusal), NOW)
-    assert (after.phase, code(after)) == (Phase.PERMITTED, RuntimeCode.READY)
+    assert (after.phase, after.nonce, code(after)) == (Phase.PERMITTED, None, RuntimeCode.READY)
     assert refusal.name in effects[0].reason
 
 

@@ -1,0 +1,431 @@
+"""Runs mutants of one module against the module's own tests, each in a process of its own that is forked.
+
+Importing and collecting cost more than most tests, and most tests never come near the mistake. So a module's tests
+are collected once, and two things are recorded: which functions of the module ran on the way there, and which each
+test enters when it runs alone. A mutant that differs from the module in functions that have not run yet is made by
+giving these functions their new code; only the tests that enter one of them can tell, and only they run, the fastest
+first, until one fails. Function objects stay the same, so it does not matter who imported them by which name or put
+them into which table.
+
+All other mutants, those in tables, classes, defaults and whatever runs at import, are imported anew with all the
+module's tests; and so is every mutant that the short way found alive: no survivor rests on it.
+"""
+
+import ast
+import gc
+import importlib.abc
+import importlib.util
+import os
+import pickle
+import resource
+import signal
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from importlib.machinery import ModuleSpec
+from inspect import CO_OPTIMIZED
+from itertools import zip_longest
+from pathlib import Path
+from types import CodeType, FrameType, FunctionType, ModuleType
+from typing import Any, Final, TypeVar
+
+import cantools  # noqa: F401 - loaded once, before the processes are forked
+import cryptography.hazmat.primitives.cmac  # noqa: F401 - likewise
+import hypothesis
+import isotp  # noqa: F401 - likewise
+import numpy  # noqa: F401, ICN001 - likewise
+import pytest
+
+from mutation.mutants import Mutant
+
+SLOWER: Final = 20
+HANGS_S: Final = 2.0
+"""A test that takes two seconds and twenty times its own time on the processor hangs. The wall clock says nothing."""
+ASLEEP_S: Final = 20
+"""So does one that waits so long for anything but the processor: no test here sleeps."""
+MEMORY_BYTES: Final = 8 << 30
+OPTIONS: Final = ("-x", "-q", "-s", "--assert=plain", "--tb=native", "--timeout=0", "-p", "no:cacheprovider")
+
+
+Result = TypeVar("Result")
+
+
+class Verdict(Enum):
+    """What became of a mutant."""
+
+    FAILED = "a test failed"
+    UNIMPORTABLE = "its import or the collection of its tests failed"
+    HANGS = "a test did not end"
+    ALIVE = "all tests passed"
+    UNDECIDED = "its process ended otherwise"
+
+    @property
+    def killed(self) -> bool:
+        """Whether the tests found the mistake."""
+        return self in {Verdict.FAILED, Verdict.UNIMPORTABLE, Verdict.HANGS}
+
+
+ENDS: Final[dict[int, Verdict]] = {
+    int(pytest.ExitCode.OK): Verdict.ALIVE,
+    int(pytest.ExitCode.TESTS_FAILED): Verdict.FAILED,
+    int(pytest.ExitCode.INTERRUPTED): Verdict.UNIMPORTABLE,
+    -signal.SIGPROF: Verdict.HANGS,
+}
+
+
+class UnfitError(RuntimeError):
+    """The tests fail without any mutant, so that their failing proves nothing; the message names them."""
+
+
+# ---------------------------------------------------------------- processes
+
+
+def pooled(tasks: Iterable[Callable[[], int]], jobs: int) -> Iterator[tuple[int, int]]:
+    """Run each task in a fork of this process, ``jobs`` at a time; yields each one's number and exit code."""
+    running: dict[int, int] = {}
+    for number, task in enumerate(tasks):
+        if len(running) == jobs:
+            yield _ended(running)
+        running[_forked(task)] = number
+    while running:
+        yield _ended(running)
+
+
+def _ended(running: dict[int, int]) -> tuple[int, int]:
+    child, status = os.wait()
+    return running.pop(child), os.waitstatus_to_exitcode(status)
+
+
+def _forked(task: Callable[[], int]) -> int:
+    """Start a task; an error of its own ends it with a code that is nobody's verdict."""
+    child = os.fork()
+    if child == 0:
+        code = os.EX_SOFTWARE
+        try:
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+            code = task()
+        finally:
+            os._exit(code)
+    return child
+
+
+def _silently(task: Callable[[], Result]) -> Result:
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    return task()
+
+
+def _limit(usual_s: float) -> None:
+    """From now on, so much time on the processor and no more, and no long sleep."""
+    signal.setitimer(signal.ITIMER_PROF, HANGS_S + SLOWER * usual_s)
+    since_s = _asleep_s()
+
+    def look(_number: int, _frame: FrameType | None) -> None:
+        if _asleep_s() - since_s >= ASLEEP_S - 1:
+            os.kill(os.getpid(), signal.SIGPROF)
+        signal.alarm(ASLEEP_S)
+
+    signal.signal(signal.SIGALRM, look)
+    signal.alarm(ASLEEP_S)
+
+
+def _asleep_s() -> float:
+    """A clock that stands still while this process works or queues for a processor."""
+    worked_ns, queued_ns, _ = Path("/proc/self/schedstat").read_text(encoding="ascii").split()
+    return time.monotonic() - (int(worked_ns) + int(queued_ns)) / 1e9
+
+
+def told(task: Callable[[], Result]) -> Result:
+    """The task's result, from a fork of this process."""
+    reading, writing = os.pipe()
+
+    def tell() -> int:
+        with os.fdopen(writing, "wb") as pipe:
+            pickle.dump(task(), pipe)
+        return os.EX_OK
+
+    child = _forked(tell)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        said = pipe.read()
+    os.waitpid(child, 0)
+    if not said:
+        raise UnfitError("a process that runs tests ended without a word")
+    result: Result = pickle.loads(said)  # noqa: S301 - our own child's
+    return result
+
+
+# ---------------------------------------------------------------- code
+
+
+class InPlace(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Imports one module from code that is given."""
+
+    def __init__(self, path: Path, root: Path, code: CodeType) -> None:
+        self.name = ".".join(path.relative_to(root).with_suffix("").parts)
+        self.code = code
+
+    def find_spec(self, fullname: str, _path: Any, _target: ModuleType | None = None) -> ModuleSpec | None:
+        """Answer for this module only."""
+        return importlib.util.spec_from_loader(fullname, self) if fullname == self.name else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the given code."""
+        exec(self.code, module.__dict__)  # noqa: S102 - that is what this module is for
+
+
+def functions(code: CodeType) -> Iterator[CodeType]:
+    """The outermost functions of a module, methods among them, in the order of their making."""
+    for inner in _inner(code):
+        if inner.co_flags & CO_OPTIMIZED:
+            yield inner
+        else:  # the body of a class
+            yield from functions(inner)
+
+
+def everything(code: CodeType) -> Iterator[CodeType]:
+    """The code itself and all that it makes."""
+    yield code
+    for inner in _inner(code):
+        yield from everything(inner)
+
+
+def _inner(code: CodeType) -> list[CodeType]:
+    return [const for const in code.co_consts if isinstance(const, CodeType)]
+
+
+def _same_but_for_functions(one: CodeType, other: CodeType) -> bool:
+    """Whether two modules, or two classes, do the same until one of their functions is called."""
+    mine, others = _inner(one), _inner(other)
+    return (
+        _bare(one) == _bare(other)
+        and len(mine) == len(others)
+        and all(
+            a.co_freevars == b.co_freevars
+            if a.co_flags & b.co_flags & CO_OPTIMIZED
+            else _same_but_for_functions(a, b)
+            for a, b in zip(mine, others, strict=True)
+        )
+    )
+
+
+def _bare(code: CodeType) -> CodeType:
+    consts = tuple(const.co_name if isinstance(const, CodeType) else const for const in code.co_consts)
+    return code.replace(co_consts=consts)
+
+
+def changes(one: CodeType, other: CodeType) -> dict[int, CodeType] | None:
+    """By number of function, the new code of those that changed; None if what runs at import changed."""
+    if not _same_but_for_functions(one, other):
+        return None
+    pairs = enumerate(zip(functions(one), functions(other), strict=True))
+    return {number: new for number, (old, new) in pairs if old != new}
+
+
+# ---------------------------------------------------------------- the short way
+
+
+@dataclass
+class Known:
+    """What is known of a module's tests.
+
+    Attributes:
+        collect_s: how long it takes until they are collected.
+        usual_s: how long each takes alone, by name.
+        enters: the functions that each enters alone, by number.
+    """
+
+    collect_s: float = 0.0
+    usual_s: dict[str, float] = field(default_factory=dict)
+    enters: dict[str, set[int]] = field(default_factory=dict)
+
+
+class Collected:
+    """A pytest plugin that, once the tests are collected, runs mutants instead of them."""
+
+    def __init__(self, code: CodeType, mutants: Sequence[CodeType], jobs: int) -> None:
+        self.code, self.mutants, self.jobs = code, mutants, jobs
+        self.known = Known()
+        self.verdicts: dict[int, Verdict] = {}
+        self.ran: set[int] = set()
+        """Functions that have run, each by its number."""
+        self.numbers = {
+            id(inner): number for number, outer in enumerate(functions(code)) for inner in everything(outer)
+        }
+        self.failed = False
+        self.unfit = ""
+
+    def trace(self, frame: FrameType, _event: str, _arg: Any) -> None:
+        """Notes the module's functions as they are entered."""
+        number = self.numbers.get(id(frame.f_code))
+        if number is not None:
+            self.ran.add(number)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Hear of a failure in set-up, call or tear-down."""
+        self.failed |= report.failed
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Instead of the tests: learn what each enters, then run every mutant that needs no import."""
+        _trace(None)
+        self.known.collect_s = time.process_time()
+        at_import = self.ran
+        self.unfit = self._learn(session.items)
+        if self.unfit:
+            return True
+        holders: dict[int, list[FunctionType]] = defaultdict(list)
+        for one in gc.get_objects():
+            if isinstance(one, FunctionType):
+                holders[id(one.__code__)].append(one)
+        original = list(functions(self.code))
+        swaps: dict[int, dict[int, CodeType]] = {}
+        for number, mutant in enumerate(self.mutants):
+            changed = changes(self.code, mutant)
+            if changed and not changed.keys() & at_import and all(holders[id(original[n])] for n in changed):
+                swaps[number] = changed
+
+        def task(changed: dict[int, CodeType]) -> int:
+            for number, new in changed.items():
+                for function in holders[id(original[number])]:
+                    function.__code__ = new
+            return self._run(
+                [item for item in session.items if self.known.enters[item.nodeid] & changed.keys()]
+            )
+
+        which = list(swaps)
+        for number, code in pooled((partial(task, changed) for changed in swaps.values()), self.jobs):
+            self.verdicts[which[number]] = ENDS.get(code, Verdict.UNDECIDED)
+        return True
+
+    def _learn(self, items: Sequence[pytest.Item]) -> str:
+        """Run each test alone, in a process of its own; names the first that fails."""
+        for item in items:
+            passed, took_s, entered = told(partial(self._alone, item))
+            if not passed:
+                return f"{item.nodeid} fails alone, without any mutant"
+            self.known.usual_s[item.nodeid], self.known.enters[item.nodeid] = took_s, entered
+        return ""
+
+    def _alone(self, item: pytest.Item) -> tuple[bool, float, set[int]]:
+        self.ran = set()
+        began_s = time.process_time()
+        _trace(self.trace)
+        item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
+        _trace(None)
+        return not self.failed, time.process_time() - began_s, self.ran
+
+    def _run(self, items: Sequence[pytest.Item]) -> int:
+        """Run these tests, the fastest first, up to the first failure; returns what pytest would."""
+        ordered = sorted(items, key=lambda item: self.known.usual_s[item.nodeid])
+        for item, following in zip_longest(ordered, ordered[1:]):
+            _limit(self.known.usual_s[item.nodeid])
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            if self.failed:
+                return int(pytest.ExitCode.TESTS_FAILED)
+        return int(pytest.ExitCode.OK)
+
+
+def _trace(what: Callable[[FrameType, str, Any], None] | None) -> None:
+    """In this thread and in all that begin from now on."""
+    sys.settrace(what)
+    threading.settrace(what)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------- the long way
+
+
+class Ordered:
+    """A pytest plugin: the fastest tests first, and a limit for each."""
+
+    def __init__(self, known: Known) -> None:
+        self.known = known
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """A test that exists only for the mutant runs first."""
+        items.sort(key=self._usual_s)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        """Set its limit."""
+        _limit(self._usual_s(item))
+
+    def _usual_s(self, item: pytest.Item) -> float:
+        return self.known.usual_s.get(item.nodeid, 0.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One module under its own tests."""
+
+    module: Path
+    root: Path
+    tests: tuple[str, ...]
+    jobs: int
+
+    def verdicts(self, mutants: Sequence[Mutant]) -> list[Verdict]:
+        """What becomes of each mutant.
+
+        Raises:
+            UnfitError: the tests fail without any mutant, together or alone.
+        """
+        original = self._code(ast.parse(self.module.read_text(encoding="utf-8")))
+        codes = [self._code(mutant.tree) for mutant in mutants]
+        found, known = self._short(original, codes)
+        if dict(self._long([original], known)) != {0: Verdict.ALIVE}:
+            raise UnfitError(f"{self.module}: its own tests fail without any mutant")
+        left = [number for number in range(len(codes)) if found.get(number, Verdict.ALIVE) is Verdict.ALIVE]
+        for number, verdict in self._long([codes[number] for number in left], known):
+            found[left[number]] = verdict
+        return [found[number] for number in range(len(codes))]
+
+    def _code(self, tree: ast.Module) -> CodeType:
+        return compile(tree, str(self.module), "exec", dont_inherit=True)
+
+    def _short(self, original: CodeType, codes: Sequence[CodeType]) -> tuple[dict[int, Verdict], Known]:
+        """The mutants that need no import, and what is known of the tests."""
+
+        def collect() -> tuple[str, dict[int, Verdict], Known]:
+            plugin = Collected(original, codes, self.jobs)
+            _trace(plugin.trace)
+            self._pytest(original, plugin)
+            known = plugin.known
+            return plugin.unfit or ("" if known.usual_s else "no test was collected"), plugin.verdicts, known
+
+        unfit, found, known = told(partial(_silently, collect))
+        if unfit:
+            raise UnfitError(f"{self.module}: {unfit}")
+        return found, known
+
+    def _long(self, codes: Sequence[CodeType], known: Known) -> Iterator[tuple[int, Verdict]]:
+        """All tests on each mutant, imported anew."""
+
+        def task(code: CodeType) -> int:
+            _limit(known.collect_s)
+            return _silently(partial(self._pytest, code, Ordered(known)))
+
+        for number, code in pooled((partial(task, code) for code in codes), self.jobs):
+            yield number, ENDS.get(code, Verdict.UNDECIDED)
+
+    def _pytest(self, code: CodeType, plugin: object) -> int:
+        """Collect and run the module's tests in this process, with ``code`` in the module's place."""
+        phases = [hypothesis.Phase.explicit, hypothesis.Phase.generate]
+        hypothesis.settings.register_profile(
+            "mutation",
+            database=None,
+            deadline=None,
+            derandomize=True,
+            phases=phases,
+            suppress_health_check=[hypothesis.HealthCheck.too_slow],
+        )
+        hypothesis.settings.load_profile("mutation")
+        sys.dont_write_bytecode = True
+        sys.meta_path.insert(0, InPlace(self.module, self.root, code))
+        os.chdir(self.root)
+        return int(pytest.main([*OPTIONS, *self.tests], plugins=[plugin]))

@@ -1,0 +1,113 @@
+"""The page about the last whole run: ``make mutation WRITE=docs/mutation.md``."""
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from mutation.forked import HANGS_S, SLOWER, Verdict
+from mutation.modules import OWN_TESTS
+from mutation.mutants import OPERATORS, Mutant
+
+
+@dataclass(frozen=True)
+class Score:
+    """What became of one module's mutants."""
+
+    module: str
+    mutants: Sequence[Mutant]
+    verdicts: Sequence[Verdict]
+
+    def count(self, verdict: Verdict) -> int:
+        """How many ended so."""
+        return self.verdicts.count(verdict)
+
+    @property
+    def killed(self) -> int:
+        """How many the tests found."""
+        return sum(verdict.killed for verdict in self.verdicts)
+
+    def __str__(self) -> str:
+        """Mutants, killed, and how, on one line."""
+        ends = ", ".join(f"{self.count(end)} {end.name.lower()}" for end in Verdict if self.count(end))
+        return f"{len(self.mutants)} mutants, {self.killed} killed ({ends})"
+
+
+def page(scores: Sequence[Score], known: Mapping[tuple[str, str], str], took_s: float, jobs: int) -> str:
+    """The whole page."""
+    return "\n".join(
+        [
+            *HEAD,
+            *_modules(scores),
+            f"The run took {took_s / 60:.1f} minutes with {jobs} processes at a time on {os.cpu_count()} cores.",
+            "",
+            *_operators(scores),
+            *_survivors(known),
+        ]
+    )
+
+
+HEAD = f"""\
+# Mutation testing
+
+Each module that decides is guarded by test files of its own. `make mutation` makes every small mistake of the kinds
+below in every one of these modules, one at a time, and runs the module's own tests on it: some test must fail. A mutant
+that lives is a rule that no test states.
+
+- `make mutation` runs all of them and leaves with 1 if a mutant lives that
+  [survivors.toml](../mutation/survivors.toml) does not list, or if the list names one that is dead or no mutant any more.
+- `make mutation MODULES=protocol/e2e.py`, `make mutation SAMPLE=100`, `make mutation JOBS=1` run less, or slower.
+- `make mutation WRITE=docs/mutation.md` writes this page as well.
+- A sample runs in `make test`; which one it is depends on the modules, so it changes when they do.
+
+What counts as killed: a test that fails, in set-up, call or tear-down (*failed*); a module that cannot be imported, or
+tests that cannot be collected with it (*import*); a test that takes {HANGS_S:g} s and {SLOWER} times its own time on the
+processor (*hangs*; the wall clock says nothing, so that a busy machine kills no mutant). A process that ends otherwise
+fails the run.
+
+Only tests that can tell are run: a mistake inside a function concerns the tests that enter that function, which was
+recorded with each test running alone; the function gets its new code in a process forked after the tests were
+collected. A mistake in tables, classes, defaults, or in a function that has run before the first test, is imported anew
+with all of the module's tests, and so is every mutant that lived the short way. Without a mutant all tests must pass,
+together and each alone. hypothesis runs with a fixed seed, without deadline.
+""".splitlines()
+
+
+def _modules(scores: Sequence[Score]) -> Iterator[str]:
+    yield "| module | own tests | mutants | killed | failed | import | hangs | listed |"
+    yield "|---|---|---|---|---|---|---|---|"
+    ends = (Verdict.FAILED, Verdict.UNIMPORTABLE, Verdict.HANGS)
+    columns = []
+    for score in scores:
+        numbers = [
+            len(score.mutants),
+            score.killed,
+            *map(score.count, ends),
+            len(score.mutants) - score.killed,
+        ]
+        columns.append(numbers)
+        tests = ", ".join(f"`{name.rpartition('/')[2]}`" for name in OWN_TESTS[score.module])
+        yield f"| `{score.module}` | {tests} | {' | '.join(map(str, numbers))} |"
+    yield f"| all | | {' | '.join(str(sum(column)) for column in zip(*columns, strict=True))} |"
+    yield ""
+
+
+def _operators(scores: Sequence[Score]) -> Iterator[str]:
+    yield "| mistake | what is done | mutants |"
+    yield "|---|---|---|"
+    made = Counter(mutant.kind for score in scores for mutant in score.mutants)
+    for name, operator in OPERATORS.items():
+        yield f"| {name} | {' '.join((operator.__doc__ or '').replace('``', '`').split())} | {made[name]} |"
+    yield ""
+    yield "Strings, annotations and assertions are left alone: the first are for people, the others for the type checker."
+    yield ""
+
+
+def _survivors(known: Mapping[tuple[str, str], str]) -> Iterator[str]:
+    yield "## What lives, and why it may"
+    yield ""
+    yield "| module | mutant | reason |"
+    yield "|---|---|---|"
+    for (module, name), reason in known.items():
+        yield f"| `{module}` | `{name.replace('|', chr(92) + '|')}` | {reason} |"
+    yield ""

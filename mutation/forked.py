@@ -22,9 +22,8 @@ import signal
 import sys
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from importlib.machinery import ModuleSpec
@@ -48,6 +47,8 @@ HANGS_S: Final = 2.0
 """A test that takes two seconds and twenty times its own time on the processor hangs. The wall clock says nothing."""
 ASLEEP_S: Final = 20
 """So does one that waits so long for anything but the processor: no test here sleeps."""
+SHORT_MIN: Final = 30
+"""Below so many mutants it is not worth while to learn what the tests enter."""
 MEMORY_BYTES: Final = 8 << 30
 OPTIONS: Final = ("-x", "-q", "-s", "--assert=plain", "--tb=native", "--timeout=0", "-p", "no:cacheprovider")
 
@@ -228,38 +229,88 @@ def changes(one: CodeType, other: CodeType) -> dict[int, CodeType] | None:
     return {number: new for number, (old, new) in pairs if old != new}
 
 
-# ---------------------------------------------------------------- the short way
+# ---------------------------------------------------------------- the long way
 
 
-@dataclass
-class Known:
-    """What is known of a module's tests.
+@dataclass(frozen=True)
+class Usual:
+    """What the module itself needs, in seconds on the processor.
 
     Attributes:
-        collect_s: how long it takes until they are collected.
-        usual_s: how long each takes alone, by name.
-        enters: the functions that each enters alone, by number.
+        collect_s: until the tests are collected.
+        tests_s: for each test, by name.
     """
 
-    collect_s: float = 0.0
-    usual_s: dict[str, float] = field(default_factory=dict)
-    enters: dict[str, set[int]] = field(default_factory=dict)
+    collect_s: float
+    tests_s: Mapping[str, float]
+
+    def limit(self, item: pytest.Item) -> None:
+        """Set the limit of this test; one that exists only for a mutant has the longest."""
+        _limit(self.tests_s.get(item.nodeid, max(self.tests_s.values())))
+
+    def fastest_first(self, items: Iterable[pytest.Item]) -> list[pytest.Item]:
+        """The order in which they run; what exists only for a mutant comes before all others."""
+        return sorted(items, key=lambda item: self.tests_s.get(item.nodeid, 0.0))
+
+
+class Measured:
+    """A pytest plugin that finds out what is usual."""
+
+    def __init__(self) -> None:
+        self.collect_s = 0.0
+        self.tests_s: dict[str, float] = {}
+
+    def pytest_collection_finish(self) -> None:
+        """All tests are collected."""
+        self.collect_s = time.process_time()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Measure one test."""
+        began_s = time.process_time()
+        done = yield
+        self.tests_s[item.nodeid] = time.process_time() - began_s
+        return done
+
+
+class Limited:
+    """A pytest plugin: the fastest tests first, and a limit for each."""
+
+    def __init__(self, usual: Usual) -> None:
+        self.usual = usual
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Put them into order."""
+        items[:] = self.usual.fastest_first(items)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        """Begin one test."""
+        self.usual.limit(item)
+
+
+# ---------------------------------------------------------------- the short way
 
 
 class Collected:
     """A pytest plugin that, once the tests are collected, runs mutants instead of them."""
 
-    def __init__(self, code: CodeType, mutants: Sequence[CodeType], jobs: int) -> None:
-        self.code, self.mutants, self.jobs = code, mutants, jobs
-        self.known = Known()
+    def __init__(self, code: CodeType, mutants: Sequence[CodeType], usual: Usual, jobs: int) -> None:
+        self.mutants, self.usual, self.jobs = mutants, usual, jobs
+        self.code, self.functions = code, list(functions(code))
         self.verdicts: dict[int, Verdict] = {}
-        self.ran: set[int] = set()
-        """Functions that have run, each by its number."""
-        self.numbers = {
-            id(inner): number for number, outer in enumerate(functions(code)) for inner in everything(outer)
-        }
-        self.failed = False
         self.unfit = ""
+        """The first test that fails alone."""
+        self.ran: set[int] = set()
+        """The numbers of the functions that have run."""
+        self.failed = False
+        self.enters: dict[str, set[int]] = {}
+        """The numbers of the functions that each test enters."""
+        self.holders: dict[int, list[FunctionType]] = {}
+        """The function objects of each function, by number."""
+        self.numbers = {
+            id(inner): number for number, outer in enumerate(self.functions) for inner in everything(outer)
+        }
 
     def trace(self, frame: FrameType, _event: str, _arg: Any) -> None:
         """Notes the module's functions as they are entered."""
@@ -275,57 +326,51 @@ class Collected:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Instead of the tests: learn what each enters, then run every mutant that needs no import."""
         _trace(None)
-        self.known.collect_s = time.process_time()
         at_import = self.ran
-        self.unfit = self._learn(session.items)
-        if self.unfit:
-            return True
-        holders: dict[int, list[FunctionType]] = defaultdict(list)
-        for one in gc.get_objects():
-            if isinstance(one, FunctionType):
-                holders[id(one.__code__)].append(one)
-        original = list(functions(self.code))
-        swaps: dict[int, dict[int, CodeType]] = {}
-        for number, mutant in enumerate(self.mutants):
-            changed = changes(self.code, mutant)
-            if changed and not changed.keys() & at_import and all(holders[id(original[n])] for n in changed):
-                swaps[number] = changed
-
-        def task(changed: dict[int, CodeType]) -> int:
-            for number, new in changed.items():
-                for function in holders[id(original[number])]:
-                    function.__code__ = new
-            return self._run(
-                [item for item in session.items if self.known.enters[item.nodeid] & changed.keys()]
-            )
-
+        self._find_holders()
+        gc.freeze()  # collecting garbage would copy every page in every fork
+        for item in session.items:
+            passed, self.enters[item.nodeid] = told(partial(self._alone, item))
+            if not passed:
+                self.unfit = f"{item.nodeid} fails alone, without any mutant"
+                return True
+        swaps = {
+            number: changed
+            for number, mutant in enumerate(self.mutants)
+            if (changed := changes(self.code, mutant))
+            and not changed.keys() & at_import
+            and changed.keys() <= self.holders.keys()
+        }
+        tasks = (partial(self._swapped, changed, session.items) for changed in swaps.values())
         which = list(swaps)
-        for number, code in pooled((partial(task, changed) for changed in swaps.values()), self.jobs):
+        for number, code in pooled(tasks, self.jobs):
             self.verdicts[which[number]] = ENDS.get(code, Verdict.UNDECIDED)
         return True
 
-    def _learn(self, items: Sequence[pytest.Item]) -> str:
-        """Run each test alone, in a process of its own; names the first that fails."""
-        for item in items:
-            passed, took_s, entered = told(partial(self._alone, item))
-            if not passed:
-                return f"{item.nodeid} fails alone, without any mutant"
-            self.known.usual_s[item.nodeid], self.known.enters[item.nodeid] = took_s, entered
-        return ""
+    def _find_holders(self) -> None:
+        outer = {id(code): number for number, code in enumerate(self.functions)}
+        for one in gc.get_objects():
+            if isinstance(one, FunctionType) and id(one.__code__) in outer:
+                self.holders.setdefault(outer[id(one.__code__)], []).append(one)
 
-    def _alone(self, item: pytest.Item) -> tuple[bool, float, set[int]]:
+    def _alone(self, item: pytest.Item) -> tuple[bool, set[int]]:
+        """Whether this one test passes, and what it enters."""
         self.ran = set()
-        began_s = time.process_time()
         _trace(self.trace)
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
         _trace(None)
-        return not self.failed, time.process_time() - began_s, self.ran
+        return not self.failed, self.ran
 
-    def _run(self, items: Sequence[pytest.Item]) -> int:
-        """Run these tests, the fastest first, up to the first failure; returns what pytest would."""
-        ordered = sorted(items, key=lambda item: self.known.usual_s[item.nodeid])
+    def _swapped(self, changed: dict[int, CodeType], items: Sequence[pytest.Item]) -> int:
+        """Give the functions their new code and run the tests that enter one; returns what pytest would."""
+        for number, code in changed.items():
+            for function in self.holders[number]:
+                function.__code__ = code
+        ordered = self.usual.fastest_first(
+            item for item in items if self.enters[item.nodeid] & changed.keys()
+        )
         for item, following in zip_longest(ordered, ordered[1:]):
-            _limit(self.known.usual_s[item.nodeid])
+            self.usual.limit(item)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             if self.failed:
                 return int(pytest.ExitCode.TESTS_FAILED)
@@ -338,26 +383,7 @@ def _trace(what: Callable[[FrameType, str, Any], None] | None) -> None:
     threading.settrace(what)  # type: ignore[arg-type]
 
 
-# ---------------------------------------------------------------- the long way
-
-
-class Ordered:
-    """A pytest plugin: the fastest tests first, and a limit for each."""
-
-    def __init__(self, known: Known) -> None:
-        self.known = known
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """A test that exists only for the mutant runs first."""
-        items.sort(key=self._usual_s)
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Set its limit."""
-        _limit(self._usual_s(item))
-
-    def _usual_s(self, item: pytest.Item) -> float:
-        return self.known.usual_s.get(item.nodeid, 0.0)
+# ---------------------------------------------------------------- both
 
 
 @dataclass(frozen=True)
@@ -377,51 +403,51 @@ class Trial:
         """
         original = self._code(ast.parse(self.module.read_text(encoding="utf-8")))
         codes = [self._code(mutant.tree) for mutant in mutants]
-        found, known = self._short(original, codes)
-        if dict(self._long([original], known)) != {0: Verdict.ALIVE}:
+        usual = told(partial(_silently, partial(self._usual, original)))
+        if usual is None:
             raise UnfitError(f"{self.module}: its own tests fail without any mutant")
+        found: dict[int, Verdict] = {}
+        if len(codes) >= SHORT_MIN:
+            unfit, found = told(partial(_silently, partial(self._short, original, codes, usual)))
+            if unfit:
+                raise UnfitError(f"{self.module}: {unfit}")
         left = [number for number in range(len(codes)) if found.get(number, Verdict.ALIVE) is Verdict.ALIVE]
-        for number, verdict in self._long([codes[number] for number in left], known):
-            found[left[number]] = verdict
+        tasks = (partial(self._long, codes[number], usual) for number in left)
+        for number, code in pooled(tasks, self.jobs):
+            found[left[number]] = ENDS.get(code, Verdict.UNDECIDED)
         return [found[number] for number in range(len(codes))]
 
     def _code(self, tree: ast.Module) -> CodeType:
         return compile(tree, str(self.module), "exec", dont_inherit=True)
 
-    def _short(self, original: CodeType, codes: Sequence[CodeType]) -> tuple[dict[int, Verdict], Known]:
-        """The mutants that need no import, and what is known of the tests."""
+    def _usual(self, code: CodeType) -> Usual | None:
+        """What is usual without any mutant; None if the tests fail then."""
+        plugin = Measured()
+        passed = self._pytest(code, plugin) == pytest.ExitCode.OK
+        return Usual(plugin.collect_s, plugin.tests_s) if passed else None
 
-        def collect() -> tuple[str, dict[int, Verdict], Known]:
-            plugin = Collected(original, codes, self.jobs)
-            _trace(plugin.trace)
-            self._pytest(original, plugin)
-            known = plugin.known
-            return plugin.unfit or ("" if known.usual_s else "no test was collected"), plugin.verdicts, known
+    def _short(
+        self, original: CodeType, codes: Sequence[CodeType], usual: Usual
+    ) -> tuple[str, dict[int, Verdict]]:
+        """Why the tests are unfit, and the verdicts on all mutants that need no import."""
+        plugin = Collected(original, codes, usual, self.jobs)
+        _trace(plugin.trace)
+        self._pytest(original, plugin)
+        return plugin.unfit, plugin.verdicts
 
-        unfit, found, known = told(partial(_silently, collect))
-        if unfit:
-            raise UnfitError(f"{self.module}: {unfit}")
-        return found, known
-
-    def _long(self, codes: Sequence[CodeType], known: Known) -> Iterator[tuple[int, Verdict]]:
-        """All tests on each mutant, imported anew."""
-
-        def task(code: CodeType) -> int:
-            _limit(known.collect_s)
-            return _silently(partial(self._pytest, code, Ordered(known)))
-
-        for number, code in pooled((partial(task, code) for code in codes), self.jobs):
-            yield number, ENDS.get(code, Verdict.UNDECIDED)
+    def _long(self, code: CodeType, usual: Usual) -> int:
+        """All tests on one mutant, imported anew."""
+        _limit(usual.collect_s)
+        return _silently(partial(self._pytest, code, Limited(usual)))
 
     def _pytest(self, code: CodeType, plugin: object) -> int:
         """Collect and run the module's tests in this process, with ``code`` in the module's place."""
-        phases = [hypothesis.Phase.explicit, hypothesis.Phase.generate]
         hypothesis.settings.register_profile(
             "mutation",
             database=None,
             deadline=None,
             derandomize=True,
-            phases=phases,
+            phases=[hypothesis.Phase.explicit, hypothesis.Phase.generate],
             suppress_health_check=[hypothesis.HealthCheck.too_slow],
         )
         hypothesis.settings.load_profile("mutation")

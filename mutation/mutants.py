@@ -5,8 +5,8 @@ alone: the first are for people, the others for the type checker.
 """
 
 import ast
+import pickle
 from collections.abc import Callable, Iterator
-from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -49,10 +49,11 @@ def mutants(source: str) -> list[Mutant]:
     found: list[Mutant] = []
     met: dict[str, int] = {}
     for number, statement in enumerate(tree.body):
+        pickled = pickle.dumps(statement)  # copies ten times as fast as deepcopy
         for place, (where, node) in enumerate(_walk(statement)):
             for kind, operator in OPERATORS.items():
                 for change in operator(node):
-                    copy = deepcopy(statement)
+                    copy = pickle.loads(pickled)  # noqa: S301 - our own
                     twin = _walk(copy)[place][1]
                     change(twin)
                     name = f"{where}: {_short(node)} -> {_short(twin)}"

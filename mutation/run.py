@@ -10,6 +10,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -41,12 +42,20 @@ def complaints(module: str, verdicts: Mapping[str, Verdict], known: Known) -> li
     return said
 
 
-def strangers(known: Known) -> list[str]:
-    """What is listed and is no mutant of any module."""
-    names = {(module, mutant.name) for module in OWN_TESTS for mutant in mutants(_source(module))}
+def strangers(module: str, known: Known) -> list[str]:
+    """What is listed of a module and is no mutant of it."""
+    names = {mutant.name for mutant in all_mutants(module)}
     return [
-        f"STALE survivor {module} {name}: there is no such mutant" for module, name in known.keys() - names
+        f"STALE survivor {module} {name}: there is no such mutant"
+        for other, name in known
+        if other == module and name not in names
     ]
+
+
+@cache
+def all_mutants(module: str) -> list[Mutant]:
+    """Every mutant of one of our modules."""
+    return mutants(_source(module))
 
 
 def _source(module: str) -> str:
@@ -80,13 +89,13 @@ def main(words: Sequence[str]) -> int:
     if asked.write and (asked.modules or asked.sample or asked.match):
         parser.error("--write: the page is about the whole run; leave MODULE, --sample and --match out")
     found = {
-        module: [mutant for mutant in mutants(_source(module)) if asked.match in mutant.name]
+        module: [mutant for mutant in all_mutants(module) if asked.match in mutant.name]
         for module in asked.modules or OWN_TESTS
     }
     if asked.sample:
         found = sample(found, asked.sample)
     known = listed()
-    wrong, scores = strangers(known), []
+    wrong, scores = [line for module in found for line in strangers(module, known)], []
     began_s = time.monotonic()
     for module, those in found.items():
         if not those:

@@ -29,7 +29,7 @@ from runtime.conform.suite import Outcome, Result, Verdict, run
 from runtime.conform.table import cases
 from runtime.verification.document import document_text
 
-PASSED, FAILED = 0, 1
+PASSED, FAILED, INTERRUPTED = 0, 1, 3
 LISTEN_S: Final = 0.6
 """The bus is listened to before anything is said: longer than any period of a session's frames."""
 
@@ -57,7 +57,7 @@ def conform(
 ) -> None:
     """Show that a controller refuses what it must. Its plant must be disconnected; see docs/controllers.md.
 
-    Exit code: 0 every case passed, 1 a case failed or could not be run, 2 refused input, bus or key.
+    Exit code: 0 every case passed, 1 a case failed or could not be run, 2 refused input, bus or key, 3 Ctrl-C.
     """
     if not plant_disconnected:
         raise InputError(
@@ -72,6 +72,9 @@ def conform(
         messages().print(escape(ABOUT), soft_wrap=True)
         bench = _bench(bus, secret, settings, fd=fd)
         outcome = _run(bench, chosen)
+    except KeyboardInterrupt:
+        messages().print("interrupted: the controller was told to stop; there is no report", soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
     finally:
         bus.shutdown()
     report = document(outcome, bench.announce, bench.timing, bus=f"{interface}/{channel}", whole=not only)

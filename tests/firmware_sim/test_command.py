@@ -48,6 +48,8 @@ def given(tmp_path, monkeypatch):
     monkeypatch.setattr(command.sys, "stdin", None)
     processes = []
     monkeypatch.setattr(command.Process, "run", lambda self, wake: processes.append((self, wake)))
+    pipes, pipe2 = [], os.pipe2
+    monkeypatch.setattr(command.os, "pipe2", lambda flags: pipes.append(pipe2(flags)) or pipes[-1])
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     arguments = [
         "--robot",
@@ -62,6 +64,8 @@ def given(tmp_path, monkeypatch):
     yield arguments, processes
     for number, handler in handlers.items():
         signal.signal(number, handler)
+    for descriptor in (end for pipe in pipes for end in pipe):
+        os.close(descriptor)
 
 
 def refused(capsys, arguments, *texts):

@@ -88,7 +88,8 @@ def test_timing_that_cannot_show_age_is_refused(timeout_s: float, heartbeat_s: f
 
 @pytest.mark.parametrize("factor", [3.0, 255.0])
 def test_timing_at_the_ends_of_its_range_is_taken(factor: float):
-    assert Link(Side.RUNTIME, factor * 0.25, 0.25).timeout_s == factor * 0.25
+    made = Link(Side.RUNTIME, factor * 0.25, 0.25)
+    assert (made.timeout_s, made.heartbeat_s) == (factor * 0.25, 0.25)
 
 
 def test_a_counter_that_goes_round_within_the_time_out_shows_no_age():

@@ -402,6 +402,12 @@ class Rig:
             script=script,
         )
 
+    def conform(self, case: str) -> Child:
+        """One case of the negative suite, in a fresh interpreter."""
+        options = ["--plant-disconnected", "--only", case, "--key", str(self.folder / "site.key")]
+        options += ["--site", str(self.folder / "site.toml"), "--out", str(self.folder / "report.json")]
+        return self._start("tester", "runtime.cli", ["conform", *options, *self._where], fresh=True)
+
     # ------------------------------------------------------------ a session's usual way
 
     def permitted(self, *faults: str, scale: float = 1, **how: Any) -> tuple[Child, Child]:

@@ -1,11 +1,14 @@
 """Ctrl-C and SIGTERM, at any moment: the controller is inhibited, the log is closed, nothing is torn."""
 
+import os
 import signal
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from protocol.frames import RuntimeHeartbeat, RuntimeStop
+from protocol.states import StopCause
 from runtime.audit.inspect import Status
 from runtime.interlock.state import Phase
 from tests.system.children import SECOND_BLOCK, Script
@@ -75,3 +78,29 @@ def test_an_interrupted_controller_stops_and_says_so(rig, number):
     assert state_of(sim) == "INHIBITED (OPERATOR_QUIT)"
     assert run.exit() == 3
     assert rig.log().report.status is Status.OK
+
+
+WAITS_IN_ITS_SESSION = "permit: expires"
+"""For ten seconds."""
+
+
+def test_an_interrupted_negative_suite_stops_the_controller_and_leaves_nothing_behind(rig):
+    sim = rig.sim()
+    tester = rig.conform(WAITS_IN_ITS_SESSION)
+    rig.bus.single(RuntimeHeartbeat)
+    tester.ctrl_c()
+    assert tester.exit() == 3
+    assert tester.lines[-1] == "interrupted: the controller was told to stop; there is no report"
+    assert rig.bus.single(RuntimeStop, lambda stop: stop.cause is StopCause.OPERATOR_STOP)
+    assert rig.at_rest(sim) == "INHIBITED (OPERATOR_STOP)"
+    assert not (rig.folder / "report.json").exists()
+    with pytest.raises(ProcessLookupError):
+        os.killpg(tester.pid, 0)
+
+
+def test_a_negative_suite_interrupted_before_it_has_met_a_controller_says_so_as_well(rig):
+    tester = rig.conform(WAITS_IN_ITS_SESSION)
+    tester.line("plant")
+    tester.ctrl_c()
+    assert tester.exit() == 3
+    assert tester.lines[-1].startswith("interrupted:")

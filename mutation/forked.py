@@ -50,7 +50,10 @@ ASLEEP_S: Final = 20
 SHORT_MIN: Final = 30
 """Below so many mutants it is not worth while to learn what the tests enter."""
 MEMORY_BYTES: Final = 8 << 30
-OPTIONS: Final = ("-x", "-q", "-s", "--assert=plain", "--tb=native", "--timeout=0", "-p", "no:cacheprovider")
+OPTIONS: Final = (
+    *("-x", "-q", "-s", "--assert=plain", "--tb=native", "-p", "no:cacheprovider"),
+    *("-p", "pytest_timeout", "--timeout=0"),  # the only plugin the settings speak of
+)
 
 
 Result = TypeVar("Result")
@@ -380,7 +383,7 @@ class Collected:
 def _trace(what: Callable[[FrameType, str, Any], None] | None) -> None:
     """In this thread and in all that begin from now on."""
     sys.settrace(what)
-    threading.settrace(what)  # type: ignore[arg-type]
+    threading.settrace(what)
 
 
 # ---------------------------------------------------------------- both
@@ -451,6 +454,7 @@ class Trial:
             suppress_health_check=[hypothesis.HealthCheck.too_slow],
         )
         hypothesis.settings.load_profile("mutation")
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
         sys.dont_write_bytecode = True
         sys.meta_path.insert(0, InPlace(self.module, self.root, code))
         os.chdir(self.root)

@@ -76,15 +76,7 @@ def sample(found: Mapping[str, Sequence[Mutant]], size: int) -> dict[str, list[M
 
 def main(words: Sequence[str]) -> int:
     """Run the mutants; print a line a module and every complaint."""
-    parser = argparse.ArgumentParser(prog="python -m mutation.run", description=__doc__)
-    parser.add_argument("modules", nargs="*", metavar="MODULE", help=", ".join(OWN_TESTS))
-    parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time"
-    )
-    parser.add_argument("--sample", type=int, default=0, metavar="N", help="only N mutants")
-    parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose name has this in it")
-    parser.add_argument("--verdicts", action="store_true", help="print what became of each mutant")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page, after a whole run")
+    parser = _parser()
     asked = parser.parse_args(words)
     if asked.write and (asked.modules or asked.sample or asked.match):
         parser.error("--write: the page is about the whole run; leave MODULE, --sample and --match out")
@@ -94,32 +86,44 @@ def main(words: Sequence[str]) -> int:
     }
     if asked.sample:
         found = sample(found, asked.sample)
-    known = listed()
-    wrong, scores = [line for module in found for line in strangers(module, known)], []
+    known, scores, wrong = listed(), [], 0
     began_s = time.monotonic()
-    for module, those in found.items():
-        if not those:
-            continue
-        try:
+    try:
+        for module, those in found.items():
             verdicts = Trial(ROOT / module, ROOT, OWN_TESTS[module], asked.jobs).verdicts(those)
-        except UnfitError as error:
-            _say(str(error))
-            return 1
-        by_name = dict(zip([mutant.name for mutant in those], verdicts, strict=True))
-        wrong += complaints(module, by_name, known)
-        score = Score(module, tuple(those), tuple(verdicts))
-        scores.append(score)
-        _say(f"{module}: {score}, {time.monotonic() - began_s:.0f} s after the beginning")
-        if asked.verdicts:
-            _say("\n".join(f"{verdict.name} {module} {name}" for name, verdict in by_name.items()))
-    _say("\n".join(wrong or ["every mutant is killed or listed with its reason"]))
-    if asked.write and not wrong:
+            scores.append(Score(module, tuple(those), tuple(verdicts)))
+            _say(f"{module}: {scores[-1]}, {time.monotonic() - began_s:.0f} s after the beginning")
+            by_name = dict(zip([mutant.name for mutant in those], verdicts, strict=True))
+            said = [*strangers(module, known), *complaints(module, by_name, known)]
+            wrong += len(said)
+            shown = [f"{verdict.name} {module} {name}" for name, verdict in by_name.items() if asked.verdicts]
+            _say("\n".join([*shown, *said, ""]), end="")
+    except UnfitError as error:
+        _say(str(error))
+        return 1
+    if wrong:
+        return 1
+    _say("every mutant is killed or listed with its reason")
+    if asked.write:
         asked.write.write_text(page(scores, known, time.monotonic() - began_s, asked.jobs), encoding="utf-8")
-    return int(len(wrong) > 0)
+    return 0
 
 
-def _say(text: str) -> None:
-    print(text, flush=True)  # noqa: T201 - a report
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m mutation.run", description=__doc__)
+    parser.add_argument("modules", nargs="*", metavar="MODULE", help=", ".join(OWN_TESTS))
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time"
+    )
+    parser.add_argument("--sample", type=int, default=0, metavar="N", help="only N mutants")
+    parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose name has this in it")
+    parser.add_argument("--verdicts", action="store_true", help="print what became of each mutant")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page, after a whole run")
+    return parser
+
+
+def _say(text: str, end: str = "\n") -> None:
+    print(text, end=end, flush=True)  # noqa: T201 - a report
 
 
 if __name__ == "__main__":

@@ -758,7 +758,7 @@ def test_tolerances_leave_in_millionths():
 
 
 def test_a_simulated_controller_s_time_scale_is_the_session_s():
-    faster = replace(ANNOUNCE, firmware_version="simulator x60")
+    faster = replace(ANNOUNCE, plant_speed_permille=60_000)
     assert Run(FRESH).feed(Announced(faster, RUNTIME_NONCE)).state.session.time_scale == 60.0
 
 

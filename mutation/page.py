@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from mutation.forked import HANGS_S, SLOWER, Verdict
+from mutation.forked import ASLEEP_S, HANGS_S, SLOWER, Verdict
 from mutation.modules import OWN_TESTS
 from mutation.mutants import OPERATORS, Mutant
 
@@ -33,47 +33,49 @@ class Score:
         return f"{len(self.mutants)} mutants, {self.killed} killed ({ends})"
 
 
-def page(scores: Sequence[Score], known: Mapping[tuple[str, str], str], took_s: float, jobs: int) -> str:
+Known = Mapping[tuple[str, str], str]
+
+
+def page(scores: Sequence[Score], known: Known, took_s: float, jobs: int) -> str:
     """The whole page."""
-    return "\n".join(
-        [
-            *HEAD,
-            *_modules(scores),
-            f"The run took {took_s / 60:.1f} minutes with {jobs} processes at a time on {os.cpu_count()} cores.",
-            "",
-            *_operators(scores),
-            *_survivors(known),
-        ]
+    took = (
+        f"The run took {took_s / 60:.1f} minutes with {jobs} processes at a time on {os.cpu_count()} cores."
     )
+    return "\n".join([*HEAD, *_figures(scores), took, "", *_operators(scores), *_survivors(known), ""])
+
+
+def about(known: Known) -> list[str]:
+    """Every line of the page that no run changes."""
+    return [*HEAD, *_survivors(known)]
 
 
 HEAD = f"""\
 # Mutation testing
 
 Each module that decides is guarded by test files of its own. `make mutation` makes every small mistake of the kinds
-below in every one of these modules, one at a time, and runs the module's own tests on it: some test must fail. A mutant
-that lives is a rule that no test states.
+below in every one of these modules, one at a time, and runs the module's own tests on it: one must fail. A mutant that
+lives is a rule that no test states.
 
-- `make mutation` runs all of them and leaves with 1 if a mutant lives that
-  [survivors.toml](../mutation/survivors.toml) does not list, or if the list names one that is dead or no mutant any more.
-- `make mutation MODULES=protocol/e2e.py`, `make mutation SAMPLE=100`, `make mutation JOBS=1` run less, or slower.
+- `make mutation` runs all of them, on all cores. It leaves with 1 if a mutant lives that
+  [survivors.toml](../mutation/survivors.toml) does not list, and if that names one that is dead or no mutant any more.
+- `make mutation MODULES=protocol/e2e.py`, `SAMPLE=100` and `JOBS=1` run less, or slower.
 - `make mutation WRITE=docs/mutation.md` writes this page as well.
-- A sample runs in `make test`; which one it is depends on the modules, so it changes when they do.
+- `make test` runs a sample of each module; which mutants are in it changes with the modules.
 
-What counts as killed: a test that fails, in set-up, call or tear-down (*failed*); a module that cannot be imported, or
-tests that cannot be collected with it (*import*); a test that takes {HANGS_S:g} s and {SLOWER} times its own time on the
-processor (*hangs*; the wall clock says nothing, so that a busy machine kills no mutant). A process that ends otherwise
-fails the run.
+What kills: a test that fails, in set-up, call or tear-down (*failed*); a module that cannot be imported, or tests that
+cannot be collected with it (*import*); a test that takes {HANGS_S:g} s and {SLOWER} times its own time on the processor, or
+waits {ASLEEP_S} s for something that does not come (*hangs*; a queue for the processor is no waiting, so a busy machine kills
+no mutant). A process that ends in any other way fails the run.
 
-Only tests that can tell are run: a mistake inside a function concerns the tests that enter that function, which was
+Only tests that can tell are run: a mistake inside a function concerns the tests that enter that function, which is
 recorded with each test running alone; the function gets its new code in a process forked after the tests were
 collected. A mistake in tables, classes, defaults, or in a function that has run before the first test, is imported anew
 with all of the module's tests, and so is every mutant that lived the short way. Without a mutant all tests must pass,
-together and each alone. hypothesis runs with a fixed seed, without deadline.
+together and each alone. hypothesis runs with a fixed seed and without its deadline.
 """.splitlines()
 
 
-def _modules(scores: Sequence[Score]) -> Iterator[str]:
+def _figures(scores: Sequence[Score]) -> Iterator[str]:
     yield "| module | own tests | mutants | killed | failed | import | hangs | listed |"
     yield "|---|---|---|---|---|---|---|---|"
     ends = (Verdict.FAILED, Verdict.UNIMPORTABLE, Verdict.HANGS)
@@ -97,17 +99,21 @@ def _operators(scores: Sequence[Score]) -> Iterator[str]:
     yield "|---|---|---|"
     made = Counter(mutant.kind for score in scores for mutant in score.mutants)
     for name, operator in OPERATORS.items():
-        yield f"| {name} | {' '.join((operator.__doc__ or '').replace('``', '`').split())} | {made[name]} |"
+        done = " ".join((operator.__doc__ or "").replace("``", "`").split())
+        yield f"| {name} | {done} | {made[name]} |"
     yield ""
     yield "Strings, annotations and assertions are left alone: the first are for people, the others for the type checker."
     yield ""
 
 
-def _survivors(known: Mapping[tuple[str, str], str]) -> Iterator[str]:
+def _survivors(known: Known) -> Iterator[str]:
     yield "## What lives, and why it may"
     yield ""
     yield "| module | mutant | reason |"
     yield "|---|---|---|"
     for (module, name), reason in known.items():
-        yield f"| `{module}` | `{name.replace('|', chr(92) + '|')}` | {reason} |"
-    yield ""
+        yield f"| `{module}` | `{_cell(name)}` | {_cell(reason)} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

@@ -268,6 +268,7 @@ def is_void(state: Controller) -> bool:
         and state.holdings.path is None
         and not (state.session is not None and state.session.live)
         and not state.may_move
+        and not state.cut_ordered
         and not state.cutting_mode
     )
 

@@ -607,8 +607,9 @@ def test_a_permit_ages_from_its_nonce():
         assert (after.state, after.cause) == (C.INHIBITED, StopCause.PERMIT_EXPIRED)
 
 
-def test_a_start_alone_moves_nothing():
-    after, effects = step(CYCLED, StartReceived(SIGNED_START, 5), NOW)
+@pytest.mark.parametrize("ordered_before", [False, True])
+def test_a_start_alone_moves_nothing(ordered_before):
+    after, effects = step(replace(CYCLED, cut_ordered=ordered_before), StartReceived(SIGNED_START, 5), NOW)
     assert (after.state, after.may_move, after.issued) == (C.CUTTING, False, None)
     assert replies(effects) == [Refusal.ACCEPTED]
 
@@ -708,6 +709,7 @@ def test_the_end_of_the_path_ends_cutting_mode_and_spends_the_permit():
     after, effects = step(CUTTING, PathFinished(), NOW)
     assert (after.state, after.cause, effects) == (C.DONE, StopCause.NONE, ())
     assert (after.permit, after.issued, after.may_move, after.cutting_mode) == (None, None, False, False)
+    assert (after.cut_ordered, after.device) == (False, DeviceCycle.UNSEEN)
     assert after.session is not None
     assert after.session.live
 

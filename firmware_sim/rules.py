@@ -3,6 +3,7 @@
 Each rule is a predicate that must hold ("inside?"), so that anything undefined denies.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -41,7 +42,7 @@ def _session_digest(case: Case) -> bytes | None:
 def _nonce_lifetime_s(case: Case, purpose: Purpose) -> float:
     session = case.controller.session
     if session is None:
-        return 0.0
+        return math.nan  # which no age is within
     return session.permit_lifetime_s if purpose is Purpose.PERMIT else session.start_lifetime_s
 
 

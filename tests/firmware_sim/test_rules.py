@@ -1,7 +1,7 @@
 """Every reason to refuse: a case that passes, one field of it altered, and the one reason that is given."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
@@ -439,10 +439,44 @@ def test_an_accepted_start_still_names_the_permit_that_was_accepted():
     assert START_CASE.controller.permit is not None
 
 
-@pytest.mark.parametrize("field", ["controller.holdings.path", "controller.session", "controller.issued"])
-def test_no_rule_trips_over_what_is_missing(field):
-    """Every rule on its own, not only the first that refuses, denies where its subject is missing."""
-    for case, rules in PASSING:
-        twin = changed(case, field, None)
-        for _, holds in rules:
-            assert holds(twin) in (True, False)
+R = Refusal
+WITHOUT_ITS_SESSION = {R.VOIDED_BY_STOP, R.WRONG_SESSION, R.NONCE_EXPIRED}
+WITHOUT_ITS_NONCE = {R.NO_NONCE, R.NONCE_MISMATCH, R.NONCE_EXPIRED}
+OF_THE_SESSION = {R.REGISTRATION_DIGEST, R.CONFIGURATION_DIGEST, R.VERIFIER, R.TIMING_OUT_OF_BOUNDS}
+MISSING = [
+    (PERMIT_CASE, PERMIT_RULES, "controller.holdings.path", {R.PATH_DIGEST, R.BRANCH}),
+    (PERMIT_CASE, PERMIT_RULES, "controller.issued", WITHOUT_ITS_NONCE),
+    (
+        PERMIT_CASE,
+        PERMIT_RULES,
+        "controller.session",
+        WITHOUT_ITS_SESSION | OF_THE_SESSION | {R.APPROACH_SPEED, R.START_JOINTS},
+    ),
+    (START_CASE, START_RULES, "controller.holdings.path", {R.PATH_DIGEST}),
+    (START_CASE, START_RULES, "controller.issued", WITHOUT_ITS_NONCE),
+    (
+        START_CASE,
+        START_RULES,
+        "controller.session",
+        WITHOUT_ITS_SESSION | {R.PERMIT_EXPIRED, R.NOT_AT_START},
+    ),
+    (RESET_CASE, RESET_RULES, "controller.issued", WITHOUT_ITS_NONCE),
+    (RESET_CASE, RESET_RULES, "controller.session", WITHOUT_ITS_SESSION),
+]
+
+
+@pytest.mark.parametrize(
+    ("case", "rules", "field", "denied"),
+    MISSING,
+    ids=[f"{type(case.request).__name__}-{field}" for case, _, field, _ in MISSING],
+)
+def test_every_rule_on_its_own_denies_where_its_subject_is_missing(case, rules, field, denied):
+    """Not only the first that refuses."""
+    twin = changed(case, field, None)
+    assert {refusal for refusal, holds in rules if holds(twin) is False} == denied
+    assert {refusal for refusal, holds in rules if holds(twin) is True} == {one for one, _ in rules} - denied
+
+
+def test_a_case_stays_as_it_was():
+    with pytest.raises(FrozenInstanceError):
+        PERMIT_CASE.now_s = NOW + 1

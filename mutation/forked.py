@@ -3,9 +3,9 @@
 Importing and collecting cost more than most tests, and most tests never come near the mistake. So a module's tests
 are collected once, and two things are recorded: which functions of the module ran on the way there, and which each
 test enters when it runs alone. A mutant that differs from the module in functions that have not run yet is made by
-giving these functions their new code; only the tests that enter one of them can tell, and only they run, the fastest
-first, until one fails. Function objects stay the same, so it does not matter who imported them by which name or put
-them into which table.
+giving these functions their new code; only the tests that enter one of them can tell, and only they run, until one
+fails: those that have killed most, then the fastest. Function objects stay the same, so it does not matter who imported
+them by which name or put them into which table.
 
 All other mutants, those in tables, classes, defaults and whatever runs at import, are imported anew with all the
 module's tests; and so is every mutant that the short way found alive: no survivor rests on it.
@@ -29,6 +29,7 @@ from functools import partial
 from importlib.machinery import ModuleSpec
 from inspect import CO_OPTIMIZED
 from itertools import zip_longest
+from mmap import mmap
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar
@@ -49,6 +50,7 @@ ASLEEP_S: Final = 20
 """So does one that waits so long for anything but the processor: no test here sleeps."""
 SHORT_MIN: Final = 30
 """Below so many mutants it is not worth while to learn what the tests enter."""
+TESTS_MAX: Final = 1 << 16
 MEMORY_BYTES: Final = 8 << 30
 OPTIONS: Final = (
     *("-x", "-q", "-s", "--assert=plain", "--tb=native", "-p", "no:cacheprovider"),
@@ -309,6 +311,8 @@ class Collected:
         self.failed = False
         self.enters: dict[str, set[int]] = {}
         """The numbers of the functions that each test enters."""
+        self.kills = mmap(-1, TESTS_MAX)
+        """How many mutants each test has killed so far, shared by all processes."""
         self.holders: dict[int, list[FunctionType]] = {}
         """The function objects of each function, by number."""
         self.numbers = {
@@ -369,13 +373,13 @@ class Collected:
         for number, code in changed.items():
             for function in self.holders[number]:
                 function.__code__ = code
-        ordered = self.usual.fastest_first(
-            item for item in items if self.enters[item.nodeid] & changed.keys()
-        )
+        able = [item for item in items if self.enters[item.nodeid] & changed.keys()]
+        ordered = sorted(self.usual.fastest_first(able), key=lambda item: -self.kills[items.index(item)])
         for item, following in zip_longest(ordered, ordered[1:]):
             self.usual.limit(item)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             if self.failed:
+                self.kills[items.index(item)] = min(255, self.kills[items.index(item)] + 1)
                 return int(pytest.ExitCode.TESTS_FAILED)
         return int(pytest.ExitCode.OK)
 

@@ -3,6 +3,7 @@
 import contextlib
 import struct
 import zlib
+from dataclasses import FrozenInstanceError
 
 import pytest
 from hypothesis import example, given
@@ -80,8 +81,9 @@ def test_any_body_behind_a_right_crc_parses_or_is_refused(code: int, session: in
         (bytes(4096), "is 4096 bytes"),
         (COLLECT[:-1] + bytes([COLLECT[-1] ^ 1]), "CRC-32"),
         (forged(4, 1, 0, 5, b""), "reserved"),
-        (forged(4, 0, 1, 5, b""), "length says 1"),
-        (forged(4, 0, 0, 5, b"x"), "length says 0"),
+        (forged(4, 0, 4079, 5, bytes(4079)), "Collect is followed by 4079 bytes"),
+        (forged(4, 0, 1, 5, b""), "length says 1, body is 0 bytes"),
+        (forged(4, 0, 0, 5, b"x"), "length says 0, body is 1 bytes"),
         (forged(0x99, 0, 0, 5, b""), "type 0x99"),
         (forged(4, 0, 1, 5, b"x"), "Collect is followed by 1 bytes"),
         (forged(4, 0, 0, 0, b""), "Collect must not be sent outside a session"),
@@ -91,6 +93,11 @@ def test_any_body_behind_a_right_crc_parses_or_is_refused(code: int, session: in
 def test_malformed_envelope_is_refused_with_its_reason(data: bytes, why: str):
     with pytest.raises(RecordError, match=why):
         unpack(data)
+
+
+def test_what_has_passed_stays_as_it_came():
+    with pytest.raises(FrozenInstanceError):
+        unpack(COLLECT).session = 6  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("session", [-1, 2**32])

@@ -331,10 +331,8 @@ def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> O
     """What waited is refused; what must not be forgotten is written again in every turn, and nothing starts before."""
     awaiting, unknown = state.awaiting, replace(state, awaiting=None, written=None)
     match awaiting.event if awaiting else None:
-        case OpenReceived(request=request, sequence=sequence):
-            return unknown, (_reply(state, request, sequence, Refusal.MEMORY_FAILED, session=0),)
-        case ResetReceived(reset=reset, sequence=sequence):
-            return unknown, (_reply(state, reset, sequence, Refusal.MEMORY_FAILED),)
+        case OpenReceived(request, sequence) | ResetReceived(request, sequence):
+            return unknown, (_reply(state, request, sequence, Refusal.MEMORY_FAILED),)
     if state.state is ControllerState.FAULT:
         return unknown, ()
     return stop(unknown, StopCause.INTERNAL_ERROR)

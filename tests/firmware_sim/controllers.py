@@ -265,7 +265,7 @@ def is_void(state: Controller) -> bool:
     return (
         state.permit is None
         and state.issued is None
-        and state.holdings.path is None
+        and (state.holdings.path, state.holdings.ends) == (None, None)
         and not (state.session is not None and state.session.live)
         and not state.may_move
         and not state.cut_ordered

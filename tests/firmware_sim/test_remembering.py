@@ -199,7 +199,7 @@ def test_the_reset_is_answered_once_the_cleared_latch_is_durable():
 
     left, effects = step(LEAVING, Persisted(unlatched), NOW)
 
-    assert (left.state, left.memory, left.written) == (C.OPEN, unlatched, unlatched)
+    assert (left.state, left.memory, left.written, left.awaiting) == (C.OPEN, unlatched, unlatched, None)
     assert replies(effects) == [Refusal.ACCEPTED]
     assert effects[0].record.request_sequence == 8
 

@@ -81,12 +81,14 @@ from tests.firmware_sim.controllers import (
     POWERED_UP,
     REGISTRATION,
     RELEASE,
+    RESET,
     RESETTING,
     RUNTIME_NONCE,
     SIGNED_PERMIT,
     SIGNED_RESET,
     SIGNED_START,
     STANDING,
+    START,
     START_JOINTS,
     STARTED,
     STOPPING_EVENTS,
@@ -363,7 +365,7 @@ def test_a_changed_limit_is_held_and_stops():
 
 def test_a_session_is_opened_with_what_both_sides_said():
     remembered = Memory(named=frozenset({REGISTRATION}))
-    named = replace(POWERED_UP, memory=remembered, written=remembered)
+    named = replace(POWERED_UP, memory=remembered, written=remembered, heartbeat_fresh=True)
     after, effects = step(named, OpenReceived(OPEN, 7), NOW)
     assert (after.state, after.epoch, after.heartbeat_fresh) == (C.OPEN, 1, False)
     session = after.session
@@ -521,6 +523,28 @@ def test_a_wrong_key_latches_from_every_state():
             assert replies(effects) == [Refusal.MAC_INVALID]
 
 
+REFUSED = [
+    (ASKED, PermitReceived(permits.sign(KEY, replace(PERMIT, epoch=7)), 9), Refusal.EPOCH),
+    (CYCLED, StartReceived(permits.sign(KEY, replace(START, epoch=7)), 9), Refusal.EPOCH),
+    (RESETTING, ResetReceived(permits.sign(KEY, replace(RESET, epoch=7)), 9), Refusal.EPOCH),
+]
+
+
+@pytest.mark.parametrize(("state", "event", "refusal"), REFUSED, ids=["permit", "start", "reset"])
+def test_a_refused_request_uses_its_nonce_up_and_stops_nothing(state, event, refusal):
+    after, effects = step(state, event, NOW)
+    assert state.issued is not None
+    assert after == replace(state, issued=None)
+    (send,) = effects
+    assert (send.session, send.record.request_sequence) == (TAG, 9)
+    assert (send.record.refusal, send.record.cause, send.record.detail) == (refusal, state.cause, 0)
+
+
+def test_a_request_without_a_session_is_answered_outside_any():
+    _, (send,) = step(POWERED_UP, PermitReceived(SIGNED_PERMIT, 9), NOW)
+    assert (send.session, send.record.refusal) == (0, Refusal.VOIDED_BY_STOP)
+
+
 # ---------------------------------------------------------------- loading
 
 
@@ -617,6 +641,8 @@ def test_a_start_alone_moves_nothing(ordered_before):
 def test_a_start_that_no_cut_follows_is_dropped_within_the_time_out():
     for now_s in (NOW, NOW + 0.099):
         assert step(STARTED, Tick(), now_s) == (STARTED, ())
+    just_in_time = replace(STARTED, started_at_s=0.0)
+    assert step(just_in_time, Tick(), 0.1) == (just_in_time, ())
     for now_s in (NOW + 0.11, NOW - 0.1, math.nan):
         after, _ = step(STARTED, Tick(), now_s)
         assert (after.state, after.cause) == (C.INHIBITED, StopCause.HEARTBEAT_LOST)
@@ -706,7 +732,8 @@ def test_freshness_is_what_the_link_says(name):
 
 
 def test_the_end_of_the_path_ends_cutting_mode_and_spends_the_permit():
-    after, effects = step(CUTTING, PathFinished(), NOW)
+    asked = fed(CUTTING, NonceRequested(Purpose.PERMIT, PERMIT.nonce))
+    after, effects = step(asked, PathFinished(), NOW)
     assert (after.state, after.cause, effects) == (C.DONE, StopCause.NONE, ())
     assert (after.permit, after.issued, after.may_move, after.cutting_mode) == (None, None, False, False)
     assert (after.cut_ordered, after.device) == (False, DeviceCycle.UNSEEN)

@@ -50,7 +50,6 @@ ASLEEP_S: Final = 20
 """So does one that waits so long for anything but the processor: no test here sleeps."""
 SHORT_MIN: Final = 30
 """Below so many mutants it is not worth while to learn what the tests enter."""
-TESTS_MAX: Final = 1 << 16
 MEMORY_BYTES: Final = 8 << 30
 OPTIONS: Final = (
     *("-x", "-q", "-s", "--assert=plain", "--tb=native", "-p", "no:cacheprovider"),
@@ -249,13 +248,37 @@ class Usual:
     collect_s: float
     tests_s: Mapping[str, float]
 
-    def limit(self, item: pytest.Item) -> None:
-        """Set the limit of this test; one that exists only for a mutant has the longest."""
-        _limit(self.tests_s.get(item.nodeid, max(self.tests_s.values())))
 
-    def fastest_first(self, items: Iterable[pytest.Item]) -> list[pytest.Item]:
-        """The order in which they run; what exists only for a mutant comes before all others."""
-        return sorted(items, key=lambda item: self.tests_s.get(item.nodeid, 0.0))
+class Ranking:
+    """In which order tests run, and how long each may take; shared by all processes that are forked later.
+
+    First what exists only for a mutant, then the tests that have killed most, then the fastest.
+    """
+
+    def __init__(self, usual: Usual) -> None:
+        self.usual = usual
+        self.numbers = {name: number for number, name in enumerate(usual.tests_s)}
+        self.kills = mmap(-1, len(self.numbers))
+
+    def ordered(self, items: Iterable[pytest.Item]) -> list[pytest.Item]:
+        """The tests in the order in which they run."""
+        return sorted(items, key=lambda item: self._rank(item.nodeid))
+
+    def _rank(self, name: str) -> tuple[int, float]:
+        return (
+            (-self.kills[self.numbers[name]], self.usual.tests_s[name])
+            if name in self.numbers
+            else (-256, 0.0)
+        )
+
+    def limit(self, item: pytest.Item) -> None:
+        """Set the limit of this test; what exists only for a mutant has the longest."""
+        _limit(self.usual.tests_s.get(item.nodeid, max(self.usual.tests_s.values())))
+
+    def killed(self, name: str) -> None:
+        """Note that this test has failed."""
+        if name in self.numbers:
+            self.kills[self.numbers[name]] = min(255, self.kills[self.numbers[name]] + 1)
 
 
 class Measured:
@@ -279,19 +302,24 @@ class Measured:
 
 
 class Limited:
-    """A pytest plugin: the fastest tests first, and a limit for each."""
+    """A pytest plugin: order and limits as the ranking says."""
 
-    def __init__(self, usual: Usual) -> None:
-        self.usual = usual
+    def __init__(self, ranking: Ranking) -> None:
+        self.ranking = ranking
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Put them into order."""
-        items[:] = self.usual.fastest_first(items)
+        """Put the tests into order."""
+        items[:] = self.ranking.ordered(items)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
         """Begin one test."""
-        self.usual.limit(item)
+        self.ranking.limit(item)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Hear of a failure."""
+        if report.failed:
+            self.ranking.killed(report.nodeid)
 
 
 # ---------------------------------------------------------------- the short way
@@ -300,8 +328,8 @@ class Limited:
 class Collected:
     """A pytest plugin that, once the tests are collected, runs mutants instead of them."""
 
-    def __init__(self, code: CodeType, mutants: Sequence[CodeType], usual: Usual, jobs: int) -> None:
-        self.mutants, self.usual, self.jobs = mutants, usual, jobs
+    def __init__(self, code: CodeType, mutants: Sequence[CodeType], ranking: Ranking, jobs: int) -> None:
+        self.mutants, self.ranking, self.jobs = mutants, ranking, jobs
         self.code, self.functions = code, list(functions(code))
         self.verdicts: dict[int, Verdict] = {}
         self.unfit = ""
@@ -311,8 +339,6 @@ class Collected:
         self.failed = False
         self.enters: dict[str, set[int]] = {}
         """The numbers of the functions that each test enters."""
-        self.kills = mmap(-1, TESTS_MAX)
-        """How many mutants each test has killed so far, shared by all processes."""
         self.holders: dict[int, list[FunctionType]] = {}
         """The function objects of each function, by number."""
         self.numbers = {
@@ -373,13 +399,12 @@ class Collected:
         for number, code in changed.items():
             for function in self.holders[number]:
                 function.__code__ = code
-        able = [item for item in items if self.enters[item.nodeid] & changed.keys()]
-        ordered = sorted(self.usual.fastest_first(able), key=lambda item: -self.kills[items.index(item)])
+        ordered = self.ranking.ordered(item for item in items if self.enters[item.nodeid] & changed.keys())
         for item, following in zip_longest(ordered, ordered[1:]):
-            self.usual.limit(item)
+            self.ranking.limit(item)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             if self.failed:
-                self.kills[items.index(item)] = min(255, self.kills[items.index(item)] + 1)
+                self.ranking.killed(item.nodeid)
                 return int(pytest.ExitCode.TESTS_FAILED)
         return int(pytest.ExitCode.OK)
 
@@ -413,13 +438,14 @@ class Trial:
         usual = told(partial(_silently, partial(self._usual, original)))
         if usual is None:
             raise UnfitError(f"{self.module}: its own tests fail without any mutant")
+        ranking = Ranking(usual)
         found: dict[int, Verdict] = {}
         if len(codes) >= SHORT_MIN:
-            unfit, found = told(partial(_silently, partial(self._short, original, codes, usual)))
+            unfit, found = told(partial(_silently, partial(self._short, original, codes, ranking)))
             if unfit:
                 raise UnfitError(f"{self.module}: {unfit}")
         left = [number for number in range(len(codes)) if found.get(number, Verdict.ALIVE) is Verdict.ALIVE]
-        tasks = (partial(self._long, codes[number], usual) for number in left)
+        tasks = (partial(self._long, codes[number], ranking) for number in left)
         for number, code in pooled(tasks, self.jobs):
             found[left[number]] = ENDS.get(code, Verdict.UNDECIDED)
         return [found[number] for number in range(len(codes))]
@@ -434,18 +460,18 @@ class Trial:
         return Usual(plugin.collect_s, plugin.tests_s) if passed else None
 
     def _short(
-        self, original: CodeType, codes: Sequence[CodeType], usual: Usual
+        self, original: CodeType, codes: Sequence[CodeType], ranking: Ranking
     ) -> tuple[str, dict[int, Verdict]]:
         """Why the tests are unfit, and the verdicts on all mutants that need no import."""
-        plugin = Collected(original, codes, usual, self.jobs)
+        plugin = Collected(original, codes, ranking, self.jobs)
         _trace(plugin.trace)
         self._pytest(original, plugin)
         return plugin.unfit, plugin.verdicts
 
-    def _long(self, code: CodeType, usual: Usual) -> int:
+    def _long(self, code: CodeType, ranking: Ranking) -> int:
         """All tests on one mutant, imported anew."""
-        _limit(usual.collect_s)
-        return _silently(partial(self._pytest, code, Limited(usual)))
+        _limit(ranking.usual.collect_s)
+        return _silently(partial(self._pytest, code, Limited(ranking)))
 
     def _pytest(self, code: CodeType, plugin: object) -> int:
         """Collect and run the module's tests in this process, with ``code`` in the module's place."""

@@ -96,7 +96,7 @@ def connective(node: ast.AST) -> Iterator[Change]:
 
 
 def negation(node: ast.AST) -> Iterator[Change]:
-    """A condition that is no comparison is negated, and so is what stands between ``and`` and ``or``."""
+    """A condition that is no comparison is negated, what stands beside ``and`` or ``or`` as well; a minus sign is lost."""
     negated = {ast.Not: ast.Not(), ast.USub: ast.USub()}
     match node:
         case ast.If(test=test) | ast.IfExp(test=test) | ast.While(test=test) if not _own(test):

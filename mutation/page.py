@@ -37,11 +37,12 @@ Known = Mapping[tuple[str, str], str]
 
 
 def page(scores: Sequence[Score], known: Known, took_s: float, jobs: int) -> str:
-    """The whole page."""
+    """The whole page; without scores it says that no whole run is recorded."""
     took = (
         f"The run took {took_s / 60:.1f} minutes with {jobs} processes at a time on {os.cpu_count()} cores."
     )
-    return "\n".join([*HEAD, *_figures(scores), took, "", *_operators(scores), *_survivors(known), ""])
+    figures = [*_figures(scores), took, "", *_operators(scores)] if scores else [NO_RUN, "", *_operators(())]
+    return "\n".join([*HEAD, "", *figures, *_survivors(known), ""])
 
 
 def about(known: Known) -> list[str]:
@@ -49,6 +50,7 @@ def about(known: Known) -> list[str]:
     return [*HEAD, *_survivors(known)]
 
 
+NO_RUN = "No whole run is recorded here yet: `make mutation WRITE=docs/mutation.md` writes its figures."
 HEAD = f"""\
 # Mutation testing
 
@@ -95,12 +97,12 @@ def _figures(scores: Sequence[Score]) -> Iterator[str]:
 
 
 def _operators(scores: Sequence[Score]) -> Iterator[str]:
-    yield "| mistake | what is done | mutants |"
-    yield "|---|---|---|"
+    yield f"| mistake | what is done |{' mutants |' if scores else ''}"
+    yield f"|---|---|{'---|' if scores else ''}"
     made = Counter(mutant.kind for score in scores for mutant in score.mutants)
     for name, operator in OPERATORS.items():
         done = " ".join((operator.__doc__ or "").replace("``", "`").split())
-        yield f"| {name} | {done} | {made[name]} |"
+        yield f"| {name} | {done} |{f' {made[name]} |' if scores else ''}"
     yield ""
     yield "Strings, annotations and assertions are left alone: the first are for people, the others for the type checker."
     yield ""

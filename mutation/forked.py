@@ -20,6 +20,7 @@ import pickle
 import resource
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -50,6 +51,8 @@ ASLEEP_S: Final = 20
 """So does one that waits so long for anything but the processor: no test here sleeps."""
 SHORT_MIN: Final = 30
 """Below so many mutants it is not worth while to learn what the tests enter."""
+FOLDER: Final = "PYTEST_DEBUG_TEMPROOT"
+"""Where pytest makes its folders: one for each process, for they disturb each other."""
 MEMORY_BYTES: Final = 8 << 30
 OPTIONS: Final = (
     *("-x", "-q", "-s", "--assert=plain", "--tb=native", "-p", "no:cacheprovider"),
@@ -113,6 +116,7 @@ def _forked(task: Callable[[], int]) -> int:
         code = os.EX_SOFTWARE
         try:
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+            os.environ[FOLDER] = tempfile.mkdtemp(dir=os.environ.get(FOLDER))
             code = task()
         finally:
             os._exit(code)
@@ -433,6 +437,11 @@ class Trial:
         Raises:
             UnfitError: the tests fail without any mutant, together or alone.
         """
+        with tempfile.TemporaryDirectory(prefix="cutgate-mutants-") as folder:
+            os.environ[FOLDER] = folder
+            return self._verdicts(mutants)
+
+    def _verdicts(self, mutants: Sequence[Mutant]) -> list[Verdict]:
         original = self._code(ast.parse(self.module.read_text(encoding="utf-8")))
         codes = [self._code(mutant.tree) for mutant in mutants]
         usual = told(partial(_silently, partial(self._usual, original)))

@@ -1,1 +1,35 @@
-"""Exhaustive exploration of interlock and controller together, on a modelled bus, in a modelled world."""
+"""The two real tables, joined by a bus that is the attacker, explored breadth first.
+
+The bus. Whatever carries no code anybody on the bus can write: session tag, nonces and epoch can be read, a check
+value is no secret. So every such record and frame, with every content the tables tell apart, fresh heartbeats
+included, may arrive at either side at any moment (``attacker``). Whatever carries a code can only have been made by
+the runtime; once made it may arrive at any moment, any number of times, in any order, or never. That is more than
+loss, duplication, reordering, delay, corruption (the codes refuse it; the third in a second is a fault of its own)
+and replay can do, with any number of records under way and everything earlier in the attacker's hands.
+
+What has been said only grows until what it names has passed away, and with more said everything can happen that can
+with less. So of a controller's and runtime's states those with less said need not be visited again (``search``).
+
+Names. Both tables compare epochs, nonces, boots, sessions and registrations for equality only, and only the controller
+makes new ones. Each is the present one or an earlier one; when the present one passes away, everything else that
+names it is renamed (``names``). All earlier ones are one: as nothing new is ever equal to them, only two earlier ones
+could be told apart, and what names two of them is refused with one. The epoch is one byte: 256 stops between two looks
+are left out. Of registrations the present and one other are told apart, and a new one may come at any time.
+
+Records that serve no more. A permit, start or reset of the present session that differs from one that serves in nothing
+but its nonce, its epoch, what its nonce was given for, its session or its boot is taken as said already, signature
+included; every rule is a comparison, so that one which differs in more is accepted in no more cases. A runtime with an
+earlier epoch or boot can make only such, so that it does not matter which it has (``Model._settled``). ``World.exact``
+does without both, for traces in which only what was said is repeated.
+
+Time. No clock runs: that something is too old when it is looked at is chosen anew at each look, a deadline or time-out
+may pass at any moment, and so is where the arm stands. What ages were remembered is forgotten (``canonical``).
+
+Disk and memory. A record becomes durable in time, late or never. The controller writes its memory within the step that
+asks for it, as its program does, or cannot; power is lost between steps, which is before the write as well.
+
+Invariant 5 needs no attacker: from every runtime the operator's stop leads to the end of its process, whatever arrives
+meanwhile (a stopping one can do nothing else); without a process, and with everything delivered at once and in order,
+every controller that was met gets back to motion (``calm``). What was still under way when the attacker fell silent
+leads to another state that was met.
+"""

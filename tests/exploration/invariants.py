@@ -10,9 +10,9 @@ from protocol import records
 from protocol.records import digest
 from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from runtime.interlock import state as r
-from tests.exploration.canonical import Message, RuntimeSide, signed
+from tests.exploration.names import Message, RuntimeSide, signed
 
-MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING})
+MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})
 ENABLING = (records.Permit, records.Start, records.Reset)
 SIGNS = (c.PermitReceived, c.StartReceived, c.ResetReceived)
 
@@ -53,6 +53,8 @@ def controller_step(
     wrong = controller_state(after)
     if wrong:
         return wrong
+    if not before.memory.withdrawn <= after.memory.withdrawn:
+        return "1: a withdrawal was forgotten"
     if must_stand_after(event) and after.may_move:
         return f"3: motion after {type(event).__name__}"
     if before.state is ControllerState.FAULT and after.state is not ControllerState.FAULT:
@@ -67,6 +69,20 @@ def controller_step(
     acted = isinstance(event, SIGNS) and after.state is not before.state
     if acted and message is not None and message.old and after.state is not ControllerState.FAULT:
         return f"6: a {type(message.content).__name__} from before a stop was acted upon"
+    return None
+
+
+def reboot(before: c.Controller, after: c.Controller) -> str | None:
+    """Invariants 1 and 4 over a loss of power: what memory was known to hold is not forgotten, and nothing moves."""
+    if after.may_move or after.cutting_mode:
+        return "1: motion or cutting mode at power-up"
+    known = before.written
+    if known is None:
+        return None
+    if known.latched is not StopCause.NONE and after.state is not ControllerState.FAULT:
+        return "4: a latch was left by a loss of power"
+    if not known.withdrawn <= after.memory.withdrawn:
+        return "1: a withdrawal was forgotten by a loss of power"
     return None
 
 

@@ -1,145 +1,163 @@
-"""Breadth first to a fixed point, with the way back to the beginning, and backward from where the arm moves."""
+"""Breadth first to a fixed point, over sets of runtimes, with the way back to the beginning."""
 
 import time
-from array import array
+from collections import defaultdict
 from dataclasses import dataclass, field
-from itertools import pairwise
 
-from tests.exploration.model import Model, Move
+from tests.exploration.model import Model, State
+from tests.exploration.world import Move
+
+Key = tuple[int, int]
+"""A controller and what has been said."""
 
 
 @dataclass
 class Found:
-    """An explored graph.
+    """What was visited.
 
     Attributes:
-        states: packed states in the order in which they were found.
-        before: for each, the number of the state it was first reached from; -1 for the beginning.
-        wrong: the first move that breaks an invariant: the state's number and the move.
-        sources, targets: edges of continuations without faults.
+        seen: for each controller and what has been said, the runtimes met.
+        levels: the states first met after so many moves: for each controller and what has been said, the runtimes.
+        wrong: the first move that breaks an invariant: the depth, the state and the move.
     """
 
     model: Model
-    states: list[int] = field(default_factory=list)
-    before: array = field(default_factory=lambda: array("i"))
+    seen: dict[int, dict[int, int]] = field(default_factory=lambda: defaultdict(dict))
+    levels: list[dict[Key, int]] = field(default_factory=list)
     transitions: int = 0
-    depth: int = 0
     seconds: float = 0.0
-    wrong: tuple[int, Move] | None = None
+    wrong: tuple[State, Move] | None = None
     fixed_point: bool = False
-    sources: array = field(default_factory=lambda: array("i"))
-    targets: array = field(default_factory=lambda: array("i"))
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """States, transitions, depth."""
+        states = sum(runs.bit_count() for level in self.levels for runs in level.values())
+        return states, self.transitions, len(self.levels) - 1
 
     @property
     def figures(self) -> str:
-        """States, transitions, depth, seconds."""
-        return f"{len(self.states)} states, {self.transitions} transitions, depth {self.depth}, {self.seconds:.0f} s"
-
-    def way_to(self, number: int) -> list[int]:
-        """The numbers of the states from the beginning to this one: a shortest way."""
-        way = [number]
-        while self.before[way[-1]] >= 0:
-            way.append(self.before[way[-1]])
-        return way[::-1]
-
-    def moves_to(self, number: int) -> list[tuple[Move, int]]:
-        """The moves along a shortest way, each with the state it leads to."""
-        way = [self.states[one] for one in self.way_to(number)]
-        return [
-            (next(move for move, reached in self.model.moves(source) if reached == target), target)
-            for source, target in pairwise(way)
-        ]
+        """The same in words, and seconds of processor time."""
+        states, transitions, depth = self.counts
+        return f"{states} states, {transitions} transitions, depth {depth}, {self.seconds:.0f} s"
 
 
-def explore(model: Model, *, begin: int | None = None, most: int | None = None) -> Found:
-    """Every state that can be reached from ``begin``; stops at the first broken invariant, or at ``most`` states."""
-    began_s, found = time.perf_counter(), Found(model)
-    start = model.begin() if begin is None else begin
-    numbers, found.before = {start: 0}, array("i", [-1])
-    states, before, sources, targets = found.states, found.before, found.sources, found.targets
-    states.append(start)
-    at, level_ends = 0, 1
-    while at < len(states) and found.wrong is None and (most is None or len(states) <= most):
-        if at == level_ends:
-            found.depth, level_ends = found.depth + 1, len(states)
-        for move, reached in model.moves(states[at]):
-            found.transitions += 1
-            number = numbers.get(reached)
-            if number is None:
-                number = numbers[reached] = len(states)
-                states.append(reached)
-                before.append(at)
-            if move.sound and number != at:
-                sources.append(at)
-                targets.append(number)
-            if move.wrong is not None:
-                found.wrong = (at, move)
-                break
-        at += 1
-    found.fixed_point = at == len(states) and found.wrong is None
-    found.seconds = time.perf_counter() - began_s
+def explore(model: Model, begin: State | None = None, deepest: int | None = None) -> Found:
+    """Every state that can be reached, breadth first; stops at the first broken invariant.
+
+    Args:
+        model: the two sides.
+        begin: where from.
+        deepest: how many moves from there the last states are that are looked at, with every move they have.
+    """
+    began_s, found = time.process_time(), Found(model)
+    run, con, said = begin or model.begin()
+    level: dict[Key, int] = {(con, said): 1 << run}
+    found.seen[con][said] = 1 << run
+    while level and found.wrong is None:
+        found.levels.append(level)
+        reached = _next(found, level)
+        if deepest is not None and len(found.levels) > deepest:
+            break
+        level = _new(found, reached)
+    found.fixed_point = not level
+    found.seconds = time.process_time() - began_s
     return found
 
 
-def cannot_reach(found: Found, goal: set[int]) -> list[int]:
-    """The states from which no continuation without faults leads to ``goal``; both by number."""
-    count = len(found.states)
-    first = array("i", bytes(4 * (count + 1)))
-    for target in found.targets:
-        first[target + 1] += 1
-    for number in range(count):
-        first[number + 1] += first[number]
-    place, inward = array("i", first), array("i", bytes(4 * len(found.sources)))
-    for source, target in zip(found.sources, found.targets, strict=True):
-        inward[place[target]] = source
-        place[target] += 1
-    reaches, todo = bytearray(count), list(goal)
-    for number in todo:
-        reaches[number] = 1
-    while todo:
-        number = todo.pop()
-        for source in inward[first[number] : first[number + 1]]:
-            if not reaches[source]:
-                reaches[source] = 1
-                todo.append(source)
-    return [number for number in range(count) if not reaches[number]]
+def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
+    """Where every move leads from these states."""
+    model, reached = found.model, defaultdict(int)
+    nobody = 1 << model.runtime.none
+    for (con, said), runs in level.items():
+        if runs & nobody:
+            for _move, (started, following, now) in model.starts(con, said):
+                reached[following, now] |= 1 << started
+        groups, count, wrong = model.runtimes_after(runs, model.nonce_given(con))
+        for (sent, passing), after in groups.items():
+            reached[model.with_runtime(con, said, sent, passing)] |= after
+        renamed = {}
+        for step in model.of_controller(con, said):
+            after = renamed.get(step.passing)
+            if after is None:
+                after = renamed[step.passing] = model.renamed_runtimes(runs, step.passing)
+            reached[step.side, step.said] |= after
+            if step.move.wrong:
+                wrong.append((runs.bit_length() - 1, step.move))
+        count += runs.bit_count() * len(model.of_controller(con, said))
+        found.transitions += count
+        if wrong:
+            found.wrong = (wrong[0][0], con, said), wrong[0][1]
+            break
+    return reached
 
 
-def follow(model: Model, texts: list[str]) -> int:
-    """The state after these moves, each named as ``who: what``, from the beginning."""
-    key = model.begin()
-    for text in texts:
-        key = next(reached for move, reached in model.moves(key) if f"{move.actor}: {move.text}" == text)
-    return key
+def way_to(found: Found, state: State, depth: int) -> list[tuple[Move, State]]:
+    """The moves of a shortest way from the beginning to a state first met at this depth, each with where it leads."""
+    way: list[tuple[Move, State]] = []
+    for level in reversed(found.levels[:depth]):
+        before, move = next(
+            (before, move)
+            for (con, said), runs in level.items()
+            for before in ((run, con, said) for run in range(runs.bit_length()) if runs >> run & 1)
+            for move, reached in found.model.moves(*before)
+            if reached == state
+        )
+        way.append((move, state))
+        state = before
+    return way[::-1]
 
 
-def chart(model: Model, begin: int, moves: list[tuple[Move, int]], last: Move | None = None) -> str:
-    """A way as a sequence chart in plain text: who, what, and where both sides stand after it."""
-    rows = [("", "", *_stand(model, begin))]
-    rows += [(move.actor, move.text, *_stand(model, reached)) for move, reached in moves]
-    if last is not None:
-        rows.append((last.actor, last.text, "", ""))
-        rows.append(("", f"breaks {last.wrong}", "", ""))
+def trace(found: Found) -> str:
+    """The shortest way to the broken invariant as a sequence chart."""
+    assert found.wrong is not None
+    state, last = found.wrong
+    return chart(found, state, len(found.levels) - 1, (last.actor, last.text), f"breaks {last.wrong}")
+
+
+def trace_to_controller(found: Found, number: int, what: str) -> str:
+    """The shortest way to this controller as a sequence chart, and what is wrong with it."""
+    state, depth = next(
+        ((runs.bit_length() - 1, con, said), depth)
+        for depth, level in enumerate(found.levels)
+        for (con, said), runs in level.items()
+        if con == number
+    )
+    return chart(found, state, depth, what)
+
+
+def chart(found: Found, state: State, depth: int, *last: tuple[str, str] | str) -> str:
+    """A shortest way in plain text: who, what, and where both sides stand after it; then the last lines."""
+    ((con, said), runs), *_ = found.levels[0].items()
     heads = ("who", "what", "runtime", "controller")
-    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(4)]
-    lines = [
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True))
-        for row in (heads, *rows)
-    ]
+    rows = [heads, ("", "", *_stand(found.model, (runs.bit_length() - 1, con, said)))]
+    for move, reached in way_to(found, state, depth):
+        rows.append((move.actor, move.text, *_stand(found.model, reached)))
+    rows += [("", one, "", "") if isinstance(one, str) else (*one, "", "") for one in last]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in rows]
     return "\n".join(
         f"{'' if index < 2 else index - 1!s:>3}  {line}".rstrip() for index, line in enumerate(lines)
     )
 
 
-def _stand(model: Model, key: int) -> tuple[str, str]:
-    world = model.unpack(key)
-    runtime = world.runtime.interlock.phase if world.runtime else "-"
-    controller = world.controller.state.name + (" moving" if world.controller.may_move else "")
-    return runtime, controller
+def _stand(model: Model, state: State) -> tuple[str, str]:
+    run, con, _ = state
+    side, controller = model.runtime.sides.values[run], model.controller.states.values[con]
+    moving = " moving" if controller.may_move else ""
+    return side.interlock.phase if side else "-", controller.state.name + moving
 
 
-def trace(found: Found) -> str:
-    """The shortest way to the broken invariant."""
-    assert found.wrong is not None
-    number, move = found.wrong
-    return chart(found.model, found.states[0], found.moves_to(number), move)
+def _new(found: Found, reached: dict[Key, int]) -> dict[Key, int]:
+    """Of these what was not met before, nor with more said: with more said everything can happen that can with less."""
+    level = {}
+    for con, said in sorted(reached, key=lambda key: -key[1].bit_count()):
+        runs = reached[con, said]
+        known = found.seen[con]
+        for more, met in known.items():
+            if more & said == said:
+                runs &= ~met
+        if runs:
+            known[said] = known.get(said, 0) | runs
+            level[con, said] = runs
+    return level

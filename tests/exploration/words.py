@@ -6,7 +6,7 @@ from firmware_sim import state as c
 from protocol import records
 from protocol.states import FaultCode, StopCause
 from runtime.interlock import state as r
-from tests.exploration.canonical import TOKEN
+from tests.exploration.names import TOKEN
 from tests.firmware_sim.controllers import START_JOINTS
 
 SAMPLE_OLD, PERMIT_OLD, COMMIT_OLD, NONCE_OLD, LATE = 0.2, 121.0, 1.5, 3.0, 1e6

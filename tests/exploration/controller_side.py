@@ -1,0 +1,286 @@
+"""The controller's real table, and everything that can happen to it, with what it sends."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import firmware_sim.table
+from firmware_sim import state as c
+from protocol import records
+from protocol.states import ControllerState, StopCause
+from runtime.interlock import state as r
+from tests.exploration import attacker, invariants
+from tests.exploration.canonical import NOW, canonical_controller, cause_class
+from tests.exploration.names import (
+    BOOT,
+    EPOCH,
+    GIVEN,
+    LIVE,
+    Message,
+    Passing,
+    rename_controller,
+)
+from tests.exploration.words import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
+from tests.exploration.world import (
+    FLIPPED_PATH,
+    OFF_START,
+    OTHER_LIMITS,
+    Change,
+    Move,
+    Numbers,
+    World,
+    distinct,
+)
+from tests.firmware_sim import controllers as fixed
+
+STANDING, AWAY = c.JointsMeasured(fixed.START_JOINTS), c.JointsMeasured(OFF_START)
+
+
+class Controller:
+    """Every controller met, by number, and what can happen to it.
+
+    Args:
+        world: what may happen.
+        step: the table under test.
+    """
+
+    def __init__(self, world: World, step: Callable[..., Any] | None = None) -> None:
+        self.world, self.step = world, step or firmware_sim.table.step
+        self.states = Numbers()
+        self.written: list[Callable[..., Change]] = []
+        self.known: dict[tuple[c.Controller, int], int] = {}
+        self.attacked: dict[int, list[Change]] = {}
+        self.heard: dict[tuple[int, Message], list[Change]] = {}
+        self.calm: dict[int, list[Change]] = {}
+
+    def changes(self, number: int) -> list[Change]:
+        """Everything but what somebody with the key has said and what only the present runtime may open."""
+        if number not in self.attacked:
+            state = self.states.values[number]
+            self.attacked[number] = self._with_failures(
+                number, lambda: [*self._own(number, state), *self._said(state)]
+            )
+        return self.attacked[number]
+
+    def repeated(self, number: int, message: Message) -> list[Change]:
+        """A record the runtime once sent arrives, now or again, in whatever envelope."""
+        key = number, message
+        if key not in self.heard:
+            state = self.states.values[number]
+            feed = partial(self.feed, state, "bus > controller", message=message)
+            if isinstance(message.content, records.Open):
+                self.heard[key] = self._with_failures(
+                    number, lambda: [feed(c.OpenReceived(message.content, 1))]
+                )
+            else:
+                looks = partial(self._looks_at, feed, message.content)
+                self.heard[key] = self._with_failures(number, looks if state.session else list)
+        return self.heard[key]
+
+    def own(self, number: int) -> list[Change]:
+        """What happens to it without faults, but for arrivals."""
+        if number not in self.calm:
+            state = self.states.values[number]
+            found = [*self._own(number, state), *self._beats(number, state)]
+            self.calm[number] = distinct(number, [one for one in found if one.move.sound])
+        return self.calm[number]
+
+    def _with_failures(self, number: int, changes: Callable[[], list[Change]]) -> list[Change]:
+        """All these, once with a memory that is written and once with one that cannot be."""
+        self.written.clear()
+        found = changes()
+        if self.world.disk:
+            found += [again(memory_fails=True) for again in self.written]
+        return distinct(number, found)
+
+    # ------------------------------------------------------------ its own, people, sensors, clock
+
+    def _own(self, number: int, state: c.Controller) -> Iterable[Change]:
+        world, inputs = self.world, state.inputs
+        feed = partial(self.feed, state)
+        pressed = replace(inputs, device_pressed=not inputs.device_pressed)
+        yield feed("person", c.InputsChanged(pressed), sound=True)
+        if world.emergency_stop:
+            clear = not inputs.emergency_stop_clear
+            yield feed("person", c.InputsChanged(replace(inputs, emergency_stop_clear=clear)), sound=clear)
+        if state.session is not None:
+            yield feed("clock", c.HeartbeatLost(), sound=True)
+        yield feed("clock", c.Tick(), sound=True, late_s=LATE)
+        yield feed("plant", c.PathFinished(), sound=True, first=STANDING)
+        yield feed("plant", c.PathFinished(), first=AWAY)
+        yield feed("shell", c.Fault(StopCause.SEQUENCE_ERROR))
+        yield feed("shell", c.Fault(StopCause.SECOND_NODE))
+        if world.bone:
+            yield feed("sensor", c.BoneMoved())
+        if world.limits:
+            original = fixed.LIMITS.body()
+            changed = OTHER_LIMITS if state.holdings.limits == original else original
+            yield feed("person", c.LimitsChanged(changed), sound=changed == original)
+            if state.state is not ControllerState.CUTTING:
+                yield from self._silent_changes(number, state)
+        if world.reboots:
+            yield from self._reboots(state)
+
+    def _reboots(self, state: c.Controller) -> Iterable[Change]:
+        """With what memory holds; where that is not known, what it was to hold, or a latch less."""
+        memories = {state.memory, state.written or replace(state.memory, latched=StopCause.NONE)}
+        for memory in sorted(memories, key=repr):
+            again = c.Controller.powered_up(
+                state.identity, replace(state.holdings, path=None, ends=None), memory
+            )
+            again = replace(again, epoch=EPOCH, inputs=state.inputs)
+            wrong = invariants.reboot(state, again)
+            move = Move("controller", "reboots", wrong=wrong)
+            yield Change(move, self.states.number(again), (), Passing.STOP | Passing.BOOT | Passing.NONCE)
+
+    def _silent_changes(self, number: int, state: c.Controller) -> Iterable[Change]:
+        held = state.holdings
+        changes = [("its limits change without a word", replace(held, limits=OTHER_LIMITS))]
+        if held.path is not None:
+            changes.append(("a bit of the stored path flips", replace(held, path=FLIPPED_PATH)))
+        for text, holdings in changes:
+            yield Change(Move("controller", text), self.states.number(replace(state, holdings=holdings)))
+
+    def _beats(self, number: int, state: c.Controller) -> Iterable[Change]:
+        if state.session is None:
+            move = Move("controller", "announces itself", sound=True)
+            yield Change(move, number, (Message(0, attacker.announced(BOOT)),))
+            return
+        view = r.ControllerView(
+            state.state,
+            state.cause,
+            state.epoch,
+            state.inputs.device_pressed,
+            state.inputs.emergency_stop_clear,
+            state.cutting_mode,
+        )
+        beat = Message(state.session.tag, r.HeartbeatReceived(view, fresh=True))
+        yield Change(Move("controller", "sends its heartbeat", sound=True), number, (beat,))
+
+    # ------------------------------------------------------------ what is said to it
+
+    def _said(self, state: c.Controller) -> Iterable[Change]:
+        feed = partial(self.feed, state, "bus > controller")
+        for event in attacker.opens(self.world):
+            yield feed(event)
+        if state.session is None:
+            return
+        for event in attacker.unsigned(attacker.causes(self.world)):
+            yield feed(event)
+        if state.state in (ControllerState.OPEN, ControllerState.LOADED):
+            for event in attacker.uploads(self.world):
+                yield feed(event)
+        session, latched = state.session, state.memory.latched
+        issued = state.issued.purpose if state.issued else None
+        said = attacker.earlier_records(session, issued, latched, exact=self.world.exact)
+        for message in said + attacker.forged_records(session, state.permit, latched):
+            yield from self._looks_at(partial(feed, message=message), message.content)
+
+    def _looks_at(self, feed: Callable[..., Change], record: Any) -> list[Change]:
+        """Permit, start and reset: looked at in time or too late, the arm at its start or away from it."""
+        if isinstance(record, records.Reset):
+            reset = c.ResetReceived(record, 1)
+            return [feed(reset), feed(reset, late_s=NONCE_OLD)]
+        permit = isinstance(record, records.Permit)
+        event = c.PermitReceived(record, 1) if permit else c.StartReceived(record, 1)
+        return [
+            feed(event, first=STANDING),
+            feed(event, first=STANDING, late_s=PERMIT_OLD if permit else NONCE_OLD),
+            feed(event, first=AWAY),
+        ]
+
+    def hears(self, number: int, message: Message) -> Change:
+        """A message of the real runtime arrives, in time."""
+        feed = partial(
+            self.feed, self.states.values[number], "runtime > controller", sound=True, message=message
+        )
+        match message.content:
+            case records.Open() as request:
+                return feed(c.OpenReceived(request, 1))
+            case records.NonceRequest(purpose=purpose):
+                return feed(c.NonceRequested(purpose, GIVEN))
+            case records.Permit() as permit:
+                return feed(c.PermitReceived(permit, 1), first=STANDING)
+            case records.Start() as start:
+                return feed(c.StartReceived(start, 1), first=STANDING)
+            case records.Reset() as reset:
+                return feed(c.ResetReceived(reset, 1))
+            case records.Acknowledge(cause=cause):
+                return feed(c.AcknowledgeReceived(cause, 1))
+            case records.Collect():
+                return feed(c.CollectReceived())
+        return feed(message.content)
+
+    # ------------------------------------------------------------ one step
+
+    def feed(
+        self,
+        state: c.Controller,
+        actor: str,
+        event: c.Event,
+        *,
+        sound: bool = False,
+        late_s: float = 0.0,
+        first: c.Event | None = None,
+        message: Message | None = None,
+        memory_fails: bool = False,
+    ) -> Change:
+        """One step of the real table, judged, and what it sends."""
+        at_hand = self.step(state, first, NOW)[0] if first is not None else state
+        after, effects = self.step(at_hand, event, NOW + late_s)
+        text = describe(event) + lateness(late_s, first)
+        for effect in effects:
+            if isinstance(effect, c.Persist):
+                answer = c.PersistFailed() if memory_fails else c.Persisted(effect.memory)
+                after, more = self.step(after, answer, NOW + late_s)
+                effects += more
+                text += ", its memory cannot be written" if memory_fails else ""
+                if not memory_fails:
+                    again = partial(
+                        self.feed, state, actor, event, late_s=late_s, first=first, message=message
+                    )
+                    self.written.append(again)
+        wrong = invariants.controller_step(state, event, after, message)
+        sent = tuple(one for effect in effects for one in sent_by(state, effect))
+        stopped = any(isinstance(effect, c.SendFault) for effect in effects)
+        passing = passing_between(state, after) | (Passing.STOP if stopped else 0)
+        key = after, passing & Passing.NONCE
+        number = self.known.get(key)
+        if number is None:
+            canonical = canonical_controller(rename_controller(present(after), passing & Passing.NONCE))
+            number = self.known[key] = self.states.number(canonical)
+        move = Move(actor, text, sound, wrong)
+        return Change(move, number, sent, passing)
+
+
+def passing_between(before: c.Controller, after: c.Controller) -> int:
+    """What ceased to be the present one."""
+    passing = 0
+    if after.epoch != before.epoch:
+        passing |= Passing.STOP | Passing.EPOCH
+    if before.issued is not None and (after.issued is None or after.issued.nonce != before.issued.nonce):
+        passing |= Passing.NONCE
+    return passing
+
+
+def present(state: c.Controller) -> c.Controller:
+    """Its epoch is the present one, and so is the nonce it has just given."""
+    issued = state.issued
+    if issued is not None and issued.nonce == GIVEN:
+        issued = replace(issued, nonce=LIVE)
+    return replace(state, epoch=EPOCH, issued=issued)
+
+
+def sent_by(before: c.Controller, effect: c.Effect) -> list[Message]:
+    """What an effect puts on the bus, with the names it has after the step."""
+    match effect:
+        case c.Send(record=records.Nonce() as nonce, session=tag):
+            return [Message(tag, replace(nonce, nonce=LIVE, epoch=EPOCH))]
+        case c.Send(record=records.Opened() as opened, session=tag):
+            return [Message(tag, replace(opened, epoch=EPOCH))]
+        case c.Send(record=record, session=tag):
+            return [Message(tag, record)]
+        case c.SendFault(code=code, cause=cause) if before.session is not None:
+            return [Message(before.session.tag, r.FaultReceived(code, cause_class(cause)))]
+    return []

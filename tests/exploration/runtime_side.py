@@ -1,0 +1,253 @@
+"""The runtime's real table, and everything that can happen to it, with what it sends."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import runtime.interlock.table
+from firmware_sim import state as c
+from protocol import records
+from protocol.states import (
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+)
+from runtime.interlock import state as r
+from tests.exploration import attacker, invariants
+from tests.exploration.canonical import NOW, canonical_runtime, cause_class
+from tests.exploration.names import (
+    BOOT,
+    EARLIER_BOOT,
+    EPOCH,
+    LIVE,
+    TOKEN,
+    Message,
+    Passing,
+    RuntimeSide,
+    digest_of,
+    signed,
+)
+from tests.exploration.words import COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
+from tests.exploration.world import (
+    FRESH,
+    OFF_START,
+    OTHER_LIMITS,
+    VERDICT,
+    Change,
+    Move,
+    Numbers,
+    World,
+    distinct,
+)
+from tests.firmware_sim import controllers as fixed
+
+STANDING, AWAY = r.JointsMeasured(fixed.START_JOINTS), r.JointsMeasured(OFF_START)
+
+
+class Runtime:
+    """Every runtime met, by number, and what can happen to it.
+
+    Args:
+        world: what may happen.
+        step: the table under test.
+    """
+
+    def __init__(self, world: World, step: Callable[..., Any] | None = None) -> None:
+        self.world, self.step = world, step or runtime.interlock.table.step
+        self.sides = Numbers()
+        self.none = self.sides.number(None)
+        self.known: dict[RuntimeSide, int] = {}
+        self.attacked: dict[tuple[int, bool], list[Change]] = {}
+        self.calm: dict[int, list[Change]] = {}
+
+    def fresh(self) -> int:
+        """A process that has just begun."""
+        return self.sides.number(RuntimeSide(FRESH))
+
+    def changes(self, number: int, live_nonce: bool) -> list[Change]:
+        """Everything: its own acts, people, disk, clock, and whatever anybody without the key can say to it."""
+        key = number, live_nonce
+        if key not in self.attacked:
+            side = self.sides.values[number]
+            if side is None:
+                found = []
+            elif live_nonce:
+                found = [*self.changes(number, False), *self._nonce_said(side)]
+            else:
+                found = [*self._own(side), *self._said(side)]
+            self.attacked[key] = distinct(number, found)
+        return self.attacked[key]
+
+    def own(self, number: int) -> list[Change]:
+        """What happens to it without faults, but for arrivals."""
+        if number not in self.calm:
+            side = self.sides.values[number]
+            found = [] if side is None else [*self._own(side), *self._beats(side)]
+            self.calm[number] = distinct(number, [one for one in found if one.move.sound])
+        return self.calm[number]
+
+    # ------------------------------------------------------------ its own, people, disk, clock
+
+    def _own(self, side: RuntimeSide) -> Iterable[Change]:
+        state = side.interlock
+        feed = partial(self.feed, side)
+        yield feed("operator", r.Said(r.Word.STOP), sound=True)
+        yield feed("operator", r.Said(r.Word.START), sound=True)
+        yield feed("operator", r.Said(r.Word.ACKNOWLEDGE), sound=True)
+        yield feed("operator", r.Said(r.Word.RESET), sound=True)
+        yield feed("operator", r.Said(r.Word.QUIT), sound=True)
+        yield feed("clock", r.Tick(), sound=True, late_s=LATE)
+        if link_open(state):
+            yield feed("clock", r.HeartbeatLost(), sound=True)
+        if state.phase is r.Phase.VERIFYING:
+            yield from self._verdicts(feed)
+        if state.phase is r.Phase.FINISHING:
+            yield feed("arm", STANDING, sound=True)
+            yield feed("arm", AWAY)
+        for commit in side.commits:
+            yield from self._durable(feed, r.RecordDurable(commit.token))
+        yield feed("shell", r.Failed(StopCause.SECOND_NODE, ""))
+        if self.world.disk:
+            yield feed("disk", r.LogChanged(replace(state.log, writable=False)))
+        if self.world.bone:
+            yield feed("operator", r.Said(r.Word.WITHDRAW))
+        over = Passing.SESSION if state.session else 0
+        yield Change(Move("runtime", "its process dies"), self.none, (), over)
+
+    def _durable(self, feed: Callable[..., Change], durable: r.RecordDurable) -> Iterable[Change]:
+        yield feed("disk", durable, sound=True)
+        if self.world.disk:
+            yield feed("disk", durable, late_s=COMMIT_OLD)
+            yield feed("disk", durable, late_s=SAMPLE_OLD)
+            yield feed("disk", durable, first=AWAY)
+
+    def _verdicts(self, feed: Callable[..., Change]) -> Iterable[Change]:
+        yield feed("worker", r.VerdictReady(VERDICT), sound=True)
+        if self.world.disk:
+            yield feed("worker", r.VerdictReady(replace(VERDICT, admissible=False)))
+            yield feed("worker", r.VerdictReady(replace(VERDICT, approach=None)))
+            yield feed("worker", r.VerdictReady(replace(VERDICT, limits=records.digest(OTHER_LIMITS))))
+            yield feed("worker", r.VerdictReady(replace(VERDICT, request=TOKEN - 1)))
+
+    def _beats(self, side: RuntimeSide) -> Iterable[Change]:
+        state = side.interlock
+        if link_open(state):
+            code = r.HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
+            beat = c.HeartbeatReceived(code, state.epoch, state.cause, fresh=True)
+            move = Move("runtime", "sends its heartbeat", sound=True)
+            yield Change(move, self.sides.number(side), (Message(tag_of(side), beat),))
+
+    # ------------------------------------------------------------ what is said to it
+
+    def _said(self, side: RuntimeSide) -> Iterable[Change]:
+        state = side.interlock
+        feed = partial(self.feed, side, "bus > runtime")
+        if state.phase in (r.Phase.WAITING, r.Phase.OPENING):
+            for late_s in (0.0, 1.0):
+                yield feed(attacker.announced(BOOT), late_s=late_s)
+                yield feed(attacker.announced(EARLIER_BOOT), late_s=late_s)
+        else:
+            yield feed(attacker.announced(BOOT))
+        if state.session is None:
+            return
+        for event in attacker.unsigned_records():
+            yield feed(event)
+        yield feed(r.PathStored(attacker.STORED), first=STANDING)
+        if link_open(state):
+            for cause in attacker.causes(self.world):
+                yield feed(r.FaultReceived(FaultCode.LATCHED, cause))
+            for beat in attacker.heartbeats(attacker.causes(self.world)):
+                yield feed(beat, first=STANDING)
+
+    def _nonce_said(self, side: RuntimeSide) -> Iterable[Change]:
+        """The nonce that the controller has given, for any purpose: everybody on the bus has read it."""
+        for purpose in Purpose if side.interlock.session else ():
+            yield self.feed(side, "bus > runtime", r.NonceReceived(purpose, LIVE, EPOCH))
+
+    def hears(self, number: int, content: Any) -> Change:
+        """A message of the real controller arrives, in time."""
+        side = self.sides.values[number]
+        feed = partial(self.feed, side, "controller > runtime", sound=True)
+        match content:
+            case r.HeartbeatReceived():
+                return feed(content, first=STANDING)
+            case records.Opened():
+                return feed(r.SessionOpened(content.epoch, content.state, content.cause))
+            case records.Limits() | records.Calibration() | records.Tool():
+                return feed(r.ParameterReceived(content))
+            case records.PathStored(digest=digest, refusal=refusal, pose=pose):
+                return feed(r.PathStored(r.Stored(digest, refusal, pose)), first=STANDING)
+            case records.Nonce():
+                return feed(r.NonceReceived(content.purpose, content.nonce, content.epoch))
+            case records.Reply() as reply:
+                pressed = reply.detail != 0
+                return feed(r.ReplyReceived(reply.request_type, reply.refusal, reply.cause, pressed))
+            case r.Announced():
+                return feed(content, late_s=1.0)
+        return feed(content)
+
+    # ------------------------------------------------------------ one step
+
+    def feed(
+        self,
+        side: RuntimeSide,
+        actor: str,
+        event: r.Event,
+        *,
+        sound: bool = False,
+        late_s: float = 0.0,
+        first: r.Event | None = None,
+    ) -> Change:
+        """One step of the real table, judged, and what it sends."""
+        state = side.interlock
+        if first is not None:
+            state, _ = self.step(state, first, NOW)
+        after, effects = self.step(state, event, NOW + late_s)
+        wrong = invariants.runtime_step(replace(side, interlock=state), event, after, effects)
+        commits = [
+            commit
+            for commit in side.commits
+            if not (isinstance(event, r.RecordDurable) and commit.token == event.token)
+        ]
+        commits += [one for one in effects if isinstance(one, r.Commit)]
+        following = RuntimeSide(after, tuple(commits))
+        sent = tuple(message for effect in effects for message in sent_by(state, following, effect))
+        number = self.known.get(following)
+        if number is None:
+            number = self.known[following] = self.sides.number(canonical_runtime(following))
+        left = state.session is not None and (number == self.none or after.session != state.session)
+        move = Move(actor, describe(event) + lateness(late_s, first), sound, wrong)
+        return Change(move, number, sent, Passing.SESSION if left else 0)
+
+
+def link_open(state: r.Interlock) -> bool:
+    """Whether the runtime's single frames flow: from the answer to OPEN on."""
+    return state.phase not in (r.Phase.WAITING, r.Phase.OPENING, *r.ENDED)
+
+
+def tag_of(side: RuntimeSide | None) -> int:
+    """The session it is in, 0 for none."""
+    session = side.interlock.session if side else None
+    return session.tag if session else 0
+
+
+def sent_by(before: r.Interlock, after: RuntimeSide, effect: r.Effect) -> list[Message]:
+    """What an effect puts on the bus."""
+    match effect:
+        case r.Send(record=records.Open() as request):
+            return [Message(0, request)]
+        case r.Send(record=records.SignedRecord() as record):
+            if isinstance(record, records.Permit):
+                digest_of(record)
+            return [Message(tag_of(after), signed(record))]
+        case r.Send(record=record):
+            return [Message(tag_of(after), record)]
+        case r.SendBlock():
+            path = c.PathChecked(fixed.PATH.body(), Refusal.ACCEPTED, 0, fixed.ENDS)
+            return [Message(tag_of(after), path)]
+        case r.SendStop(code=code, cause=cause) if link_open(before) or before.phase is r.Phase.OPENING:
+            return [Message(tag_of(RuntimeSide(before)), c.StopReceived(code, cause_class(cause)))]
+    return []

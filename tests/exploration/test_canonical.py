@@ -1,0 +1,356 @@
+"""What a state is made canonical by loses nothing: the real tables do the same with the raw state, under every event.
+
+Raw states are met on random walks that leave the straight way to the cut at every place, with real clocks, causes,
+epochs, nonces and tokens. Where the canonical state stands for several, the event is translated with it.
+"""
+
+import random
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import pytest
+
+import firmware_sim.table
+import runtime.interlock.table
+from firmware_sim import state as c
+from protocol import records
+from protocol.states import StopCause
+from runtime.interlock import state as r
+from tests.exploration import attacker, canonical, controller_side, runtime_side
+from tests.exploration.calm import Calm
+from tests.exploration.canonical import NOW, cause_class
+from tests.exploration.model import Model
+from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, signed
+from tests.exploration.ways import LATCHED, TO_MOVING, TO_RESET
+from tests.exploration.world import World
+
+pytestmark = pytest.mark.no_cover
+
+WORLD = World(reboots=True, limits=True, bone=True, emergency_stop=True, disk=True, exact=True)
+WALKS, STEPS = 2, 4
+"""From each place on the way to the cut, and how far."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """One step of a table as the exploration makes it: the event, how late, and what was measured before."""
+
+    event: Any
+    late_s: float = 0.0
+    first: Any = None
+
+
+class Recording:
+    """Instead of making a step, remembers it."""
+
+    def __init__(self) -> None:
+        super().__init__(WORLD)
+        self.inputs: list[Input] = []
+
+    def feed(
+        self, _state: Any, _actor: str, event: Any, *, late_s: float = 0.0, first: Any = None, **_: Any
+    ) -> None:
+        """Remember."""
+        self.inputs.append(Input(event, late_s, first))
+
+
+class RecordingRuntime(Recording, runtime_side.Runtime):
+    """Every step that the exploration makes with one runtime."""
+
+    def all(self, side: RuntimeSide) -> list[Input]:
+        """In the order in which it makes them."""
+        for _ in (*self._own(side), *self._said(side), *self._nonce_said(side)):
+            pass
+        return self.inputs
+
+
+class RecordingController(Recording, controller_side.Controller):
+    """Every step that the exploration makes with one controller."""
+
+    def all(self, state: c.Controller) -> list[Input]:
+        """In the order in which it makes them."""
+        for _ in (*self._own(0, state), *self._said(state)):
+            pass
+        if state.session is not None:
+            genuine = attacker.present_records(state.session, state.permit, state.memory.latched)
+            for record in genuine:
+                self._looks_at(partial(self.feed, state, ""), signed(record))
+        return self.inputs
+
+
+@cache
+def places() -> tuple[tuple[RuntimeSide | None, c.Controller], ...]:
+    """Both sides at every place on the way to the cut, and on the way out of a latched fault."""
+    found = []
+    for world, way in ((WORLD, TO_MOVING), (replace(WORLD, begin=LATCHED), TO_RESET)):
+        model = Model(world)
+        for length in range(len(way) + 1):
+            run, con, _ = Calm(model).follow(way[:length])
+            found.append((model.runtime.sides.values[run], model.controller.states.values[con]))
+    return tuple(found)
+
+
+def classed(thing: Any) -> Any:
+    """With the one cause of each class."""
+    return replace(thing, cause=cause_class(thing.cause)) if hasattr(thing, "cause") else thing
+
+
+def another(cause: StopCause, chance: random.Random) -> StopCause:
+    """A cause of the same class. Of those that latch the runtime looks at one as it comes: the exploration says both."""
+    code = StopCause.AUTHENTICATION_FAILED
+    same = [
+        one
+        for one in StopCause
+        if cause_class(one) is cause_class(cause) and (one is code) is (cause is code)
+    ]
+    return chance.choice(same)
+
+
+# ---------------------------------------------------------------- the runtime
+
+
+def raw_runtime_input(given: Input, raw: RuntimeSide, chance: random.Random) -> Input:
+    """The same for the raw runtime: its tokens, and any cause of the class."""
+    event, token = given.event, raw.interlock.token
+    match event:
+        case r.RecordDurable(token=named):
+            older = [one.token for one in raw.commits if one.token != token]
+            event = r.RecordDurable(token if named == TOKEN else older[-1])
+        case r.VerdictReady(verdict=verdict):
+            event = r.VerdictReady(replace(verdict, request=verdict.request - TOKEN + token))
+        case r.HeartbeatReceived(view=view):
+            event = replace(event, view=replace(view, cause=another(view.cause, chance)))
+        case r.Failed(cause=cause) | r.FaultReceived(cause=cause):
+            event = replace(event, cause=another(cause, chance))
+    return replace(given, event=event)
+
+
+def after_runtime(side: RuntimeSide, given: Input, now_s: float) -> tuple[RuntimeSide, tuple[Any, ...]]:
+    """One step of the real table, with the records still on their way."""
+    state, table = side.interlock, runtime.interlock.table
+    if given.first is not None:
+        state, _ = table.step(state, given.first, now_s)
+    after, effects = table.step(state, given.event, now_s + given.late_s)
+    durable = given.event.token if isinstance(given.event, r.RecordDurable) else None
+    commits = [one for one in side.commits if one.token != durable]
+    return RuntimeSide(after, (*commits, *(one for one in effects if isinstance(one, r.Commit)))), effects
+
+
+def runtime_effects(before: RuntimeSide, after: RuntimeSide, effects: tuple[Any, ...]) -> list[Any]:
+    """Without reasons and numbers; a second stop of one class while stopping is what the attacker says anyway."""
+    found: list[Any] = []
+    for effect in effects:
+        match effect:
+            case r.Send(record=record):
+                found.append(classed(record))
+            case r.Commit(token=token, purpose=purpose, record=record):
+                found.append((token - after.interlock.token, purpose, classed(record)))
+            case r.SendStop() if before.interlock.phase is not r.Phase.STOPPING:
+                found.append(classed(effect))
+            case r.Verify(start_joints_u=joints_u):
+                found.append(joints_u)
+            case r.SendBlock() | r.OpenLink() | r.UseSession():
+                found.append(effect)
+            case r.Withheld() | r.Refused() | r.Dropped():
+                found.append(type(effect))
+    return found
+
+
+def runtime_differs() -> str | None:
+    """The first step that a raw and its canonical runtime make differently."""
+    chance = random.Random(1)
+    for start in [side for side, _ in places() if side is not None]:
+        for _ in range(WALKS):
+            raw, now_s = start, NOW
+            for _ in range(STEPS):
+                form = canonical.canonical_runtime(raw)
+                if form is None:
+                    break
+                inputs = RecordingRuntime().all(form)
+                followers = []
+                for given in inputs:
+                    step = raw_runtime_input(given, raw, chance)
+                    left, sent = after_runtime(raw, step, now_s)
+                    right, expected = after_runtime(form, given, NOW)
+                    same = canonical.canonical_runtime(left) == canonical.canonical_runtime(right)
+                    if not same or runtime_effects(raw, left, sent) != runtime_effects(form, right, expected):
+                        return f"{raw.interlock.phase}: {step}"
+                    if not given.late_s:  # the clocks of the walk go on, a little at each step
+                        followers.append(left)
+                raw, now_s = chance.choice(followers), now_s + 0.001
+    return None
+
+
+# ---------------------------------------------------------------- the controller
+
+
+def named(state: c.Controller) -> c.Controller:
+    """The raw controller with the names that the exploration uses."""
+    permit, issued = state.permit, state.issued
+    if permit is not None:
+        permit = signed(replace(permit, nonce=DEAD, epoch=EPOCH, mac=records.NO_MAC))
+    issued = replace(issued, nonce=LIVE) if issued else None
+    return canonical.canonical_controller(replace(state, epoch=EPOCH, permit=permit, issued=issued))
+
+
+def raw_controller(form: c.Controller) -> c.Controller:
+    """As far along as this one, but with another epoch and other nonces."""
+    permit, issued = form.permit, form.issued
+    if permit is not None:
+        permit = signed(replace(permit, nonce=b"p" * 16, epoch=255, mac=records.NO_MAC))
+    return replace(
+        form, epoch=255, permit=permit, issued=replace(issued, nonce=b"i" * 16) if issued else None
+    )
+
+
+def raw_controller_input(given: Input, raw: c.Controller, form: c.Controller, chance: random.Random) -> Input:
+    """The same for the raw controller: its epoch, nonces and causes."""
+    event = given.event
+    match event:
+        case c.NonceRequested():
+            event = replace(event, fresh=chance.randbytes(16))
+        case c.HeartbeatReceived(epoch=epoch, cause=cause):
+            event = replace(event, epoch=raw_epoch(raw, epoch), cause=another(cause, chance))
+        case c.StopReceived(cause=cause) | c.Fault(cause=cause):
+            event = replace(event, cause=another(cause, chance))
+        case c.AcknowledgeReceived(cause=cause):
+            event = replace(event, cause=raw.cause if cause is form.cause else another(cause, chance))
+        case c.PermitReceived(permit=record):
+            event = replace(event, permit=raw_record(record, raw, form))
+        case c.StartReceived(start=record):
+            event = replace(event, start=raw_record(record, raw, form))
+        case c.ResetReceived(reset=record):
+            event = replace(event, reset=raw_record(record, raw, form))
+    return replace(given, event=event)
+
+
+def raw_epoch(raw: c.Controller, epoch: int) -> int:
+    return raw.epoch if epoch == EPOCH else (raw.epoch - 1) % 256
+
+
+def raw_record(record: Any, raw: c.Controller, form: c.Controller) -> Any:
+    """A permit, start or reset that stands to the raw controller as this one does to the canonical."""
+    nonce = raw.issued.nonce if record.nonce == LIVE and raw.issued else b"d" * 16
+    changes: dict[str, Any] = {"nonce": nonce, "epoch": raw_epoch(raw, record.epoch)}
+    if isinstance(record, records.Start) and form.permit and record.permit_digest == form.permit.digest:
+        changes["permit_digest"] = raw.permit.digest if raw.permit else b""
+    if isinstance(record, records.Reset) and record.cause is form.memory.latched:
+        changes["cause"] = raw.memory.latched
+    genuine = signed(record.with_mac(records.NO_MAC)) == record
+    renamed = replace(record, **changes, mac=records.NO_MAC)
+    return signed(renamed) if genuine else renamed.with_mac(record.mac)
+
+
+def after_controller(state: c.Controller, given: Input, now_s: float) -> tuple[c.Controller, list[Any]]:
+    """One step of the real table with a memory that works; what it sends, without numbers."""
+    step = firmware_sim.table.step
+    if given.first is not None:
+        state, _ = step(state, given.first, now_s)
+    after, effects = step(state, given.event, now_s + given.late_s)
+    found: list[Any] = []
+    for effect in effects:
+        if isinstance(effect, c.Persist):
+            after, more = step(after, c.Persisted(effect.memory), now_s + given.late_s)
+            effects += more
+    for effect in effects:
+        match effect:
+            case c.Send(record=records.Nonce(purpose=purpose), session=tag):
+                found.append((purpose, tag))
+            case c.Send(record=records.Opened() as opened, session=tag):
+                found.append((classed(replace(opened, epoch=0)), tag))
+            case c.Send(record=record, session=tag):
+                found.append((classed(record), tag))
+            case c.SendFault():
+                found.append(classed(effect))
+            case c.Persist(memory=memory):
+                found.append(replace(memory, latched=cause_class(memory.latched)))
+            case _:
+                found.append(effect)
+    return after, found
+
+
+def controller_differs() -> str | None:
+    """The first step that a raw and its canonical controller make differently."""
+    chance = random.Random(2)
+    side = controller_side.Controller(WORLD)
+    for start in dict.fromkeys(state for _, state in places()):
+        for _ in range(WALKS):
+            raw, now_s = raw_controller(start), NOW
+            for _ in range(STEPS):
+                form, followers = named(raw), []
+                for given in RecordingController().all(form):
+                    step = raw_controller_input(given, raw, form, chance)
+                    left, sent = after_controller(raw, step, now_s)
+                    _, expected = after_controller(form, given, NOW)
+                    change = side.feed(form, "", given.event, late_s=given.late_s, first=given.first)
+                    if named(left) != side.states.values[change.side] or sent != expected:
+                        return f"{raw.state.name}: {step}"
+                    if (controller_side.passing_between(raw, left) ^ change.passing) & ~Passing.STOP:
+                        return f"{raw.state.name}: {step}: other names pass away"
+                    if not given.late_s:  # the clocks of the walk go on, a little at each step
+                        followers.append(left)
+                raw, now_s = chance.choice(followers), now_s + 0.001
+    return None
+
+
+# ---------------------------------------------------------------- the tests
+
+
+def test_every_event_does_the_same_with_a_raw_and_with_its_canonical_runtime():
+    assert runtime_differs() is None
+
+
+def test_every_event_does_the_same_with_a_raw_and_with_its_canonical_controller():
+    assert controller_differs() is None
+
+
+@pytest.mark.parametrize(
+    "forgotten",
+    [
+        {"verdict": None},
+        {"stored": None},
+        {"heartbeat_fresh": False},
+        {"device": r.DeviceCycle.UNSEEN},
+        {"controller": None},
+        {"permit": None},
+        {"acknowledged": StopCause.NONE},
+    ],
+    ids=lambda one: next(iter(one)),
+)
+def test_a_runtime_that_is_made_to_forget_one_thing_more_does_something_else(monkeypatch, forgotten):
+    places()
+    real = canonical.canonical_runtime
+
+    def forgetful(side):
+        form = real(side)
+        return replace(form, interlock=replace(form.interlock, **forgotten)) if form else None
+
+    monkeypatch.setattr(canonical, "canonical_runtime", forgetful)
+    assert runtime_differs() is not None
+
+
+@pytest.mark.parametrize(
+    "forgotten",
+    [
+        {"cause": StopCause.NONE},
+        {"heartbeat_fresh": False},
+        {"device": c.DeviceCycle.UNSEEN},
+        {"cut_ordered": False},
+        {"issued": None},
+        {"inputs": c.Inputs()},
+        {"memory": c.Memory()},
+        {"written": None},
+    ],
+    ids=lambda one: next(iter(one)),
+)
+def test_a_controller_that_is_made_to_forget_one_thing_more_does_something_else(monkeypatch, forgotten):
+    places()
+    real = canonical.canonical_controller
+
+    def forgetful(state):
+        return replace(real(state), **forgotten)
+
+    monkeypatch.setattr(canonical, "canonical_controller", forgetful)
+    monkeypatch.setattr(controller_side, "canonical_controller", forgetful)
+    assert controller_differs() is not None

@@ -1,0 +1,200 @@
+"""For every invariant a guard is taken out of a table, and the exploration must find the consequence in a few moves.
+
+``pytest -s tests/exploration/test_seeded_faults.py`` prints each as a sequence chart; ``docs/exploration.md`` shows one.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import firmware_sim.table
+import runtime.interlock.permissives
+import runtime.interlock.table
+from firmware_sim import state as c
+from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
+from protocol.states import ControllerState, FaultCode, Refusal
+from runtime.interlock.state import HeartbeatLost, NonceReceived, Phase, Send, Tick
+from tests.exploration.calm import Calm, runtimes_that_do_not_end, stuck
+from tests.exploration.model import Model
+from tests.exploration.search import explore, trace, trace_to_controller
+from tests.exploration.ways import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
+from tests.exploration.world import World
+from tests.firmware_sim.controllers import PERMIT
+
+pytestmark = pytest.mark.no_cover
+DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
+
+
+def _finds(world: World, way: tuple[str, ...], invariant: str, longest: int) -> str:
+    """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart."""
+    model = Model(replace(world, exact=True))
+    found = explore(model, Calm(model).follow(way), deepest=longest)
+    assert found.wrong is not None, found.figures
+    shown = trace(found)
+    print("\n" + shown)  # noqa: T201 - shown on request
+    assert found.wrong[1].wrong.startswith(invariant)
+    assert len(found.levels) <= longest
+    return shown
+
+
+def _without(monkeypatch, name, rules, *refusals):
+    """The controller's table with fewer rules for one request."""
+    kept = tuple(rule for rule in rules if rule[0] not in refusals)
+    monkeypatch.setattr(firmware_sim.table, name, kept)
+
+
+def _replaced(monkeypatch, table, entry, handler):
+    """The transition table with one entry exchanged."""
+    monkeypatch.setitem(table, entry, handler)
+
+
+def _unchanged(state, _event, _now_s):
+    return state, ()
+
+
+def _blind(monkeypatch, unseen):
+    """The runtime without one of its permissives."""
+    permissives = runtime.interlock.permissives
+    for module, name in ((runtime.interlock.table, "FOR_PERMIT"), (permissives, "FINAL")):
+        kept = [one for one in getattr(module, name) if one is not unseen]
+        monkeypatch.setattr(module, name, tuple(kept))
+
+
+# ---------------------------------------------------------------- 1, 2, 3
+
+
+def test_without_the_digest_rules_motion_under_a_permit_for_other_limits_is_found(monkeypatch):
+    _without(monkeypatch, "START_RULES", START_RULES, Refusal.LIMITS_DIGEST)
+    _finds(World(limits=True), TO_PERMITTED, "1: motion under a permit for something else", 10)
+
+
+def test_without_the_list_of_the_withdrawn_motion_on_a_withdrawn_registration_is_found(monkeypatch):
+    for name, rules in (("PERMIT_RULES", PERMIT_RULES), ("START_RULES", START_RULES)):
+        _without(monkeypatch, name, rules, Refusal.REGISTRATION_WITHDRAWN)
+    withdrawn = replace(World().begin.memory, withdrawn=frozenset({PERMIT.registration_digest}))
+    begin = replace(World().begin, memory=withdrawn, written=withdrawn)
+    _finds(World(begin=begin), TO_PERMITTED, "1: motion on a withdrawn registration", 10)
+
+
+def test_without_a_look_at_the_verdict_a_permit_without_an_admissible_one_is_found(monkeypatch):
+    _blind(monkeypatch, runtime.interlock.permissives.verdict_admissible)
+    _finds(World(disk=True), TO_VERIFYING, "2: a Permit left without an admissible", 5)
+
+
+def test_without_a_look_at_what_the_verdict_was_made_for_a_permit_for_something_else_is_found(monkeypatch):
+    _blind(monkeypatch, runtime.interlock.permissives.verdict_current)
+    _finds(World(disk=True), TO_VERIFYING, "2: a Permit left on a verdict for something else", 5)
+
+
+def test_a_permit_that_does_not_wait_for_the_disk_is_found(monkeypatch):
+    def hasty(state, event, _now_s):
+        permit = runtime.interlock.table._permit(state, event.nonce)
+        return replace(state, phase=Phase.PERMITTING), (Send(permit),)
+
+    _replaced(monkeypatch, runtime.interlock.table.TABLE, (Phase.NONCE_PERMIT, NonceReceived), hasty)
+    _finds(World(), TO_VERIFYING, "2: a Permit left without its durable record", 5)
+
+
+def test_a_controller_that_moves_on_without_the_order_to_cut_is_found(monkeypatch):
+    def indifferent(state, event, _now_s):
+        return replace(state, cut_ordered=True, heartbeat_fresh=event.fresh), ()
+
+    entry = (ControllerState.CUTTING, c.HeartbeatReceived)
+    _replaced(monkeypatch, firmware_sim.table.TABLE, entry, indifferent)
+    _finds(World(), TO_MOVING, "3: motion after HeartbeatReceived", 2)
+
+
+def test_a_runtime_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch):
+    _replaced(monkeypatch, runtime.interlock.table.EVERYWHERE, HeartbeatLost, _unchanged)
+    _finds(World(), TO_MOVING, "3: the runtime upholds motion after HeartbeatLost", 2)
+
+
+# ---------------------------------------------------------------- 4, 5
+
+
+def test_a_latch_that_the_end_of_a_session_opens_is_found(monkeypatch):
+    def unlatched(state, _event, _now_s):
+        return replace(state, state=ControllerState.INHIBITED, session=None), ()
+
+    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.StopReceived, unlatched)
+    _finds(World(begin=LATCHED), (), "4: a latch was left by StopReceived", 5)
+
+
+def test_a_latch_that_a_loss_of_power_opens_is_found(monkeypatch):
+    def forgetful(identity, holdings, memory):
+        return c.Controller(identity, holdings, memory=memory, written=memory)
+
+    monkeypatch.setattr(c.Controller, "powered_up", forgetful)
+    _finds(World(reboots=True), (), "4: a latch was left by a loss of power", 5)
+
+
+def test_a_reset_whose_code_nobody_verifies_is_found(monkeypatch):
+    _without(monkeypatch, "RESET_RULES", RESET_RULES, Refusal.MAC_INVALID)
+    _finds(World(begin=LATCHED), (), "4: a latch was left by ResetReceived", 8)
+
+
+def test_a_cause_that_can_never_be_acknowledged_is_found_as_a_trap(monkeypatch):
+    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.AcknowledgeReceived, _unchanged)
+    found = explore(Model(World(exact=True)), deepest=1)
+    trapped = stuck(found.model, found.seen)
+    shown = trace_to_controller(found, trapped[0], "breaks 5: there is no way back")
+    print("\n" + shown)  # noqa: T201 - shown on request
+    assert len(found.levels) == 2
+    assert "fault (SEQUENCE_ERROR)" in shown
+
+
+def test_a_runtime_that_waits_for_the_confirmation_of_its_stop_for_ever_is_found(monkeypatch):
+    table = runtime.interlock.table
+    _replaced(monkeypatch, table.TABLE, (Phase.STOPPING, HeartbeatLost), _unchanged)
+    _replaced(monkeypatch, table.EVERYWHERE, Tick, _unchanged)
+    model = Model(World(exact=True))
+    explore(model, Calm(model).follow(TO_MOVING), deepest=1)
+    endless = runtimes_that_do_not_end(model)
+    assert endless
+    assert model.runtime.sides.values[endless[0]].interlock.phase is Phase.STOPPING
+
+
+# ---------------------------------------------------------------- 6: permit, start, reset
+
+
+def test_a_permit_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
+    _without(monkeypatch, "PERMIT_RULES", PERMIT_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
+    _finds(World(), TO_PERMITTED, "6: a Permit from before a stop", 10)
+
+
+def test_a_start_from_an_earlier_session_is_found_where_nothing_in_it_is_compared(monkeypatch):
+    compared = (Refusal.WRONG_SESSION, Refusal.NONCE_MISMATCH, Refusal.PERMIT_MISMATCH)
+    _without(monkeypatch, "START_RULES", START_RULES, *compared)
+    _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 5)
+
+
+def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
+    def said_only(state, event, _now_s):
+        return state, (c.SendFault(FaultCode.STOPPED, event.cause),)
+
+    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.Fault, said_only)
+    _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 8)
+
+
+def test_a_reset_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
+    _without(monkeypatch, "RESET_RULES", RESET_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
+    _finds(World(begin=LATCHED), TO_RESET, "6: a Reset from before a stop", 10)
+
+
+# ---------------------------------------------------------------- 7
+
+
+def test_a_start_without_the_enabling_device_is_found(monkeypatch):
+    _without(monkeypatch, "START_RULES", START_RULES, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED)
+    shown = _finds(World(), TO_PERMITTED, "7: motion with the enabling device released", 10)
+    assert shown in DOCS.read_text(encoding="utf-8")
+
+
+def test_a_release_that_does_not_stop_is_found(monkeypatch):
+    def noted(state, event, _now_s):
+        device = firmware_sim.table._cycle(state.device, event.inputs.device_pressed)
+        return replace(state, inputs=event.inputs, device=device), ()
+
+    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.InputsChanged, noted)
+    _finds(World(), TO_MOVING, "7: motion with the enabling device released", 2)

@@ -8,10 +8,10 @@ READY := .venv/ready
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
 
-# A million random segments against the dense reference on all cores, then 2000 storms over both loops;
-# CUTGATE_SEGMENTS, CUTGATE_STORMS and CUTGATE_SEED change them.
+# A million random segments against the dense reference on all cores, 2000 storms over both loops, the large worlds of
+# the exploration (3 GB); CUTGATE_SEGMENTS, CUTGATE_STORMS and CUTGATE_SEED change the first two.
 test-long: $(READY)
-	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/storms
+	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/storms tests/exploration
 
 # Coverage-guided search for bytes that break a parser's promise; FAMILIES and SECONDS (of each) change it.
 FAMILIES ?= frames transfers records files stored certificate bus terminal audit

@@ -486,6 +486,15 @@ def off_start(joint, by_u):
     return JointsMeasured((*START_JOINTS[:joint], START_JOINTS[joint] + by_u, *START_JOINTS[joint + 1 :]))
 
 
+def test_the_end_is_shown_by_a_sample_within_two_time_outs():
+    state = replace(in_phase(Phase.FINISHING), since_s=0.0)
+    limit_s = 2 * TIMING.timeout_ms / 1000
+    assert step(state, Tick(), limit_s) == (state, ())
+    late, effects = step(state, Tick(), limit_s + 1e-6)
+    assert stops(effects) == [StopCause.TRACKING_DEVIATION]
+    assert late.reason == f"no measured joints after the end was reported within {limit_s:g} s"
+
+
 @pytest.mark.parametrize(("joint", "tolerance_u"), [(2, 500_000), (3, 200_000), (4, -200_000)])
 def test_the_end_counts_within_the_start_tolerance_and_not_beyond(joint, tolerance_u):
     inside, beyond = (off_start(joint, tolerance_u * part // 1_000_000) for part in (1_000_000, 1_000_005))

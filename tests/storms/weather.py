@@ -196,7 +196,7 @@ def _crash(weather: Weather) -> None:
 
 def _no_verifier(weather: Weather) -> None:
     if weather.pair.phase is Phase.VERIFYING:
-        weather.pair.prover.give(Broken("the worker died"))
+        weather.pair.prover.give(Broken(0, "the verification process ended with code -9"))
 
 
 def reboot(weather: Weather) -> None:

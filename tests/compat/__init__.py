@@ -1,0 +1,1 @@
+"""Tests: what earlier versions wrote is read."""

@@ -18,7 +18,7 @@ FAMILIES ?= frames transfers records files stored certificate bus terminal audit
 SECONDS ?= 20
 fuzz: .venv-fuzz/ready
 	set -e; for family in $(FAMILIES); do echo "== $$family"; \
-		.venv-fuzz/bin/python -m fuzz.search $$family -max_total_time=$(SECONDS) -print_final_stats=1; done
+		.venv-fuzz/bin/python -m tools.fuzz.search $$family -max_total_time=$(SECONDS) -print_final_stats=1; done
 
 # atheris has no place among the pinned packages: nothing but this target needs it.
 .venv-fuzz/ready: requirements.txt
@@ -36,25 +36,25 @@ c-sources: $(READY)
 
 # Each deciding module reached to the last branch by its own tests alone.
 coverage-own: $(READY)
-	$(BIN)/python -m mutation.modules
+	$(BIN)/python -m tools.mutation.modules
 
-# Tests of the tests, some minutes; fails unless mutation/survivors.toml lists exactly what lives.
+# Tests of the tests, some minutes; fails unless tools/mutation/survivors.toml lists exactly what lives.
 # MODULES, SAMPLE and JOBS make it less or slower; WRITE=docs/mutation.md writes the page as well.
 mutation: $(READY)
-	$(BIN)/python -m mutation.run $(if $(JOBS),--jobs $(JOBS)) $(if $(SAMPLE),--sample $(SAMPLE)) \
+	$(BIN)/python -m tools.mutation.run $(if $(JOBS),--jobs $(JOBS)) $(if $(SAMPLE),--sample $(SAMPLE)) \
 		$(if $(WRITE),--write $(WRITE)) $(MODULES)
 
 # Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 bench: $(READY)
-	$(BIN)/python benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
-	$(BIN)/python benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))
+	$(BIN)/python tools/benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
+	$(BIN)/python tools/benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))
 
 demo: $(READY)
 	$(BIN)/cutgate demo
 
 # What is generated from the code: constants, state machines, error matrix, pictures.
 docs: $(READY) pictures
-	$(BIN)/python -m config.constants > docs/constants.md
+	$(BIN)/python -m cutgate.config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
 	$(BIN)/python -m docs.make_error_matrix
 

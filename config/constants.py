@@ -2,7 +2,7 @@
 
 A site may change a constant within its bounds (``site.toml``); nothing else may. Constants marked
 ``exchanged`` travel in the OPEN record, and the controller refuses one outside its own bounds.
-``python -m config.constants`` prints the table as Markdown.
+``python -m cutgate.config.constants`` prints the table as Markdown.
 """
 
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ def markdown() -> str:
     lines = [
         "# Constants",
         "",
-        "Generated from `config/constants.py` by `python -m config.constants`; change it there.",
+        "Generated from `config/constants.py` by `python -m cutgate.config.constants`; change it there.",
         "A site sets them in `site.toml` ([files.md](files.md)). *Exchanged* ones are sent to the controller,",
         "which refuses a value outside its own bounds.",
         "",

@@ -19,10 +19,10 @@ from typing import Any, Final, Generic, TypeVar, cast
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from config.constants import CONSTANTS
-from config.model import RULE, Robot, Site
-from config.records import calibration_record, limits_record, tool_record
-from protocol.records import Calibration, Limits, Tool
+from cutgate.config.constants import CONSTANTS
+from cutgate.config.model import RULE, Robot, Site
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol.records import Calibration, Limits, Tool
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)

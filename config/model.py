@@ -9,8 +9,8 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
-from protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
+from cutgate.config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
+from cutgate.protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
 
 FOLD_DEG: Final = 180.0
 
@@ -25,7 +25,7 @@ RULE: Final = "rule"
 
 
 def broken(bound: str, remedy: str, *, key: str = "", found: object = None) -> PydanticCustomError:
-    """The error of a rule over several fields; ``config.load`` turns it into the user's line.
+    """The error of a rule over several fields; ``cutgate.config.load`` turns it into the user's line.
 
     Args:
         bound: what must hold, to be read after "must be".
@@ -197,7 +197,7 @@ class Bus(Strictly):
 
 
 class Timing(Strictly):
-    """Periods and time-outs; see ``config.constants``."""
+    """Periods and time-outs; see ``cutgate.config.constants``."""
 
     heartbeat_ms: Integer = _constant("heartbeat_ms")
     timeout_ms: Integer = _constant("timeout_ms")

@@ -7,15 +7,15 @@ The controller's own records must equal these.
 import math
 from collections.abc import Sequence
 
-from config.model import Robot
-from protocol.records import Calibration, Limits, Tool
+from cutgate.config.model import Robot
+from cutgate.protocol.records import Calibration, Limits, Tool
 
 
 def limits_record(robot: Robot) -> Limits:
     """Position, speed and acceleration limits.
 
     Raises:
-        protocol.records.RecordError: a value too large for the wire.
+        cutgate.protocol.records.RecordError: a value too large for the wire.
     """
     limits = robot.limits
     pairs = (limits.q0_deg, limits.q1_deg, limits.q2_mm, limits.q3_deg, limits.q4_deg)
@@ -31,7 +31,7 @@ def calibration_record(robot: Robot) -> Calibration:
     """Nominal links, their errors, joint offsets, slide tilt and residuals.
 
     Raises:
-        protocol.records.RecordError: a value too large for the wire.
+        cutgate.protocol.records.RecordError: a value too large for the wire.
     """
     found = robot.calibration
     return Calibration.quantised(
@@ -50,7 +50,7 @@ def tool_record(robot: Robot, tool_length_mm: float | None = None) -> Tool:
     """The mounted tool, or one of ``tool_length_mm`` in its place (off-line verification).
 
     Raises:
-        protocol.records.RecordError: not finite or too large for the wire.
+        cutgate.protocol.records.RecordError: not finite or too large for the wire.
     """
     return Tool.quantised(length_mm=robot.tool.length_mm if tool_length_mm is None else tool_length_mm)
 

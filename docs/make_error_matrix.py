@@ -11,7 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
-from protocol.records import Side
+from cutgate.protocol.records import Side
 from tests.errors.matrix import HEARTBEAT_S, NO_ROW, ROWS, TIMEOUT_S, Error, Message, Row, observe
 from tests.errors.scene import SHORT, Observed
 from tests.runtime.session.pair import TURN_S, job_of, pair_of

@@ -21,18 +21,18 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
-from config.load import load_robot
-from config.records import calibration_record, limits_record, tool_record
-from runtime.kinematics.arm import TrueArm
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import prepare
-from runtime.verification import certified, stocco
-from runtime.verification.problem import Arm, Deadband, Problem
-from runtime.verification.recorded import problem_from_records
-from runtime.verification.verdict import ARM_BOUNDARIES, WRIST_BOUNDARIES, Verdict
-from runtime.workspace.distance import side_distances, signed_distance, signed_sides
-from runtime.workspace.planar import SIDES, PlanarWorkspace
-from runtime.workspace.printed import printed_distance
+from cutgate.config.load import load_robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.runtime.kinematics.arm import TrueArm
+from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.prepare import prepare
+from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.problem import Arm, Deadband, Problem
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, WRIST_BOUNDARIES, Verdict
+from cutgate.runtime.workspace.distance import side_distances, signed_distance, signed_sides
+from cutgate.runtime.workspace.planar import SIDES, PlanarWorkspace
+from cutgate.runtime.workspace.printed import printed_distance
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from protocol import records
-from protocol.frames import (
+from cutgate.protocol import records
+from cutgate.protocol.frames import (
     FRAMES,
     ControllerHeartbeat,
     Frame,
@@ -27,9 +27,9 @@ from protocol.frames import (
     decode_frame,
     message_of,
 )
-from protocol.records import Record
-from protocol.states import StopCause, StopCode
-from runtime.conform.bench import Seen
+from cutgate.protocol.records import Record
+from cutgate.protocol.states import StopCause, StopCode
+from cutgate.runtime.conform.bench import Seen
 from tests.runtime.conform.rig import Rig
 
 PAGE: Final = Path(__file__).with_name("controllers.md")

@@ -18,15 +18,15 @@ from pathlib import Path
 from textwrap import dedent
 from typing import Any, Final
 
-from firmware_sim import rules
-from firmware_sim import state as controller_state
-from firmware_sim import table as controller_table
-from protocol.records import Permit, Reply
-from protocol.states import LATCHING, WITHDRAWING, ControllerState, Refusal, StopCause
-from runtime.interlock import permissives
-from runtime.interlock import state as interlock_state
-from runtime.interlock import table as interlock_table
-from runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase, Timing
+from cutgate.firmware_sim import rules
+from cutgate.firmware_sim import state as controller_state
+from cutgate.firmware_sim import table as controller_table
+from cutgate.protocol.records import Permit, Reply
+from cutgate.protocol.states import LATCHING, WITHDRAWING, ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock import permissives
+from cutgate.runtime.interlock import state as interlock_state
+from cutgate.runtime.interlock import table as interlock_table
+from cutgate.runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase, Timing
 from tests.firmware_sim import controllers
 from tests.runtime.interlock import builders
 

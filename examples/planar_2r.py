@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.workspace.numeric import Decision, Path, Polyline, SampledBoundary, certify, sample_curve
+from cutgate.runtime.workspace.numeric import Decision, Path, Polyline, SampledBoundary, certify, sample_curve
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -24,7 +24,7 @@ Range = tuple[float, float]
 
 TURN = 2.0 * math.pi
 ROUNDING = 1e-9
-"""Of one mm of reach, as for the exact distance: see `runtime.workspace.distance.ROUNDING`."""
+"""Of one mm of reach, as for the exact distance: see `cutgate.runtime.workspace.distance.ROUNDING`."""
 
 
 @dataclass(frozen=True, slots=True)

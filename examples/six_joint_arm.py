@@ -30,10 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.pose import slerp, turn_angles
-from runtime.workspace.distance import ExactPlanar, signed_distance
-from runtime.workspace.numeric import Decision, certify
-from runtime.workspace.planar import PlanarWorkspace
+from cutgate.runtime.kinematics.pose import slerp, turn_angles
+from cutgate.runtime.workspace.distance import ExactPlanar, signed_distance
+from cutgate.runtime.workspace.numeric import Decision, certify
+from cutgate.runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,17 +1,20 @@
-"""``python -m firmware_sim sim ...`` and ``python -m firmware_sim bus ...``: what ``cutgate sim`` and ``bus`` run."""
+"""``python -m cutgate.firmware_sim sim ...`` and ``... bus ...``: what ``cutgate sim`` and ``bus`` run."""
 
 import sys
 
-from firmware_sim import command
-from firmware_sim.bus import __main__ as bus
+from cutgate.config.interpreter import own_code_only
 
 
 def main(arguments: list[str]) -> int:
     """Run one of the two; returns its exit code."""
+    from cutgate.firmware_sim import command  # noqa: PLC0415 - not before it is known where from
+    from cutgate.firmware_sim.bus import serve  # noqa: PLC0415
+
     if arguments[:1] == ["bus"]:
-        return bus.main(arguments[1:])
+        return serve.main(arguments[1:])
     return command.main(arguments[1:] if arguments[:1] == ["sim"] else arguments)
 
 
 if __name__ == "__main__":
+    own_code_only()
     sys.exit(main(sys.argv[1:]))

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Self
 
-from firmware_sim.kinematics import (
+from cutgate.firmware_sim.kinematics import (
     Arm,
     Joints,
     KinematicsError,
@@ -18,9 +18,9 @@ from firmware_sim.kinematics import (
     follow,
     limit_text,
 )
-from firmware_sim.path_check import pose_of
-from protocol import records
-from protocol.records import UNIT, Calibration, Limits, PathCodes, joints_to_counts, joints_to_memory
+from cutgate.firmware_sim.path_check import pose_of
+from cutgate.protocol import records
+from cutgate.protocol.records import UNIT, Calibration, Limits, PathCodes, joints_to_counts, joints_to_memory
 
 ROUNDING_UM: Final = 1
 """Both sides round the distances up to whole um; the last bit of a product may put one of them on the next."""

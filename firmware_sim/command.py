@@ -13,24 +13,24 @@ from typing import Any, Final
 
 import can
 
-from config.bus import RuntimeDirectoryError, default_interface, open_bus
-from config.constants import CONSTANTS
-from config.load import InputError, load_robot
-from config.model import Robot
-from config.records import calibration_record, limits_record, tool_record
-from config.terminal import WordReader
-from firmware_sim import memory
-from firmware_sim.faults import FaultSpec
-from firmware_sim.kinematics import Joints, as_joints, limit_text
-from firmware_sim.process import Options, Process, Word, middle_of
-from firmware_sim.state import Controller, Holdings, Identity, Memory
-from protocol.endpoint import Endpoint
-from protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
-from protocol.parameters import counts_nearest
-from protocol.permit import KeyFileError, load_key
-from protocol.port import Port
-from protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
-from protocol.states import StopCause
+from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
+from cutgate.config.constants import CONSTANTS
+from cutgate.config.load import InputError, load_robot
+from cutgate.config.model import Robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.terminal import WordReader
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
+from cutgate.firmware_sim.process import Options, Process, Word, middle_of
+from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
+from cutgate.protocol.parameters import counts_nearest
+from cutgate.protocol.permit import KeyFileError, load_key
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
+from cutgate.protocol.states import StopCause
 
 EXIT_OK: Final = 0
 EXIT_BAD_INPUT: Final = 2

@@ -6,7 +6,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from protocol.states import ControllerState
+from cutgate.protocol.states import ControllerState
 
 
 class FaultName(StrEnum):

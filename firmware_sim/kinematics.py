@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.records import Calibration, Elbow
+from cutgate.protocol.records import Calibration, Elbow
 
 Floats = NDArray[np.float64]
 Joints = tuple[float, float, float, float, float]

@@ -9,9 +9,9 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-from config.constants import REGISTRATIONS_MAX
-from firmware_sim.state import Memory
-from protocol.states import StopCause
+from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.firmware_sim.state import Memory
+from cutgate.protocol.states import StopCause
 
 SUFFIX: Final = ".sim-memory.json"
 SCHEMA: Final = "cutgate.sim-memory/1"

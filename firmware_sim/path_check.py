@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.kinematics import (
+from cutgate.firmware_sim.kinematics import (
     VERTICAL_SIN,
     Floats,
     Joints,
@@ -24,8 +24,8 @@ from firmware_sim.kinematics import (
     limit_text,
     wrap_many,
 )
-from protocol.records import UNIT, Calibration, Limits, PathCodes, RecordError, Tool
-from protocol.states import Refusal
+from cutgate.protocol.records import UNIT, Calibration, Limits, PathCodes, RecordError, Tool
+from cutgate.protocol.states import Refusal
 
 SURE_STEP_RAD: Final = 1.0
 """Between poses further apart in q0 the nearest turn is not taken on trust; the segment is followed."""

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from firmware_sim.approach import Approach, pose_beyond
-from firmware_sim.kinematics import (
+from cutgate.firmware_sim.approach import Approach, pose_beyond
+from cutgate.firmware_sim.kinematics import (
     Arm,
     Joints,
     KinematicsError,
@@ -28,9 +28,9 @@ from firmware_sim.kinematics import (
     nearest_turns,
     turn_rad,
 )
-from protocol.path import HEADER_BYTES, POSE_BYTES, PathHeader, decode_axes
-from protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose
-from protocol.states import StopCause
+from cutgate.protocol.path import HEADER_BYTES, POSE_BYTES, PathHeader, decode_axes
+from cutgate.protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose
+from cutgate.protocol.states import StopCause
 
 STEP_MM: Final = 5.0
 """The joints are computed at least so often along the path."""

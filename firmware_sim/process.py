@@ -17,14 +17,14 @@ from typing import assert_never
 
 import can
 
-from config.terminal import WordReader
-from firmware_sim import memory
-from firmware_sim.approach import Approach, Ends, own_ends
-from firmware_sim.faults import FaultName, FaultSpec
-from firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm
-from firmware_sim.path_check import PathCheck
-from firmware_sim.plant import Plant, PlantState, StoredPath
-from firmware_sim.state import (
+from cutgate.config.terminal import WordReader
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.approach import Approach, Ends, own_ends
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.firmware_sim.plant import Plant, PlantState, StoredPath
+from cutgate.firmware_sim.state import (
     AbortTransfers,
     AcknowledgeReceived,
     BoneMoved,
@@ -56,10 +56,10 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import step
-from protocol import records
-from protocol.endpoint import Item, RecordReceived
-from protocol.frames import (
+from cutgate.firmware_sim.table import step
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Item, RecordReceived
+from cutgate.protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
     ControllerHeartbeat,
@@ -69,10 +69,10 @@ from protocol.frames import (
     RuntimeStop,
     joint_frames,
 )
-from protocol.link import Accepted, Violation
-from protocol.path import PathHeader
-from protocol.port import Port
-from protocol.states import ControllerState, Refusal, StopCause
+from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.path import PathHeader
+from cutgate.protocol.port import Port
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
 FIRMWARE_VERSION = "sim-0.1"
 CHECK_POSES_PER_TURN = 512

@@ -8,14 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from config.constants import CONSTANTS, REGISTRATIONS_MAX, TIMEOUT_HEARTBEATS
-from firmware_sim.approach import agrees, inside, start_offset
-from firmware_sim.state import Controller, DeviceCycle
-from protocol import permit as permits
-from protocol import records
-from protocol.path import PathHeader
-from protocol.records import digest
-from protocol.states import ControllerState, Purpose, Refusal, StopCause
+from cutgate.config.constants import CONSTANTS, REGISTRATIONS_MAX, TIMEOUT_HEARTBEATS
+from cutgate.firmware_sim.approach import agrees, inside, start_offset
+from cutgate.firmware_sim.state import Controller, DeviceCycle
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.path import PathHeader
+from cutgate.protocol.records import digest
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 
 
 @dataclass(frozen=True)

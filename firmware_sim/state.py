@@ -4,9 +4,17 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from typing import Self
 
-from firmware_sim.approach import Ends
-from protocol import records
-from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from cutgate.firmware_sim.approach import Ends
+from cutgate.protocol import records
+from cutgate.protocol.states import (
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
 
 
 @dataclass(frozen=True)

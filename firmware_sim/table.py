@@ -1,6 +1,6 @@
 """The simulated controller as one transition table: ``step(state, event, now_s) -> (state, effects)``.
 
-Pure: no bus, no clock, no random number. ``firmware_sim.process`` feeds it events and carries out its effects.
+Pure: no bus, no clock, no random number. ``cutgate.firmware_sim.process`` feeds it events and carries out its effects.
 Everything that enables is judged here against what the controller holds at that moment (``rules``); everything
 that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
 """
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from firmware_sim.rules import (
+from cutgate.firmware_sim.rules import (
     ACKNOWLEDGE_RULES,
     OPEN_RULES,
     PERMIT_RULES,
@@ -19,7 +19,7 @@ from firmware_sim.rules import (
     at_start,
     first_refusal,
 )
-from firmware_sim.state import (
+from cutgate.firmware_sim.state import (
     AbortTransfers,
     AcknowledgeReceived,
     Awaiting,
@@ -55,9 +55,9 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from protocol import records
-from protocol.records import digest
-from protocol.states import (
+from cutgate.protocol import records
+from cutgate.protocol.records import digest
+from cutgate.protocol.states import (
     LATCHING,
     WITHDRAWING,
     ControllerState,

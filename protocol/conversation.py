@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Self
 
-from protocol.path import TURNS_MAX, ElbowCode
-from protocol.wire import (
+from cutgate.protocol.path import TURNS_MAX, ElbowCode
+from cutgate.protocol.wire import (
     I16,
     U8,
     U16,

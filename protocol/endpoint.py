@@ -7,12 +7,12 @@ What is to be sent waits in two queues: single frames leave before transfers.
 from collections import deque
 from dataclasses import dataclass
 
-from protocol import records
-from protocol.frames import BULK_IDS, TRANSFER_IDS, Frame
-from protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
-from protocol.records import Channel, Record, RecordError, Side
-from protocol.states import StopCause
-from protocol.transfer import Transfer, TransferError
+from cutgate.protocol import records
+from cutgate.protocol.frames import BULK_IDS, TRANSFER_IDS, Frame
+from cutgate.protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
+from cutgate.protocol.records import Channel, Record, RecordError, Side
+from cutgate.protocol.states import StopCause
+from cutgate.protocol.transfer import Transfer, TransferError
 
 NO_SESSION = 0
 

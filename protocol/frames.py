@@ -16,9 +16,9 @@ import numpy as np
 from cantools.database.can import Database, Message
 from numpy.typing import NDArray
 
-from protocol.e2e import protect
-from protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
-from protocol.wire import Channel, Side
+from cutgate.protocol.e2e import protect
+from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
+from cutgate.protocol.wire import Channel, Side
 
 ECHO_NONE = 255
 """Echo of a side that has not yet accepted a heartbeat of its peer."""
@@ -41,7 +41,7 @@ class FrameError(ValueError):
 
 
 def _load() -> Database:
-    text = files("protocol").joinpath("cutgate.dbc").read_text(encoding="ascii")
+    text = files("cutgate.protocol").joinpath("cutgate.dbc").read_text(encoding="ascii")
     database = cantools.database.load_string(text, "dbc", strict=True)
     if not isinstance(database, Database):
         raise TypeError("protocol/cutgate.dbc is not a CAN database")

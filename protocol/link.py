@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.e2e import COUNTER_MODULUS, CorruptionWatch, Sequence, Step, intact
-from protocol.frames import (
+from cutgate.protocol.e2e import COUNTER_MODULUS, CorruptionWatch, Sequence, Step, intact
+from cutgate.protocol.frames import (
     DATA_IDS,
     ECHO_NONE,
     FRAMES,
@@ -30,8 +30,8 @@ from protocol.frames import (
     encode_frame,
     joint_values,
 )
-from protocol.states import StopCause, StopCode
-from protocol.wire import Channel, Side
+from cutgate.protocol.states import StopCause, StopCode
+from cutgate.protocol.wire import Channel, Side
 
 NO_SESSION = 0
 """The tag of a closed link."""

@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.wire import I64, Channel, Counts2, Counts5, Record, RecordError, Side
+from cutgate.protocol.wire import I64, Channel, Counts2, Counts5, Record, RecordError, Side
 
 Vector = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from protocol.parameters import UNIT, counts_nearest
-from protocol.wire import (
+from cutgate.protocol.parameters import UNIT, counts_nearest
+from cutgate.protocol.wire import (
     I16,
     I64,
     U8,

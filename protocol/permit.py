@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from protocol.conversation import SignedRecord
+from cutgate.protocol.conversation import SignedRecord
 
 KEY_BYTES = 32
 MODE = 0o600

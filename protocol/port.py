@@ -10,7 +10,7 @@ from typing import Literal
 
 import can
 
-from protocol.endpoint import Endpoint, Item
+from cutgate.protocol.endpoint import Endpoint, Item
 
 READ_FRAMES_MAX = 512
 """Frames read in one turn; more wait for the next, so that clocks are looked at in between."""

@@ -8,7 +8,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from protocol.conversation import (
+from cutgate.protocol.conversation import (
     NO_MAC,
     PLANT_SPEED_PERMILLE_MAX,
     PROTOCOL_VERSION,
@@ -33,8 +33,8 @@ from protocol.conversation import (
     session_digest,
     session_tag,
 )
-from protocol.parameters import UNIT, Calibration, Limits, Tool, joints_to_counts, joints_to_memory
-from protocol.path import (
+from cutgate.protocol.parameters import UNIT, Calibration, Limits, Tool, joints_to_counts, joints_to_memory
+from cutgate.protocol.path import (
     BLOCK_BYTES,
     PATH_BYTES_MAX,
     POSES_MAX,
@@ -46,7 +46,7 @@ from protocol.path import (
     block_of_pose,
     split,
 )
-from protocol.wire import Channel, Record, RecordError, Side, digest
+from cutgate.protocol.wire import Channel, Record, RecordError, Side, digest
 
 __all__ = [
     "BLOCK_BYTES",

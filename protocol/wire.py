@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum, unique
 from typing import Annotated, Any, ClassVar, Protocol, Self, get_type_hints
 
-from protocol.states import ControllerState, Purpose, Refusal, StopCause
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 
 
 class RecordError(ValueError):

@@ -4,27 +4,27 @@ The imports take a second. Nothing is open in it yet, so whoever interrupts it i
 """
 
 import os
-import signal
 import sys
-from typing import Any, Final
 
-INTERRUPTED: Final = 130
-STOPPED: Final = 3
-"""What ``run`` ends with whenever it is interrupted."""
+from cutgate.config.interpreter import own_code_only
+from cutgate.runtime.exits import INTERRUPTED, STOPPED
 
 
 def main() -> None:
     """The ``cutgate`` program."""
+    own_code_only()
+    import signal  # noqa: PLC0415 - not before it is known where from
+
     code = STOPPED if sys.argv[1:2] == ["run"] else INTERRUPTED
 
-    def leave(_number: int, _frame: Any) -> None:
+    def leave(_number: int, _frame: object) -> None:
         os.write(2, b"cutgate: interrupted before it began\n")
         os._exit(code)
 
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not where it is ignored, as behind nohup
         signal.signal(signal.SIGINT, leave)
-    from runtime.commands.app import execute  # noqa: PLC0415 - takes a second
+    from cutgate.runtime.commands.app import execute  # noqa: PLC0415 - takes a second
 
     signal.signal(signal.SIGINT, before)
     ended = execute()

@@ -1,6 +1,6 @@
 """Lines of a bus log as `candump -L` writes them."""
 
-from firmware_sim.bus.wire import Flag, Record
+from cutgate.firmware_sim.bus.wire import Flag, Record
 
 _ERROR_BIT = 0x2000_0000
 _FDF = 0x04  # the kernel sets it on every FD frame

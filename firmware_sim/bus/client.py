@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import can
 
-from config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
-from firmware_sim.bus import wire
-from firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
+from cutgate.firmware_sim.bus import wire
+from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
 
 HELLO_TIMEOUT_S: Final = 2.0
 ERROR_CONTROLLER: Final = 0x004

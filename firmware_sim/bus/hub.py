@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self, TextIO
 
-from firmware_sim.bus import candump, wire
-from firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.firmware_sim.bus import candump, wire
+from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
 
 QUEUE_FRAMES: Final = 65_536
 MAX_CLIENTS: Final = 64

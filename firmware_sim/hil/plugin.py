@@ -1,7 +1,6 @@
 """pytest fixtures for tests that join several processes or clients on a bus."""
 
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +8,8 @@ from pathlib import Path
 from typing import Final
 
 import pytest
+
+from cutgate.config.interpreter import program
 
 END_TIMEOUT_S: Final = 10.0
 
@@ -22,15 +23,7 @@ def hub_process(path: Path, *, log: Path | None = None) -> Iterator[subprocess.P
     Raises:
         RuntimeError: it did not come up; the message holds what it said.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "firmware_sim.bus",
-        "serve",
-        "--socket",
-        str(path),
-        "--until-stdin-closes",
-    ]
+    command = program("cutgate.firmware_sim", "bus", "serve", "--socket", str(path), "--until-stdin-closes")
     if log is not None:
         command += ["--log", str(log)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as hub:  # noqa: S603

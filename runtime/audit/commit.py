@@ -14,7 +14,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from runtime.audit.disk import Disk, Reservation, write_all
+from cutgate.runtime.audit.disk import Disk, Reservation, write_all
 
 
 @dataclass(frozen=True, slots=True)

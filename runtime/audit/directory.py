@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from config.load import InputError
+from cutgate.config.load import InputError
 
 LOCK: Final = "LOCK"
 HEAD: Final = "HEAD"

@@ -15,10 +15,10 @@ from typing import Any, Final
 
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 
-from runtime.audit.chain import GENESIS, LINKED, advance
-from runtime.audit.records import Attachment, Close, Open
-from runtime.audit.scan import Scan, Stored, scan
-from runtime.audit.writer import ENCODING, METADATA, PROFILE
+from cutgate.runtime.audit.chain import GENESIS, LINKED, advance
+from cutgate.runtime.audit.records import Attachment, Close, Open
+from cutgate.runtime.audit.scan import Scan, Stored, scan
+from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE
 
 _SHOWN: Final = 20
 

@@ -20,14 +20,24 @@ from typing import Final, Self
 
 import numpy as np
 
-from config.constants import CONSTANTS
-from config.load import InputError
-from runtime.audit import records
-from runtime.audit.commit import Append, Closed, Committer, Durable, Event, Failed, Files, Finish, Reserve
-from runtime.audit.directory import HEAD, Previous, head_bytes, lock, previous_session
-from runtime.audit.disk import Disk, SystemDisk
-from runtime.audit.scan import recoverable_head
-from runtime.audit.writer import LogWriter
+from cutgate.config.constants import CONSTANTS
+from cutgate.config.load import InputError
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.commit import (
+    Append,
+    Closed,
+    Committer,
+    Durable,
+    Event,
+    Failed,
+    Files,
+    Finish,
+    Reserve,
+)
+from cutgate.runtime.audit.directory import HEAD, Previous, head_bytes, lock, previous_session
+from cutgate.runtime.audit.disk import Disk, SystemDisk
+from cutgate.runtime.audit.scan import recoverable_head
+from cutgate.runtime.audit.writer import LogWriter
 
 CHUNK_SHARE: Final = 0.8
 """A chunk is handed over at this share of its period, so that it is written within the whole of it."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final, Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict
 
-from protocol import records as wire
+from cutgate.protocol import records as wire
 
 NANOSECONDS: Final = 1_000_000_000
 

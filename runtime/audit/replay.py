@@ -17,22 +17,22 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
-from config.model import Robot, Site
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records as wire
-from protocol.records import Path, RecordError
-from runtime.audit import names, records
-from runtime.audit.inspect import Log, Status
-from runtime.audit.log import cpu_dispatch
-from runtime.plan.load import plan_from_bytes, registration_from_bytes
-from runtime.plan.model import Registration
-from runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
-from runtime.verification import approach, certificate
-from runtime.verification.document import Digests, verdict_document
-from runtime.verification.problem import Problem
-from runtime.verification.recorded import problem_from_records
-from runtime.verification.verdict import Verdict
+from cutgate.config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
+from cutgate.config.model import Robot, Site
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records as wire
+from cutgate.protocol.records import Path, RecordError
+from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.inspect import Log, Status
+from cutgate.runtime.audit.log import cpu_dispatch
+from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.model import Registration
+from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
+from cutgate.runtime.verification import approach, certificate
+from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.verdict import Verdict
 
 TOLERANCE: Final = 1e-9
 """mm, deg; relative for lengths above one."""

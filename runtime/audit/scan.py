@@ -36,7 +36,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from runtime.audit.chain import GENESIS, Link, advance
+from cutgate.runtime.audit.chain import GENESIS, Link, advance
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 PREFIX: Final = 9

@@ -10,9 +10,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from mcap.writer import Writer as McapWriter
 
-from runtime.audit.chain import GENESIS, Link, advance
-from runtime.audit.records import AuditRecord, Record, Time
-from runtime.audit.schema import schema_bytes
+from cutgate.runtime.audit.chain import GENESIS, Link, advance
+from cutgate.runtime.audit.records import AuditRecord, Record, Time
+from cutgate.runtime.audit.schema import schema_bytes
 
 PROFILE: Final = "cutgate.audit/1"
 METADATA: Final = "cutgate"

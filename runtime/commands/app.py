@@ -1,16 +1,11 @@
-"""All commands of ``cutgate``, and what an error looks like from outside; ``runtime.cli`` is the way in."""
-
-from typing import Final
+"""All commands of ``cutgate``, and what an error looks like from outside; ``cutgate.runtime.cli`` is the way in."""
 
 import typer
 from typer.exceptions import TyperException
 
-from config.load import InputError
-from runtime.cli import INTERRUPTED
-from runtime.commands import audit, conform, controller_side, demo, key, reach, recheck, run, verify
-
-REFUSED: Final = 2
-INTERNAL: Final = 70
+from cutgate.config.load import InputError
+from cutgate.runtime.commands import audit, conform, controller_side, demo, key, reach, recheck, run, verify
+from cutgate.runtime.exits import INTERNAL, INTERRUPTED, REFUSED
 
 app = typer.Typer(
     name="cutgate",

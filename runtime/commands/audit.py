@@ -8,14 +8,14 @@ from typing import Annotated, Any, Final
 import typer
 from typer.core import TyperCommand
 
-from config.load import InputError, read_bytes
-from runtime.audit.inspect import Log, Status, read_log
-from runtime.audit.replay import Outcome, replay
-from runtime.commands.screen import output, working
-from runtime.review.show import print_story
-from runtime.review.story import story
-from runtime.session.job import VERIFIER
-from runtime.verification import certified
+from cutgate.config.load import InputError, read_bytes
+from cutgate.runtime.audit.inspect import Log, Status, read_log
+from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.review.show import print_story
+from cutgate.runtime.review.story import story
+from cutgate.runtime.session.job import VERIFIER
+from cutgate.runtime.verification import certified
 
 SIZE_LIMIT: Final = 1 << 32
 """Largest log that is read, bytes."""

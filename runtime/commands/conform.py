@@ -12,22 +12,22 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from config.bus import RuntimeDirectoryError, open_bus
-from config.constants import CONSTANTS
-from config.load import InputError, load_robot, load_site
-from config.model import Site
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records
-from protocol.frames import IDS, SENT_BY, ControllerHeartbeat
-from protocol.permit import KeyFileError, load_key
-from protocol.records import Side
-from runtime.commands.screen import messages, output
-from runtime.conform.bench import Bench, HaltError, milliseconds
-from runtime.conform.cases import Case
-from runtime.conform.report import ABOUT, document, summary
-from runtime.conform.suite import Outcome, Result, Verdict, run
-from runtime.conform.table import cases
-from runtime.verification.document import document_text
+from cutgate.config.bus import RuntimeDirectoryError, open_bus
+from cutgate.config.constants import CONSTANTS
+from cutgate.config.load import InputError, load_robot, load_site
+from cutgate.config.model import Site
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records
+from cutgate.protocol.frames import IDS, SENT_BY, ControllerHeartbeat
+from cutgate.protocol.permit import KeyFileError, load_key
+from cutgate.protocol.records import Side
+from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.conform.bench import Bench, HaltError, milliseconds
+from cutgate.runtime.conform.cases import Case
+from cutgate.runtime.conform.report import ABOUT, document, summary
+from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
+from cutgate.runtime.conform.table import cases
+from cutgate.runtime.verification.document import document_text
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 3
 LISTEN_S: Final = 0.6

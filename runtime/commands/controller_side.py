@@ -9,12 +9,14 @@ from typing import Final
 
 import typer
 
+from cutgate.config.interpreter import program
+
 PASS_ON: Final = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 
 def _become(name: str, arguments: list[str]) -> None:
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-m", "firmware_sim", name, *arguments])  # noqa: S606
+    os.execv(sys.executable, program("cutgate.firmware_sim", name, *arguments))  # noqa: S606
 
 
 def sim(context: typer.Context) -> None:

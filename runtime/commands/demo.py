@@ -11,7 +11,6 @@ import selectors
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,18 +21,19 @@ from typing import IO, Annotated, Any, Final
 import typer
 from rich.text import Text
 
-from config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
-from config.load import InputError
-from protocol.permit import KEY_BYTES, new_key_file
-from runtime.audit.inspect import Status, read_log
-from runtime.audit.replay import Outcome, replay
-from runtime.commands.screen import messages, output
-from runtime.commands.verdict_view import BAD, GOOD
-from runtime.review.comparison import print_comparison
-from runtime.review.show import print_time_line
-from runtime.review.story import story
-from runtime.session.job import VERIFIER
-from runtime.verification import certified
+from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
+from cutgate.config.interpreter import program
+from cutgate.config.load import InputError
+from cutgate.protocol.permit import KEY_BYTES, new_key_file
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.commands.verdict_view import BAD, GOOD
+from cutgate.runtime.review.comparison import print_comparison
+from cutgate.runtime.review.show import print_time_line
+from cutgate.runtime.review.story import story
+from cutgate.runtime.session.job import VERIFIER
+from cutgate.runtime.verification import certified
 
 EXAMPLES: Final = Path(__file__).parents[2] / "examples"
 TIME_SCALE: Final = 100
@@ -161,7 +161,7 @@ def _bus(folder: Path, say: _Teller) -> Iterator[list[str]]:
         return
     socket = runtime_directory() / f"demo-{os.getpid()}.sock"
     command = ["bus", "serve", "--socket", str(socket), "--log", str(folder / "bus.candump.log")]
-    with _process("bus", [sys.executable, "-m", "firmware_sim", *command]) as hub:
+    with _process("bus", program("cutgate.firmware_sim", *command)) as hub:
         _wait_for(hub, "serving on", "bus", say)
         yield ["--interface", LOCAL_INTERFACE, "--channel", str(socket)]
 
@@ -169,7 +169,7 @@ def _bus(folder: Path, say: _Teller) -> Iterator[list[str]]:
 @contextmanager
 def _controller(folder: Path, where: list[str], say: _Teller) -> Iterator[subprocess.Popen[str]]:
     command = ["sim", "--robot", "robot.toml", "--key", "site.key", "--time-scale", str(TIME_SCALE)]
-    arguments = [sys.executable, "-m", "firmware_sim", *command, *where]
+    arguments = program("cutgate.firmware_sim", *command, *where)
     with _process("controller", arguments, cwd=folder) as controller:
         _wait_for(controller, "enabling device released", "controller", say)
         yield controller
@@ -229,7 +229,7 @@ def _run(
         "site.key",
     ]
     options = [*files, *where, "--log-dir", "logs", "--json"]
-    arguments = [sys.executable, "-m", "runtime.cli", "run", "hip-stem.plan.json", *options]
+    arguments = program("cutgate.runtime.cli", "run", "hip-stem.plan.json", *options)
     with _process("runtime", arguments, cwd=folder) as runtime:
         _converse({"runtime": runtime, "controller": controller}, say)
         assert runtime.stdout is not None  # noqa: S101 - a pipe was asked for

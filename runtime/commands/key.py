@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from config.load import InputError
-from protocol.permit import KEY_BYTES, KeyFileError, new_key_file
-from runtime.commands.screen import messages
+from cutgate.config.load import InputError
+from cutgate.protocol.permit import KEY_BYTES, KeyFileError, new_key_file
+from cutgate.runtime.commands.screen import messages
 
 keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys.")
 

@@ -18,23 +18,23 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from config.load import InputError, load_robot
-from config.model import Robot
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records
-from runtime.commands.reach_page import page
-from runtime.commands.reach_picture import picture
-from runtime.commands.screen import messages, output, working
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import Prepared, prepare
-from runtime.verification import certified, reach
-from runtime.verification.document import document_text
-from runtime.verification.geometry import canonical
-from runtime.verification.guidance import Quantise, Vector
-from runtime.verification.problem import Floats, Problem
-from runtime.verification.reach import Grid, Position
-from runtime.verification.recorded import problem_from_records
-from runtime.verification.verdict import Boundary
+from cutgate.config.load import InputError, load_robot
+from cutgate.config.model import Robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records
+from cutgate.runtime.commands.reach_page import page
+from cutgate.runtime.commands.reach_picture import picture
+from cutgate.runtime.commands.screen import messages, output, working
+from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.prepare import Prepared, prepare
+from cutgate.runtime.verification import certified, reach
+from cutgate.runtime.verification.document import document_text
+from cutgate.runtime.verification.geometry import canonical
+from cutgate.runtime.verification.guidance import Quantise, Vector
+from cutgate.runtime.verification.problem import Floats, Problem
+from cutgate.runtime.verification.reach import Grid, Position
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.verdict import Boundary
 
 POSITIONS_MAX: Final = 400_000
 VALUES_MAX: Final = 73

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from runtime.commands.reach_picture import (
+from cutgate.runtime.commands.reach_picture import (
     KINDS,
     RATIO_MAX,
     Arcs,
@@ -18,7 +18,7 @@ from runtime.commands.reach_picture import (
     letters,
     ratio_top,
 )
-from runtime.verification.reach import RATES, Position
+from cutgate.runtime.verification.reach import RATES, Position
 
 HOVER: Final = (
     "reference point x %{x:.0f}  y %{y:.0f} mm<br>move x %{customdata[0]}  y %{customdata[1]} mm, "

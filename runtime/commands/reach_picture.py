@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.reach import RATES, Position
+from cutgate.runtime.verification.reach import RATES, Position
 
 Floats = NDArray[np.float64]
 Arcs = Sequence[tuple[str, Floats]]

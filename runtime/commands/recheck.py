@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from config.load import InputError, read_bytes
-from runtime.commands.screen import output, working
-from runtime.commands.verify import (
+from cutgate.config.load import InputError, read_bytes
+from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.commands.verify import (
     FeedOption,
     PathArgument,
     RegistrationOption,
@@ -16,7 +16,7 @@ from runtime.commands.verify import (
     off_line_problem,
     read,
 )
-from runtime.verification import certificate as proofs
+from cutgate.runtime.verification import certificate as proofs
 
 HOLDS, FAILS = 0, 1
 

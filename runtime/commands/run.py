@@ -13,27 +13,26 @@ from typing import Annotated, Any, Final
 import can
 import typer
 
-from config.bus import RuntimeDirectoryError, default_interface, open_bus
-from config.load import InputError
-from config.terminal import WordReader
-from protocol.endpoint import Endpoint
-from protocol.permit import KeyFileError, load_key
-from protocol.port import Port
-from protocol.records import Side
-from runtime.audit import names
-from runtime.audit.log import AuditLog, OpenInfo, Paths
-from runtime.commands.screen import working
-from runtime.commands.session_view import SessionView, print_outcome, run_document
-from runtime.interlock.state import Interlock, Phase, Word
-from runtime.session import withdrawn
-from runtime.session.job import VERIFIER, Files, log_bytes, make_job, read_files, utc_now
-from runtime.session.journal import Journal, plain
-from runtime.session.loop import Session, wake_pipe
-from runtime.session.worker import Request, Worker
-from runtime.verification.document import document_text
+from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
+from cutgate.config.load import InputError
+from cutgate.config.terminal import WordReader
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.permit import KeyFileError, load_key
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import Side
+from cutgate.runtime.audit import names
+from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
+from cutgate.runtime.commands.screen import working
+from cutgate.runtime.commands.session_view import SessionView, print_outcome, run_document
+from cutgate.runtime.interlock.state import Interlock, Phase, Word
+from cutgate.runtime.session import withdrawn
+from cutgate.runtime.session.job import VERIFIER, Files, log_bytes, make_job, read_files, utc_now
+from cutgate.runtime.session.journal import Journal, plain
+from cutgate.runtime.session.loop import Session, wake_pipe
+from cutgate.runtime.session.worker import Request, Worker
+from cutgate.runtime.verification.document import document_text
 
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
-SOFTWARE: Final = "cutgate 0.1.0"
 
 
 def run(
@@ -222,7 +221,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     log = AuditLog.create(
         directory,
         log_id=os.urandom(16).hex(),
-        opened=OpenInfo(SOFTWARE, VERIFIER, (("bus", plain(bus)),)),
+        opened=OpenInfo(VERIFIER, VERIFIER, (("bus", plain(bus)),)),
         chunk_period_s=files.settings.log.chunk_period_ms / 1000,
     )
     prepared = files.prepared
@@ -233,7 +232,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     if files.site is not None:
         log.attach(names.SITE, "application/toml", files.site.data)
     log.attach(names.PATH, "application/octet-stream", path)
-    dbc = importlib.resources.files("protocol").joinpath("cutgate.dbc").read_bytes()
+    dbc = importlib.resources.files("cutgate.protocol").joinpath("cutgate.dbc").read_bytes()
     log.attach(names.DBC, "text/plain", dbc)
     return log
 

@@ -5,12 +5,12 @@ from typing import Any, Final
 
 from rich.text import Text
 
-from protocol.states import ControllerState, StopCause
-from runtime.audit.log import Paths
-from runtime.commands.screen import messages, output
-from runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
-from runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
-from runtime.interlock.state import (
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.audit.log import Paths
+from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
+from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
+from cutgate.runtime.interlock.state import (
     Announced,
     Effect,
     Event,
@@ -18,9 +18,9 @@ from runtime.interlock.state import (
     Phase,
     Refused,
 )
-from runtime.session.journal import simulation
-from runtime.session.worker import Answer
-from runtime.verification.approach import Approach, summary
+from cutgate.runtime.session.journal import simulation
+from cutgate.runtime.session.worker import Answer
+from cutgate.runtime.verification.approach import Approach, summary
 
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10

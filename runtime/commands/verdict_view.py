@@ -7,10 +7,10 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from runtime.verification.document import Digests
-from runtime.verification.guidance import Guidance, Move
-from runtime.verification.summary import summary
-from runtime.verification.verdict import Verdict
+from cutgate.runtime.verification.document import Digests
+from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.summary import summary
+from cutgate.runtime.verification.verdict import Verdict
 
 MEANING: Final = {
     "inner": "reach, near",

@@ -9,21 +9,21 @@ from typing import Annotated
 
 import typer
 
-from config.load import InputError, load_robot
-from config.model import Robot
-from config.records import calibration_record, limits_record, tool_record
-from protocol.records import digest
-from runtime.commands.screen import output, working
-from runtime.commands.verdict_view import print_verdict
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import Prepared, prepare, with_branch
-from runtime.verification import certified, stocco
-from runtime.verification.certificate import certify
-from runtime.verification.document import Digests, document_text, verdict_document
-from runtime.verification.guidance import Guidance, guide
-from runtime.verification.problem import Problem
-from runtime.verification.recorded import problem_from_records
-from runtime.verification.verdict import Verdict
+from cutgate.config.load import InputError, load_robot
+from cutgate.config.model import Robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol.records import digest
+from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.commands.verdict_view import print_verdict
+from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.certificate import certify
+from cutgate.runtime.verification.document import Digests, document_text, verdict_document
+from cutgate.runtime.verification.guidance import Guidance, guide
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.verdict import Verdict
 
 ADMISSIBLE, INADMISSIBLE = 0, 1
 

@@ -12,10 +12,10 @@ from typing import Final, TypeVar
 import can
 import numpy as np
 
-from protocol import permit as permits
-from protocol import records
-from protocol.endpoint import Endpoint, Item, RecordReceived
-from protocol.frames import (
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint, Item, RecordReceived
+from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
     Frame,
@@ -24,11 +24,11 @@ from protocol.frames import (
     RuntimeHeartbeat,
     RuntimeStop,
 )
-from protocol.link import Accepted, JointSample, Violation
-from protocol.parameters import joints_to_counts
-from protocol.port import Passed, Port
-from protocol.records import Channel, Record, Side
-from protocol.states import (
+from cutgate.protocol.link import Accepted, JointSample, Violation
+from cutgate.protocol.parameters import joints_to_counts
+from cutgate.protocol.port import Passed, Port
+from cutgate.protocol.records import Channel, Record, Side
+from cutgate.protocol.states import (
     ControllerState,
     FaultCode,
     Purpose,
@@ -37,7 +37,7 @@ from protocol.states import (
     StopCause,
     StopCode,
 )
-from runtime.conform.sample import Reported, Sample, approach, sample
+from cutgate.runtime.conform.sample import Reported, Sample, approach, sample
 
 VERIFIER: Final = "conform"
 CONFIGURATION: Final = records.digest(b"cutgate conform")

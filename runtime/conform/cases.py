@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
 
-from config.constants import CONSTANTS
-from protocol import records
-from protocol.frames import (
+from cutgate.config.constants import CONSTANTS
+from cutgate.protocol import records
+from cutgate.protocol.frames import (
     IDS,
     ControllerHeartbeat,
     Joint4,
@@ -20,11 +20,11 @@ from protocol.frames import (
     RuntimeHeartbeat,
     encode_frame,
 )
-from protocol.link import Accepted
-from protocol.records import Channel, Permit, Start
-from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
-from runtime.conform.bench import Bench, DeviationError, InconclusiveError, Stop, shown
-from runtime.conform.sample import LONG
+from cutgate.protocol.link import Accepted
+from cutgate.protocol.records import Channel, Permit, Start
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.runtime.conform.bench import Bench, DeviationError, InconclusiveError, Stop, shown
+from cutgate.runtime.conform.sample import LONG
 
 STALE_BURST: Final = 26
 """As many heartbeats as once came out of a paused reader's queue within 5 ms."""

@@ -2,9 +2,9 @@
 
 from typing import Any, Final
 
-from protocol import records
-from runtime.conform.bench import milliseconds
-from runtime.conform.suite import Outcome, Result, Verdict
+from cutgate.protocol import records
+from cutgate.runtime.conform.bench import milliseconds
+from cutgate.runtime.conform.suite import Outcome, Result, Verdict
 
 SCHEMA: Final = "cutgate.conform/1"
 

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol import records
-from protocol.parameters import UNIT, Calibration, Limits, Tool, joints_to_counts
-from protocol.path import Elbow
-from protocol.records import Path, RecordError
-from runtime.kinematics.arm import TURN, TrueArm, turns
+from cutgate.protocol import records
+from cutgate.protocol.parameters import UNIT, Calibration, Limits, Tool, joints_to_counts
+from cutgate.protocol.path import Elbow
+from cutgate.protocol.records import Path, RecordError
+from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
 
 Floats = NDArray[np.float64]
 

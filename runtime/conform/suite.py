@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from protocol.states import ControllerState, StopCause
-from runtime.conform.bench import (
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.conform.bench import (
     STANDING,
     Bench,
     DeviationError,
@@ -15,8 +15,8 @@ from runtime.conform.bench import (
     OperatorError,
     Seen,
 )
-from runtime.conform.cases import Case
-from runtime.conform.table import NOTHING_MOVED
+from cutgate.runtime.conform.cases import Case
+from cutgate.runtime.conform.table import NOTHING_MOVED
 
 ATTEMPTS: Final = 3
 """A case that fails while the tester's own loop stood still is run again, so often in all."""

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from protocol import records
-from protocol.records import Permit, Start
-from protocol.states import Refusal
-from runtime.conform import cases as c
-from runtime.conform.bench import Bench
-from runtime.conform.cases import Case
-from runtime.conform.sample import LONG, other_elbow, other_tool, outside_limits
+from cutgate.protocol import records
+from cutgate.protocol.records import Permit, Start
+from cutgate.protocol.states import Refusal
+from cutgate.runtime.conform import cases as c
+from cutgate.runtime.conform.bench import Bench
+from cutgate.runtime.conform.cases import Case
+from cutgate.runtime.conform.sample import LONG, other_elbow, other_tool, outside_limits
 
 NOTHING_MOVED: Final = Case(
     "nothing moved",

@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from protocol import records
-from protocol.states import ControllerState, Refusal, StopCause
-from runtime.interlock.state import DeviceCycle, Interlock
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock.state import DeviceCycle, Interlock
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from protocol import records
-from protocol.states import WITHDRAWING, ControllerState, Purpose, Refusal, StopCause, StopCode
-from runtime.interlock.permissives import (
+from cutgate.protocol import records
+from cutgate.protocol.states import WITHDRAWING, ControllerState, Purpose, Refusal, StopCause, StopCode
+from cutgate.runtime.interlock.permissives import (
     AT_START,
     COLLECTED,
     FOR_PERMIT,
@@ -28,7 +28,7 @@ from runtime.interlock.permissives import (
     hopeless,
     measured_now,
 )
-from runtime.interlock.state import (
+from cutgate.runtime.interlock.state import (
     ENDED,
     Announced,
     BlockStored,

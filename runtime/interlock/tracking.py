@@ -23,8 +23,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
-from runtime.interlock.state import Timing
+from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
+from cutgate.runtime.interlock.state import Timing
 
 Floats = NDArray[np.float64]
 

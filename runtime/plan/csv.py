@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from config.load import InputError, decode
-from runtime.plan.model import Floats, poses_of
+from cutgate.config.load import InputError, decode
+from cutgate.runtime.plan.model import Floats, poses_of
 
 HEADER: Final = "x,y,z,i,j,k"
 _NUMBER: Final = r"[ \t]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[ \t]*"

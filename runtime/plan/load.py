@@ -5,10 +5,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from config.constants import CONSTANTS
-from config.load import DEFAULT_LIMIT, InputError, Loaded, parse_json, read_bytes, validate
-from runtime.plan.csv import parse_csv
-from runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, table_of
+from cutgate.config.constants import CONSTANTS
+from cutgate.config.load import DEFAULT_LIMIT, InputError, Loaded, parse_json, read_bytes, validate
+from cutgate.runtime.plan.csv import parse_csv
+from cutgate.runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, table_of
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)

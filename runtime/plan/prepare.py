@@ -11,11 +11,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from config.load import InputError, Loaded
-from config.model import Robot
-from config.records import tool_record
-from protocol.records import Path, RecordError
-from runtime.plan.model import Floats, Plan, Registration
+from cutgate.config.load import InputError, Loaded
+from cutgate.config.model import Robot
+from cutgate.config.records import tool_record
+from cutgate.protocol.records import Path, RecordError
+from cutgate.runtime.plan.model import Floats, Plan, Registration
 
 Link = Literal["linked", "not linked"]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from runtime.review.show import BAD, GOOD
+from cutgate.runtime.review.show import BAD, GOOD
 
 
 def print_comparison(console: Console, verdicts: Sequence[Mapping[str, Any]], names: Sequence[str]) -> None:

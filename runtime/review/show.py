@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from runtime.review.story import failing
+from cutgate.runtime.review.story import failing
 
 GOOD: Final = "bold green"
 BAD: Final = "bold red"

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from runtime.audit.inspect import Log
-from runtime.audit.records import (
+from cutgate.runtime.audit.inspect import Log
+from cutgate.runtime.audit.records import (
     Approach,
     Attachment,
     AuditRecord,

@@ -6,13 +6,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol import records
-from protocol.records import joints_to_memory
-from runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Course, Floats
-from runtime.kinematics.arm import TURN, TrueArm, turns
-from runtime.kinematics.pose import slerp, turn_angles
-from runtime.verification.geometry import VERTICAL
-from runtime.verification.problem import Problem
+from cutgate.protocol import records
+from cutgate.protocol.records import joints_to_memory
+from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Course, Floats
+from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
+from cutgate.runtime.kinematics.pose import slerp, turn_angles
+from cutgate.runtime.verification.geometry import VERTICAL
+from cutgate.runtime.verification.problem import Problem
 
 Ints = NDArray[np.int64]
 

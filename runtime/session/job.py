@@ -7,19 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from config.load import Loaded, load_robot, load_site
-from config.model import Robot, Site
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records
-from runtime.interlock.state import Job, Timing
-from runtime.kinematics.arm import TURN
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import Prepared, prepare, with_branch
-from runtime.verification import certified
-from runtime.verification.recorded import problem_from_records
+from cutgate import __version__
+from cutgate.config.load import Loaded, load_robot, load_site
+from cutgate.config.model import Robot, Site
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records
+from cutgate.runtime.interlock.state import Job, Timing
+from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.recorded import problem_from_records
 
-VERIFIER = "cutgate 0.1.0"
-"""Named in every permit; at most 16 characters."""
+VERIFIER = f"cutgate {__version__}"
+"""Named in every record 0 and every permit; at most 16 characters."""
 LOG_BYTES_FIXED = 4_000_000
 LOG_BYTES_PER_SECOND = 100_000
 """Estimate of the log's growth: about 280 frames a second at a 20 ms heartbeat, before compression."""

@@ -6,14 +6,21 @@ import time
 from collections.abc import Callable
 from typing import Any, Literal
 
-from protocol import records
-from protocol.endpoint import RecordReceived
-from protocol.port import Passed
-from protocol.states import Purpose, Refusal, StopCause
-from runtime.audit import records as audit
-from runtime.audit.log import AuditLog, Paths
-from runtime.interlock.permissives import AT_START, COLLECTED, FOR_PERMIT, FOR_START, Evaluate, evaluate
-from runtime.interlock.state import (
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.port import Passed
+from cutgate.protocol.states import Purpose, Refusal, StopCause
+from cutgate.runtime.audit import records as audit
+from cutgate.runtime.audit.log import AuditLog, Paths
+from cutgate.runtime.interlock.permissives import (
+    AT_START,
+    COLLECTED,
+    FOR_PERMIT,
+    FOR_START,
+    Evaluate,
+    evaluate,
+)
+from cutgate.runtime.interlock.state import (
     Announced,
     BlockStored,
     Commit,
@@ -44,7 +51,7 @@ from runtime.interlock.state import (
     VerdictReady,
     Withheld,
 )
-from runtime.session.job import VERIFIER
+from cutgate.runtime.session.job import VERIFIER
 
 Kind = Literal["permit", "start", "reset"]
 

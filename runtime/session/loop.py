@@ -13,11 +13,11 @@ from typing import Any, Protocol, assert_never
 
 import can
 
-from config.terminal import WordReader
-from protocol import permit as permits
-from protocol import records
-from protocol.endpoint import Item, RecordReceived
-from protocol.frames import (
+from cutgate.config.terminal import WordReader
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Item, RecordReceived
+from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
     Joint4,
@@ -25,14 +25,14 @@ from protocol.frames import (
     RuntimeHeartbeat,
     RuntimeStop,
 )
-from protocol.link import Accepted, Violation
-from protocol.path import PathHeader
-from protocol.port import Port
-from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
-from runtime.audit import names
-from runtime.audit.commit import Durable, Reserved
-from runtime.audit.commit import Failed as LogFailed
-from runtime.interlock.state import (
+from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.path import PathHeader
+from cutgate.protocol.port import Port
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
+from cutgate.runtime.audit import names
+from cutgate.runtime.audit.commit import Durable, Reserved
+from cutgate.runtime.audit.commit import Failed as LogFailed
+from cutgate.runtime.interlock.state import (
     ENDED,
     HEARTBEAT_CODE,
     Announced,
@@ -71,10 +71,10 @@ from runtime.interlock.state import (
     Withheld,
     Word,
 )
-from runtime.interlock.table import MOVING, step
-from runtime.interlock.tracking import Watch
-from runtime.session.journal import Journal
-from runtime.session.worker import Answer, Broken, Request, Worker
+from cutgate.runtime.interlock.table import MOVING, step
+from cutgate.runtime.interlock.tracking import Watch
+from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.worker import Answer, Broken, Request, Worker
 
 EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
     records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from config.load import InputError
+from cutgate.config.load import InputError
 
 WITHDRAWN: Final = "WITHDRAWN"
 _ENTRY: Final = re.compile(r"[0-9a-f]{64} \S+")

@@ -17,19 +17,19 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
-from config.model import Robot
-from protocol import records
-from runtime.interlock.state import Timing, Verdict
-from runtime.interlock.tracking import Course
-from runtime.plan.prepare import Quantise
-from runtime.session.course import course_of
-from runtime.verification import approach, certificate, certified
-from runtime.verification import verdict as verdicts
-from runtime.verification.document import Digests, verdict_document
-from runtime.verification.guidance import Guidance, guide
-from runtime.verification.problem import Floats, Problem
-from runtime.verification.recorded import problem_from_records
-from runtime.verification.summary import summary
+from cutgate.config.model import Robot
+from cutgate.protocol import records
+from cutgate.runtime.interlock.state import Timing, Verdict
+from cutgate.runtime.interlock.tracking import Course
+from cutgate.runtime.plan.prepare import Quantise
+from cutgate.runtime.session.course import course_of
+from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification import verdict as verdicts
+from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification.guidance import Guidance, guide
+from cutgate.runtime.verification.problem import Floats, Problem
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.summary import summary
 
 JOIN_S = 2.0
 LENGTH_BYTES = 4
@@ -97,7 +97,7 @@ def prove(request: Request) -> Answer:
     """Verify the uploaded path, its approach and retract; the only place where a session's verdict comes from.
 
     Raises:
-        protocol.records.RecordError: the records pose no problem that can be verified.
+        cutgate.protocol.records.RecordError: the records pose no problem that can be verified.
     """
     path = records.Path.parse(request.path)
     problem = problem_from_records(

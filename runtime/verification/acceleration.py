@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import elbow_angle, shoulder_offset
-from runtime.kinematics.pose import slerp
-from runtime.verification.chain import Intervals
-from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
-from runtime.verification.motion import Angles, Motion
+from cutgate.runtime.kinematics.arm import elbow_angle, shoulder_offset
+from cutgate.runtime.kinematics.pose import slerp
+from cutgate.runtime.verification.chain import Intervals
+from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
+from cutgate.runtime.verification.motion import Angles, Motion
 
 Floats = NDArray[np.float64]
 

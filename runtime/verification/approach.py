@@ -24,17 +24,17 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol import records
-from protocol.records import joints_to_counts, joints_to_memory
-from runtime.kinematics.arm import TURN, turns
-from runtime.verification import certified
-from runtime.verification.chain import build
-from runtime.verification.defects import defects
-from runtime.verification.enclosures import HALF_TURN
-from runtime.verification.geometry import EPSILON, ROUNDINGS, VERTICAL, Geometry, canonical
-from runtime.verification.problem import Problem
-from runtime.verification.verdict import Boundary
-from runtime.workspace.planar import SIDES, Arc, distance_to_arc, segment_to_arc
+from cutgate.protocol import records
+from cutgate.protocol.records import joints_to_counts, joints_to_memory
+from cutgate.runtime.kinematics.arm import TURN, turns
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.chain import build
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.enclosures import HALF_TURN
+from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, VERTICAL, Geometry, canonical
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.verdict import Boundary
+from cutgate.runtime.workspace.planar import SIDES, Arc, distance_to_arc, segment_to_arc
 
 Floats = NDArray[np.float64]
 

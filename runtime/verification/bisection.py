@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.acceleration import joint_accelerations
-from runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
-from runtime.verification.enclosures import (
+from cutgate.runtime.verification.acceleration import joint_accelerations
+from cutgate.runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
+from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
     LEFT,
@@ -23,9 +23,9 @@ from runtime.verification.enclosures import (
     attained,
     lower_bounds,
 )
-from runtime.verification.geometry import Geometry, Ints, Segments
-from runtime.verification.points import Points
-from runtime.workspace.distance import signed_sides
+from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.points import Points
+from cutgate.runtime.workspace.distance import signed_sides
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

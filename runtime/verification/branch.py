@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from runtime.kinematics.arm import TURN, turns
-from runtime.verification.geometry import Geometry
+from cutgate.runtime.kinematics.arm import TURN, turns
+from cutgate.runtime.verification.geometry import Geometry
 
 
 @dataclass(frozen=True, slots=True)

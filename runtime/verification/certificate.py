@@ -16,14 +16,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import turns
-from runtime.verification.bisection import Aim, survey
-from runtime.verification.branch import Candidate, candidates
-from runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
-from runtime.verification.chain import BLOCK, Chain, build, cut
-from runtime.verification.closed_form import Extremes, extremes
-from runtime.verification.defects import defects
-from runtime.verification.enclosures import (
+from cutgate.runtime.kinematics.arm import turns
+from cutgate.runtime.verification.bisection import Aim, survey
+from cutgate.runtime.verification.branch import Candidate, candidates
+from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
+from cutgate.runtime.verification.chain import BLOCK, Chain, build, cut
+from cutgate.runtime.verification.closed_form import Extremes, extremes
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
     ROLL_MAX,
@@ -32,11 +32,11 @@ from runtime.verification.enclosures import (
     Scope,
     lower_bounds,
 )
-from runtime.verification.geometry import MIRRORED, Geometry, Ints, Segments, canonical
-from runtime.verification.problem import Problem
-from runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
-from runtime.verification.verdict import ARM_BOUNDARIES, BOUNDARIES, Verdict
-from runtime.workspace.planar import SIDES
+from cutgate.runtime.verification.geometry import MIRRORED, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
+from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, BOUNDARIES, Verdict
+from cutgate.runtime.workspace.planar import SIDES
 
 Floats = NDArray[np.float64]
 

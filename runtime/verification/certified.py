@@ -18,13 +18,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import turns
-from runtime.verification.bisection import Aim, Survey, survey
-from runtime.verification.branch import Candidate, candidates, choose
-from runtime.verification.chain import Chain, build
-from runtime.verification.closed_form import Extremes, extremes
-from runtime.verification.defects import defects
-from runtime.verification.enclosures import (
+from cutgate.runtime.kinematics.arm import turns
+from cutgate.runtime.verification.bisection import Aim, Survey, survey
+from cutgate.runtime.verification.branch import Candidate, candidates, choose
+from cutgate.runtime.verification.chain import Chain, build
+from cutgate.runtime.verification.closed_form import Extremes, extremes
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
     HALF_TURN,
@@ -37,9 +37,9 @@ from runtime.verification.enclosures import (
     SPEED,
     Scope,
 )
-from runtime.verification.geometry import MIRRORED, Geometry, Segments, canonical
-from runtime.verification.problem import Problem
-from runtime.verification.quantities import (
+from cutgate.runtime.verification.geometry import MIRRORED, Geometry, Segments, canonical
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.quantities import (
     Enclosed,
     azimuth_defined,
     boundary,
@@ -49,8 +49,8 @@ from runtime.verification.quantities import (
     slide_and_pitch,
     wrist_length,
 )
-from runtime.verification.reasons import sentences
-from runtime.verification.verdict import (
+from cutgate.runtime.verification.reasons import sentences
+from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,
     Branch,
@@ -59,7 +59,7 @@ from runtime.verification.verdict import (
     SpeedLine,
     Verdict,
 )
-from runtime.workspace.planar import SIDES
+from cutgate.runtime.workspace.planar import SIDES
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import TURN
-from runtime.verification.geometry import Geometry, Ints, Segments
-from runtime.verification.points import Points, at, at_poses, join
+from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.points import Points, at, at_poses, join
 
 Floats = NDArray[np.float64]
 

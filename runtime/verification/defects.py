@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from runtime.kinematics.pose import turn_angles
-from runtime.verification.geometry import LARGEST_TURN
-from runtime.verification.problem import Problem
+from cutgate.runtime.kinematics.pose import turn_angles
+from cutgate.runtime.verification.geometry import LARGEST_TURN
+from cutgate.runtime.verification.problem import Problem
 
 UNIT_TOLERANCE = 1e-6
 

@@ -5,8 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from runtime.verification.guidance import Guidance, Move
-from runtime.verification.verdict import Boundary, SpeedLine, Verdict
+from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Verdict
 
 SCHEMA: Final = "cutgate.verdict/1"
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.acceleration import bounded_accelerations
-from runtime.verification.chain import Intervals
-from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
-from runtime.verification.motion import Angles, Motion, angles_of, motion_of
-from runtime.verification.points import Points
-from runtime.workspace.distance import signed_sides
-from runtime.workspace.planar import segment_to_arc
+from cutgate.runtime.verification.acceleration import bounded_accelerations
+from cutgate.runtime.verification.chain import Intervals
+from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from cutgate.runtime.verification.motion import Angles, Motion, angles_of, motion_of
+from cutgate.runtime.verification.points import Points
+from cutgate.runtime.workspace.distance import signed_sides
+from cutgate.runtime.workspace.planar import segment_to_arc
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

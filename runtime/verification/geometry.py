@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.pose import turn_angles
-from runtime.verification.problem import Problem
-from runtime.workspace.planar import Arc, PlanarWorkspace
+from cutgate.runtime.kinematics.pose import turn_angles
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.workspace.planar import Arc, PlanarWorkspace
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

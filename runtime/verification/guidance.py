@@ -17,15 +17,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification import certified
-from runtime.verification.defects import defects
-from runtime.verification.geometry import Geometry, canonical
-from runtime.verification.placing import Placing, Reserve
-from runtime.verification.points import Points, at
-from runtime.verification.problem import Problem
-from runtime.verification.search import smallest_translation
-from runtime.verification.verdict import ARM_BOUNDARIES, Boundary, Verdict
-from runtime.workspace.planar import SIDES, nearest_on_arc
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.geometry import Geometry, canonical
+from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.points import Points, at
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.search import smallest_translation
+from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, Boundary, Verdict
+from cutgate.runtime.workspace.planar import SIDES, nearest_on_arc
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]

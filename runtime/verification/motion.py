@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import elbow_sine
-from runtime.verification.chain import Intervals, distance_from_column, sagitta
-from runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
-from runtime.verification.points import roll_widening
+from cutgate.runtime.kinematics.arm import elbow_sine
+from cutgate.runtime.verification.chain import Intervals, distance_from_column, sagitta
+from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from cutgate.runtime.verification.points import roll_widening
 
 Floats = NDArray[np.float64]
 

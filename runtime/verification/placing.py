@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
-from runtime.kinematics.pose import slerp
-from runtime.verification.chain import BLOCK, sagitta, sweep
-from runtime.verification.closed_form import extremes
-from runtime.verification.geometry import VERTICAL, Geometry, Ints, Segments, canonical
-from runtime.verification.points import Points, at_poses, join, roll_widening
-from runtime.verification.problem import Problem
-from runtime.workspace.distance import side_distances, signed_distance
-from runtime.workspace.planar import distance_to_arc
+from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
+from cutgate.runtime.kinematics.pose import slerp
+from cutgate.runtime.verification.chain import BLOCK, sagitta, sweep
+from cutgate.runtime.verification.closed_form import extremes
+from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.points import Points, at_poses, join, roll_widening
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.workspace.distance import side_distances, signed_distance
+from cutgate.runtime.workspace.planar import distance_to_arc
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -8,10 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
-from runtime.kinematics.pose import slerp
-from runtime.verification.geometry import Geometry, Ints, Segments
-from runtime.workspace.planar import distance_to_arc
+from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
+from cutgate.runtime.kinematics.pose import slerp
+from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
+from cutgate.runtime.workspace.planar import distance_to_arc
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

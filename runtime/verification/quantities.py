@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.closed_form import Extreme, Extremes
-from runtime.verification.enclosures import ACCELERATION, SPEED
-from runtime.verification.geometry import VERTICAL, Geometry, Segments
-from runtime.verification.problem import Problem
-from runtime.verification.verdict import (
+from cutgate.runtime.verification.closed_form import Extreme, Extremes
+from cutgate.runtime.verification.enclosures import ACCELERATION, SPEED
+from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Segments
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,
     Evaluations,
@@ -22,7 +22,7 @@ from runtime.verification.verdict import (
     Unit,
     Verdict,
 )
-from runtime.workspace.planar import SIDES
+from cutgate.runtime.workspace.planar import SIDES
 
 Floats = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification import certified
-from runtime.verification.guidance import Quantise, Vector, moved, pivot_of, unchanged_by_moves
-from runtime.verification.placing import Placing, Reserve
-from runtime.verification.problem import Problem
-from runtime.verification.verdict import Boundary, Verdict
-from runtime.workspace.planar import SIDES
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.guidance import Quantise, Vector, moved, pivot_of, unchanged_by_moves
+from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.verdict import Boundary, Verdict
+from cutgate.runtime.workspace.planar import SIDES
 
 Floats = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from runtime.verification.verdict import Boundary, SpeedLine
+from cutgate.runtime.verification.verdict import Boundary, SpeedLine
 
 _REMEDY = {
     "inner": "move the bone away from the column",

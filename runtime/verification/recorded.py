@@ -2,9 +2,9 @@
 
 import math
 
-from config.model import Robot
-from protocol import records
-from runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.config.model import Robot
+from cutgate.protocol import records
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
 
 
 def problem_from_records(
@@ -27,7 +27,7 @@ def problem_from_records(
         any_branch: try every joint branch instead of the path's own; the verdict names the best.
 
     Raises:
-        protocol.records.RecordError: malformed records, records that no robot can have, another elbow than the
+        cutgate.protocol.records.RecordError: malformed records, records that no robot can have, another elbow than the
             robot's, or a path for another tool than the mounted one.
     """
     cut, bounds = records.Path.parse(path), records.Limits.parse(limits)

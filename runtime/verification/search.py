@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.verification.placing import Placing
+from cutgate.runtime.verification.placing import Placing
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

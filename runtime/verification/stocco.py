@@ -25,17 +25,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import turns
-from runtime.verification.defects import defects
-from runtime.verification.geometry import Geometry, Segments, canonical
-from runtime.verification.points import Points, at
-from runtime.verification.problem import Problem
-from runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
-from runtime.verification.reasons import sentences
-from runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
-from runtime.workspace.distance import signed_sides
-from runtime.workspace.planar import SIDES
-from runtime.workspace.printed import printed_sides
+from cutgate.runtime.kinematics.arm import turns
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.geometry import Geometry, Segments, canonical
+from cutgate.runtime.verification.points import Points, at
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
+from cutgate.runtime.verification.reasons import sentences
+from cutgate.runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
+from cutgate.runtime.workspace.distance import signed_sides
+from cutgate.runtime.workspace.planar import SIDES
+from cutgate.runtime.workspace.printed import printed_sides
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 import math
 
-from runtime.verification.verdict import Boundary, Verdict
+from cutgate.runtime.verification.verdict import Boundary, Verdict
 
 
 def summary(verdict: Verdict) -> str:

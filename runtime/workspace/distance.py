@@ -11,14 +11,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.workspace.planar import PlanarWorkspace, distance_to_arc
+from cutgate.runtime.workspace.planar import PlanarWorkspace, distance_to_arc
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
 class Distance(Protocol):
-    """A distance to the nearest boundary of a workspace, exact or numeric, for `runtime.workspace.numeric`.
+    """A distance to the nearest boundary of a workspace, exact or numeric, for `cutgate.runtime.workspace.numeric`.
 
     The true signed distance is positive only inside, and a ball of that radius round a point inside is inside.
     What is computed may be off by a stated bound. Unit: mm, or whatever the path is measured in.

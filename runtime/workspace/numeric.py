@@ -2,7 +2,7 @@
 
 Stocco 2001 calls workspaces without closed-form boundary the "more difficult cases" and lets D be numeric. Two
 things make that safe: a Lipschitz bound, so that values at points say something about what lies between them, and a
-bound on the error of the values themselves. Pure; the gate itself uses `runtime.verification.certified`.
+bound on the error of the values themselves. Pure; the gate itself uses `cutgate.runtime.verification.certified`.
 
 A boundary that is known as curves only is sampled: a curve of speed at most v over a parameter range T, cut into N
 equal steps, has its samples at most h = v T / N of arc apart, so each of its points lies within h / 2 of a
@@ -20,7 +20,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.workspace.distance import Distance
+from cutgate.runtime.workspace.distance import Distance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

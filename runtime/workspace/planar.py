@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
+from cutgate.runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

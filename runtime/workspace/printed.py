@@ -26,7 +26,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.workspace.planar import PlanarWorkspace
+from cutgate.runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]
 

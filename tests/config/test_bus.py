@@ -6,8 +6,8 @@ import can
 import pytest
 from can.interfaces.socketcan import SocketcanBus
 
-from config import bus as module
-from config.bus import (
+from cutgate.config import bus as module
+from cutgate.config.bus import (
     LatchingSocketcanBus,
     RuntimeDirectoryError,
     default_interface,

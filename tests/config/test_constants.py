@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from config.constants import CONSTANTS, TABLE, TIMEOUT_HEARTBEATS, markdown
-from config.model import Site
-from protocol.records import POSES_MAX, Timing
+from cutgate.config.constants import CONSTANTS, TABLE, TIMEOUT_HEARTBEATS, markdown
+from cutgate.config.model import Site
+from cutgate.protocol.records import POSES_MAX, Timing
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,7 +33,7 @@ def test_bounds_are_inside_and_nan_is_outside(constant):
 
 def test_the_page_is_current():
     page = (ROOT / "docs" / "constants.md").read_text(encoding="utf-8")
-    assert page == markdown(), "run: python -m config.constants > docs/constants.md"
+    assert page == markdown(), "run: python -m cutgate.config.constants > docs/constants.md"
 
 
 def test_the_default_time_out_spans_three_heartbeats():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.terminal import LINE_BYTES_MAX, READ_BYTES, WordReader
+from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, WordReader
 
 
 class Word(StrEnum):

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from config.constants import REGISTRATIONS_MAX
-from firmware_sim.rules import ACKNOWLEDGE_RULES, OPEN_RULES, PERMIT_RULES, RESET_RULES, START_RULES
-from protocol import records
-from protocol.wire import Record, layout
+from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.firmware_sim.rules import ACKNOWLEDGE_RULES, OPEN_RULES, PERMIT_RULES, RESET_RULES, START_RULES
+from cutgate.protocol import records
+from cutgate.protocol.wire import Record, layout
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 ORDER = dict(re.findall(r"^\| (\w+) \| ((?:[A-Z_]+(?:, )?)+) \|$", PAGE, re.MULTILINE))

@@ -1,10 +1,10 @@
 """The page of the state machines: made from the code by one script, current, and complete."""
 
+from cutgate.firmware_sim import table as controller_table
+from cutgate.protocol.states import ControllerState
+from cutgate.runtime.interlock import table as interlock_table
+from cutgate.runtime.interlock.state import ENDED, Phase
 from docs.make_state_machines import PAGE, controller_edges, main, picture, runtime_edges
-from firmware_sim import table as controller_table
-from protocol.states import ControllerState
-from runtime.interlock import table as interlock_table
-from runtime.interlock.state import ENDED, Phase
 from tests.runtime.interlock.test_invariants import _successors
 
 

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import can
 
-from protocol import records
-from protocol.frames import (
+from cutgate.protocol import records
+from cutgate.protocol.frames import (
     IDS,
     ControllerFault,
     ControllerHeartbeat,
@@ -18,7 +18,7 @@ from protocol.frames import (
     RuntimeStop,
     encode_frame,
 )
-from protocol.records import Channel
+from cutgate.protocol.records import Channel
 from tests.errors.scene import UNLISTED_ID, Scene, resealed, with_data
 from tests.runtime.session.pair import TURN_S
 from tests.runtime.session.wire import RUNTIME, flip

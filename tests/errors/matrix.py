@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from protocol import records as r
-from protocol.frames import (
+from cutgate.protocol import records as r
+from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
     Joint4,
@@ -18,8 +18,8 @@ from protocol.frames import (
     RuntimeHeartbeat,
     RuntimeStop,
 )
-from protocol.states import FaultCode, Purpose, StopCause, StopCode
-from runtime.interlock.state import Phase
+from cutgate.protocol.states import FaultCode, Purpose, StopCause, StopCode
+from cutgate.runtime.interlock.state import Phase
 from tests.errors import injections as do
 from tests.errors.scene import SHORT, UNLISTED_ID, Message, Observed, Scene
 from tests.runtime.session.pair import TURN_S, Pair

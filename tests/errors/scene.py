@@ -10,15 +10,15 @@ from typing import Any
 
 import can
 
-from protocol import records
-from protocol.e2e import protect
-from protocol.endpoint import Endpoint, RecordReceived
-from protocol.frames import DATA_IDS, IDS, TRANSFER_IDS, Frame
-from protocol.link import Accepted, Discarded, Violation
-from protocol.records import Record, Side
-from protocol.states import ControllerState, StopCause
-from runtime.audit.inspect import Status
-from runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase
+from cutgate.protocol import records
+from cutgate.protocol.e2e import protect
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.frames import DATA_IDS, IDS, TRANSFER_IDS, Frame
+from cutgate.protocol.link import Accepted, Discarded, Violation
+from cutgate.protocol.records import Record, Side
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase
 from tests.runtime.session.pair import Pair
 from tests.runtime.session.wire import Rule
 

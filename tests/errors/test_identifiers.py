@@ -9,13 +9,13 @@ from typing import Any
 import can
 import pytest
 
-from protocol.endpoint import Endpoint
-from protocol.frames import FRAMES, RuntimeStop, encode_frame
-from protocol.link import Accepted, Discarded, Violation
-from protocol.records import Side
-from protocol.states import ControllerState, StopCause, StopCode
-from runtime.audit.inspect import Status
-from runtime.interlock.state import ENDED, Phase
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.frames import FRAMES, RuntimeStop, encode_frame
+from cutgate.protocol.link import Accepted, Discarded, Violation
+from cutgate.protocol.records import Side
+from cutgate.protocol.states import ControllerState, StopCause, StopCode
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.interlock.state import ENDED, Phase
 from tests.runtime.session.pair import Pair
 
 RUNTIME, CONTROLLER = Side.RUNTIME, Side.CONTROLLER

@@ -11,14 +11,14 @@ from unittest import mock
 
 import pytest
 
-from firmware_sim import command as sim
-from firmware_sim.faults import FaultName
-from protocol import permit as permits
-from protocol import records
-from protocol.states import ControllerState, Purpose, Refusal, StopCause
-from runtime.audit.inspect import Log, Status
-from runtime.commands.app import execute
-from runtime.interlock.state import Phase, Refused
+from cutgate.firmware_sim import command as sim
+from cutgate.firmware_sim.faults import FaultName
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
+from cutgate.runtime.audit.inspect import Log, Status
+from cutgate.runtime.commands.app import execute
+from cutgate.runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import KEY, Pair, Stranger
 from tests.runtime.session.test_session import first_frames
 
@@ -227,7 +227,9 @@ def command(pair, tmp_path):
     def call(name: str, *key: str) -> int:
         if name == "sim":
             return sim.main([*robot, *key])
-        with mock.patch("runtime.commands.run._bus", side_effect=AssertionError("the bus was opened")):
+        with mock.patch(
+            "cutgate.runtime.commands.run._bus", side_effect=AssertionError("the bus was opened")
+        ):
             return execute([*run, *key])
 
     return call

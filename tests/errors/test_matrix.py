@@ -6,9 +6,9 @@ from itertools import product
 
 import pytest
 
-from protocol.frames import FRAMES
-from protocol.records import RECORDS
-from runtime.audit.inspect import Status
+from cutgate.protocol.frames import FRAMES
+from cutgate.protocol.records import RECORDS
+from cutgate.runtime.audit.inspect import Status
 from tests.errors.matrix import FOUND, GOES_ON, MESSAGES, NO_ROW, ROWS, End, Error
 
 SLACK_S = 1e-6

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.runtime.workspace.distance import signed_distance
+from cutgate.runtime.workspace.numeric import Polyline
+from cutgate.runtime.workspace.planar import PlanarWorkspace
 from examples.planar_2r import Planar2R, main, verify
-from runtime.workspace.distance import signed_distance
-from runtime.workspace.numeric import Polyline
-from runtime.workspace.planar import PlanarWorkspace
 from tests.runtime.workspace.test_planar import FAMILIES, FULL
 
 DEG = math.pi / 180

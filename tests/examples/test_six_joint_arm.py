@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.runtime.workspace.numeric import certify
 from examples.six_joint_arm import (
     ArmDistance,
     PosePath,
@@ -17,7 +18,6 @@ from examples.six_joint_arm import (
     pocket,
     verify,
 )
-from runtime.workspace.numeric import certify
 
 ARM = SixJointArm()
 DEG = math.pi / 180

@@ -11,10 +11,10 @@ from functools import cache
 from itertools import product
 from typing import Any
 
-from firmware_sim import state as c
-from protocol import records
-from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
-from runtime.interlock import state as r
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from cutgate.runtime.interlock import state as r
 from tests.exploration.names import (
     BOOT,
     DEAD,

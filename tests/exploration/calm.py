@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterable, Iterator
 
-from runtime.interlock import state as r
+from cutgate.runtime.interlock import state as r
 from tests.exploration.model import Model, State
 from tests.exploration.names import Message, rename_message
 from tests.exploration.runtime_side import tag_of

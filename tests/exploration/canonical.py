@@ -11,10 +11,10 @@ The result is again a concrete state on which the real step functions run; nothi
 
 from dataclasses import replace
 
-from firmware_sim import state as c
-from protocol.states import LATCHING, ControllerState, StopCause
-from runtime.interlock import state as r
-from runtime.interlock.table import AUTHORISING
+from cutgate.firmware_sim import state as c
+from cutgate.protocol.states import LATCHING, ControllerState, StopCause
+from cutgate.runtime.interlock import state as r
+from cutgate.runtime.interlock.table import AUTHORISING
 from tests.exploration.names import TOKEN, RuntimeSide
 from tests.firmware_sim.controllers import START_JOINTS
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import firmware_sim.table
-from firmware_sim import state as c
-from protocol import records
-from protocol.states import ControllerState, StopCause
-from runtime.interlock import state as r
+import cutgate.firmware_sim.table
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.interlock import state as r
 from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_controller, cause_class
 from tests.exploration.names import (
@@ -46,7 +46,7 @@ class Controller:
     """
 
     def __init__(self, world: World, step: Callable[..., Any] | None = None) -> None:
-        self.world, self.step = world, step or firmware_sim.table.step
+        self.world, self.step = world, step or cutgate.firmware_sim.table.step
         self.states = Numbers()
         self.written: list[Callable[..., Change]] = []
         self.known: dict[tuple[c.Controller, int], int] = {}

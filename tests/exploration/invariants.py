@@ -5,11 +5,11 @@ Judged from outside: from what was sent, held and committed, never by asking the
 
 from typing import Any
 
-from firmware_sim import state as c
-from protocol import records
-from protocol.records import digest
-from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
-from runtime.interlock import state as r
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.records import digest
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
+from cutgate.runtime.interlock import state as r
 from tests.exploration.names import Message, RuntimeSide, signed
 
 MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})

@@ -10,8 +10,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from firmware_sim import state as c
-from protocol import records
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
 from tests.exploration.controller_side import Controller
 from tests.exploration.names import (
     BOOT,

@@ -8,11 +8,11 @@ from enum import IntFlag, auto
 from functools import cache
 from typing import Any
 
-from firmware_sim import state as c
-from protocol import permit as permits
-from protocol import records
-from protocol.states import Purpose
-from runtime.interlock import state as r
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import Purpose
+from cutgate.runtime.interlock import state as r
 from tests.firmware_sim.controllers import KEY
 
 EPOCH, EARLIER_EPOCH = 10, 9

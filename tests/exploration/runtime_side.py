@@ -5,17 +5,17 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import runtime.interlock.table
-from firmware_sim import state as c
-from protocol import records
-from protocol.states import (
+import cutgate.runtime.interlock.table
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.states import (
     FaultCode,
     Purpose,
     Refusal,
     RuntimeCode,
     StopCause,
 )
-from runtime.interlock import state as r
+from cutgate.runtime.interlock import state as r
 from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_runtime, cause_class
 from tests.exploration.names import (
@@ -56,7 +56,7 @@ class Runtime:
     """
 
     def __init__(self, world: World, step: Callable[..., Any] | None = None) -> None:
-        self.world, self.step = world, step or runtime.interlock.table.step
+        self.world, self.step = world, step or cutgate.runtime.interlock.table.step
         self.sides = Numbers()
         self.none = self.sides.number(None)
         self.known: dict[RuntimeSide, int] = {}

@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-import firmware_sim.table
-import runtime.interlock.table
-from firmware_sim import state as c
-from protocol import records
-from protocol.states import StopCause
-from runtime.interlock import state as r
+import cutgate.firmware_sim.table
+import cutgate.runtime.interlock.table
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.interlock import state as r
 from tests.exploration import attacker, canonical, controller_side, runtime_side
 from tests.exploration.calm import Calm
 from tests.exploration.canonical import NOW, cause_class
@@ -128,7 +128,7 @@ def raw_runtime_input(given: Input, raw: RuntimeSide, chance: random.Random) -> 
 
 def after_runtime(side: RuntimeSide, given: Input, now_s: float) -> tuple[RuntimeSide, tuple[Any, ...]]:
     """One step of the real table, with the records still on their way."""
-    state, table = side.interlock, runtime.interlock.table
+    state, table = side.interlock, cutgate.runtime.interlock.table
     if given.first is not None:
         state, _ = table.step(state, given.first, now_s)
     after, effects = table.step(state, given.event, now_s + given.late_s)
@@ -244,7 +244,7 @@ def raw_record(record: Any, raw: c.Controller, form: c.Controller) -> Any:
 
 def after_controller(state: c.Controller, given: Input, now_s: float) -> tuple[c.Controller, list[Any]]:
     """One step of the real table with a memory that works; what it sends, without numbers."""
-    step = firmware_sim.table.step
+    step = cutgate.firmware_sim.table.step
     if given.first is not None:
         state, _ = step(state, given.first, now_s)
     after, effects = step(state, given.event, now_s + given.late_s)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-import firmware_sim.table
-import runtime.interlock.permissives
-import runtime.interlock.table
-from firmware_sim import state as c
-from firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
-from protocol.states import ControllerState, FaultCode, Refusal
-from runtime.interlock.state import HeartbeatLost, NonceReceived, Phase, Send, Tick
+import cutgate.firmware_sim.table
+import cutgate.runtime.interlock.permissives
+import cutgate.runtime.interlock.table
+from cutgate.firmware_sim import state as c
+from cutgate.firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
+from cutgate.protocol.states import ControllerState, FaultCode, Refusal
+from cutgate.runtime.interlock.state import HeartbeatLost, NonceReceived, Phase, Send, Tick
 from tests.exploration.calm import Calm, runtimes_that_do_not_end, stuck
 from tests.exploration.model import Model
 from tests.exploration.search import explore, trace, trace_to_controller
@@ -41,7 +41,7 @@ def _finds(world: World, way: tuple[str, ...], invariant: str, longest: int) -> 
 def _without(monkeypatch, name, rules, *refusals):
     """The controller's table with fewer rules for one request."""
     kept = tuple(rule for rule in rules if rule[0] not in refusals)
-    monkeypatch.setattr(firmware_sim.table, name, kept)
+    monkeypatch.setattr(cutgate.firmware_sim.table, name, kept)
 
 
 def _replaced(monkeypatch, table, entry, handler):
@@ -55,8 +55,8 @@ def _unchanged(state, _event, _now_s):
 
 def _blind(monkeypatch, unseen):
     """The runtime without one of its permissives."""
-    permissives = runtime.interlock.permissives
-    for module, name in ((runtime.interlock.table, "FOR_PERMIT"), (permissives, "FINAL")):
+    permissives = cutgate.runtime.interlock.permissives
+    for module, name in ((cutgate.runtime.interlock.table, "FOR_PERMIT"), (permissives, "FINAL")):
         kept = [one for one in getattr(module, name) if one is not unseen]
         monkeypatch.setattr(module, name, tuple(kept))
 
@@ -78,21 +78,21 @@ def test_without_the_list_of_the_withdrawn_motion_on_a_withdrawn_registration_is
 
 
 def test_without_a_look_at_the_verdict_a_permit_without_an_admissible_one_is_found(monkeypatch):
-    _blind(monkeypatch, runtime.interlock.permissives.verdict_admissible)
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.verdict_admissible)
     _finds(World(disk=True), TO_VERIFYING, "2: a Permit left without an admissible", 5)
 
 
 def test_without_a_look_at_what_the_verdict_was_made_for_a_permit_for_something_else_is_found(monkeypatch):
-    _blind(monkeypatch, runtime.interlock.permissives.verdict_current)
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.verdict_current)
     _finds(World(disk=True), TO_VERIFYING, "2: a Permit left on a verdict for something else", 5)
 
 
 def test_a_permit_that_does_not_wait_for_the_disk_is_found(monkeypatch):
     def hasty(state, event, _now_s):
-        permit = runtime.interlock.table._permit(state, event.nonce)
+        permit = cutgate.runtime.interlock.table._permit(state, event.nonce)
         return replace(state, phase=Phase.PERMITTING), (Send(permit),)
 
-    _replaced(monkeypatch, runtime.interlock.table.TABLE, (Phase.NONCE_PERMIT, NonceReceived), hasty)
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.TABLE, (Phase.NONCE_PERMIT, NonceReceived), hasty)
     _finds(World(), TO_VERIFYING, "2: a Permit left without its durable record", 5)
 
 
@@ -101,12 +101,12 @@ def test_a_controller_that_moves_on_without_the_order_to_cut_is_found(monkeypatc
         return replace(state, cut_ordered=True, heartbeat_fresh=event.fresh), ()
 
     entry = (ControllerState.CUTTING, c.HeartbeatReceived)
-    _replaced(monkeypatch, firmware_sim.table.TABLE, entry, indifferent)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.TABLE, entry, indifferent)
     _finds(World(), TO_MOVING, "3: motion after HeartbeatReceived", 2)
 
 
 def test_a_runtime_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch):
-    _replaced(monkeypatch, runtime.interlock.table.EVERYWHERE, HeartbeatLost, _unchanged)
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.EVERYWHERE, HeartbeatLost, _unchanged)
     _finds(World(), TO_MOVING, "3: the runtime upholds motion after HeartbeatLost", 2)
 
 
@@ -117,7 +117,7 @@ def test_a_latch_that_the_end_of_a_session_opens_is_found(monkeypatch):
     def unlatched(state, _event, _now_s):
         return replace(state, state=ControllerState.INHIBITED, session=None), ()
 
-    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.StopReceived, unlatched)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.StopReceived, unlatched)
     _finds(World(begin=LATCHED), (), "4: a latch was left by StopReceived", 5)
 
 
@@ -135,7 +135,7 @@ def test_a_reset_whose_code_nobody_verifies_is_found(monkeypatch):
 
 
 def test_a_cause_that_can_never_be_acknowledged_is_found_as_a_trap(monkeypatch):
-    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.AcknowledgeReceived, _unchanged)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.AcknowledgeReceived, _unchanged)
     found = explore(Model(World(exact=True)), deepest=1)
     trapped = stuck(found.model, found.seen)
     shown = trace_to_controller(found, trapped[0], "breaks 5: there is no way back")
@@ -145,7 +145,7 @@ def test_a_cause_that_can_never_be_acknowledged_is_found_as_a_trap(monkeypatch):
 
 
 def test_a_runtime_that_waits_for_the_confirmation_of_its_stop_for_ever_is_found(monkeypatch):
-    table = runtime.interlock.table
+    table = cutgate.runtime.interlock.table
     _replaced(monkeypatch, table.TABLE, (Phase.STOPPING, HeartbeatLost), _unchanged)
     _replaced(monkeypatch, table.EVERYWHERE, Tick, _unchanged)
     model = Model(World(exact=True))
@@ -173,7 +173,7 @@ def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
     def said_only(state, event, _now_s):
         return state, (c.SendFault(FaultCode.STOPPED, event.cause),)
 
-    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.Fault, said_only)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.Fault, said_only)
     _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 8)
 
 
@@ -193,8 +193,8 @@ def test_a_start_without_the_enabling_device_is_found(monkeypatch):
 
 def test_a_release_that_does_not_stop_is_found(monkeypatch):
     def noted(state, event, _now_s):
-        device = firmware_sim.table._cycle(state.device, event.inputs.device_pressed)
+        device = cutgate.firmware_sim.table._cycle(state.device, event.inputs.device_pressed)
         return replace(state, inputs=event.inputs, device=device), ()
 
-    _replaced(monkeypatch, firmware_sim.table.EVERYWHERE, c.InputsChanged, noted)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.InputsChanged, noted)
     _finds(World(), TO_MOVING, "7: motion with the enabling device released", 2)

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from firmware_sim import state as c
-from protocol import records
-from protocol.states import FaultCode, StopCause
-from runtime.interlock import state as r
+from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
+from cutgate.protocol.states import FaultCode, StopCause
+from cutgate.runtime.interlock import state as r
 from tests.exploration.names import TOKEN
 from tests.firmware_sim.controllers import START_JOINTS
 

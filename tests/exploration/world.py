@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from firmware_sim import state as c
-from runtime.interlock import state as r
+from cutgate.firmware_sim import state as c
+from cutgate.runtime.interlock import state as r
 from tests.exploration.names import BOOT, EPOCH, REGISTRATION, TOKEN
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from protocol.records import Calibration, Limits, Path, Tool
+from cutgate.protocol.records import Calibration, Limits, Path, Tool
 
 TOOL_MM = 160.0
 TOOL = Tool.quantised(length_mm=TOOL_MM)

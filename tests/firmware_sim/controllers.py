@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.approach import Ends
-from firmware_sim.rules import Case
-from firmware_sim.state import (
+from cutgate.firmware_sim.approach import Ends
+from cutgate.firmware_sim.rules import Case
+from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     BoneMoved,
     CollectReceived,
@@ -40,10 +40,10 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import step
-from protocol import permit as permits
-from protocol import records
-from protocol.states import Purpose, Refusal, RuntimeCode, StopCause, StopCode
+from cutgate.firmware_sim.table import step
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import Purpose, Refusal, RuntimeCode, StopCause, StopCode
 from tests.altering import altered
 
 NOW = 500.0

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.approach import Approach, own_ends, start_offset
-from firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
-from firmware_sim.path_check import PathCheck
-from protocol.records import joints_to_counts, joints_to_memory
+from cutgate.firmware_sim.approach import Approach, own_ends, start_offset
+from cutgate.firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.protocol.records import joints_to_counts, joints_to_memory
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, WIDE, line_path
 from tests.firmware_sim.controllers import PERMIT
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import can
 import pytest
 
-from config.bus import RuntimeDirectoryError
-from firmware_sim import __main__ as entry
-from firmware_sim import command, memory
-from firmware_sim.state import Memory
-from protocol.frames import IDS, RuntimeHeartbeat
-from protocol.states import StopCause
+from cutgate.config.bus import RuntimeDirectoryError
+from cutgate.firmware_sim import __main__ as entry
+from cutgate.firmware_sim import command, memory
+from cutgate.firmware_sim.state import Memory
+from cutgate.protocol.frames import IDS, RuntimeHeartbeat
+from cutgate.protocol.states import StopCause
 
 ROBOT = Path("config/presets/example.toml")
 

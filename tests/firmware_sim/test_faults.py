@@ -2,8 +2,8 @@
 
 import pytest
 
-from firmware_sim.faults import FaultName, FaultSpec
-from protocol.states import ControllerState
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.protocol.states import ControllerState
 
 
 @pytest.mark.parametrize("state", list(ControllerState))

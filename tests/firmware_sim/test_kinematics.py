@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.kinematics import (
+from cutgate.firmware_sim.kinematics import (
     Arm,
     KinematicsError,
     OutOfReachError,

@@ -11,7 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from firmware_sim.state import (
+from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     BoneMoved,
     CollectReceived,
@@ -35,9 +35,9 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from protocol import permit as permits
-from protocol import records
-from protocol.states import (
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import (
     LATCHING,
     WITHDRAWING,
     ControllerState,

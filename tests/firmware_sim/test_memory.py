@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.constants import REGISTRATIONS_MAX
-from firmware_sim import memory
-from firmware_sim.memory import ControllerMemoryError
-from firmware_sim.state import Memory
-from protocol.states import StopCause
+from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.memory import ControllerMemoryError
+from cutgate.firmware_sim.state import Memory
+from cutgate.protocol.states import StopCause
 
 ONE, TWO = bytes(range(32)), bytes(32)
 REMEMBERED = Memory(frozenset({ONE}), frozenset({TWO}), StopCause.SECOND_NODE)

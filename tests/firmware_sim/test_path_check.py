@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_sim.kinematics import Pose, calibrated_arm, follow, forward, inverse
-from firmware_sim.path_check import PathCheck
-from protocol.path import encode_axes
-from protocol.records import UNIT, Path, PathCodes, RecordError, Tool
-from protocol.states import Refusal
+from cutgate.firmware_sim.kinematics import Pose, calibrated_arm, follow, forward, inverse
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.protocol.path import encode_axes
+from cutgate.protocol.records import UNIT, Path, PathCodes, RecordError, Tool
+from cutgate.protocol.states import Refusal
 from tests.firmware_sim.arms import (
     CALIBRATED,
     LEFT_LIMITS,

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_sim.approach import Approach
-from firmware_sim.kinematics import (
+from cutgate.firmware_sim.approach import Approach
+from cutgate.firmware_sim.kinematics import (
     KinematicsError,
     Pose,
     calibrated_arm,
@@ -20,11 +20,11 @@ from firmware_sim.kinematics import (
     inverse,
     nearest_turns,
 )
-from firmware_sim.path_check import PathCheck
-from firmware_sim.plant import BlockError, Leg, Plant, PlantFault, PlantState, StoredPath
-from protocol.path import PathHeader
-from protocol.records import UNIT, Path, split
-from protocol.states import StopCause
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.firmware_sim.plant import BlockError, Leg, Plant, PlantFault, PlantState, StoredPath
+from cutgate.protocol.path import PathHeader
+from cutgate.protocol.records import UNIT, Path, split
+from cutgate.protocol.states import StopCause
 from tests.firmware_sim.arms import (
     CALIBRATED,
     LIMITS,

@@ -10,17 +10,26 @@ from dataclasses import replace
 import can
 import pytest
 
-from config.terminal import WordReader
-from firmware_sim import memory
-from firmware_sim.faults import FaultName, FaultSpec
-from firmware_sim.process import Options, Process, Word, middle_of
-from firmware_sim.state import BoneMoved, Controller, Fault, Holdings, Identity, Memory, PathChecked, Session
-from protocol import records
-from protocol.endpoint import Endpoint, RecordReceived
-from protocol.frames import CONTROL_IDS, IDS, ControllerFault
-from protocol.port import Port
-from protocol.records import Side
-from protocol.states import ControllerState, Refusal, StopCause
+from cutgate.config.terminal import WordReader
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.process import Options, Process, Word, middle_of
+from cutgate.firmware_sim.state import (
+    BoneMoved,
+    Controller,
+    Fault,
+    Holdings,
+    Identity,
+    Memory,
+    PathChecked,
+    Session,
+)
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerFault
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import Side
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, line_path, pocket
 
 KEY = bytes(32)
@@ -367,7 +376,7 @@ def test_what_is_measured_is_where_the_arm_stands(bench):
 
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
-    monkeypatch.setattr("firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
     one = bench()
     one.process.controller = _opened(one.process.controller)
     one.process.port.endpoint.use_session(1)

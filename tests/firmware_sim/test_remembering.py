@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from config.constants import REGISTRATIONS_MAX
-from firmware_sim.state import (
+from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     BoneMoved,
     Controller,
@@ -24,9 +24,9 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import step
-from protocol import records
-from protocol.states import LATCHING, ControllerState, FaultCode, Refusal, StopCause, StopCode
+from cutgate.firmware_sim.table import step
+from cutgate.protocol import records
+from cutgate.protocol.states import LATCHING, ControllerState, FaultCode, Refusal, StopCause, StopCode
 from tests.firmware_sim.controllers import (
     ACKNOWLEDGED,
     CUTTING,

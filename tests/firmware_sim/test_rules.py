@@ -5,8 +5,8 @@ from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
-from config.constants import REGISTRATIONS_MAX
-from firmware_sim.rules import (
+from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.firmware_sim.rules import (
     ACKNOWLEDGE_RULES,
     OPEN_RULES,
     PERMIT_RULES,
@@ -15,11 +15,11 @@ from firmware_sim.rules import (
     Case,
     first_refusal,
 )
-from firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory, OpenReceived
-from firmware_sim.table import step
-from protocol import permit as permits
-from protocol import records
-from protocol.states import ControllerState, Purpose, Refusal, StopCause
+from cutgate.firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory, OpenReceived
+from cutgate.firmware_sim.table import step
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 from tests.altering import altered
 from tests.firmware_sim import controllers
 from tests.firmware_sim.controllers import (

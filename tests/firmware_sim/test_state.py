@@ -2,8 +2,8 @@
 
 import pytest
 
-from firmware_sim.state import Inputs
-from protocol.states import ControllerState
+from cutgate.firmware_sim.state import Inputs
+from cutgate.protocol.states import ControllerState
 from tests.altering import altered
 from tests.firmware_sim.controllers import CUTTING, EVERY_STATE, POWERED_UP
 

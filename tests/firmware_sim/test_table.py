@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.constants import CONSTANTS
-from firmware_sim.state import (
+from cutgate.config.constants import CONSTANTS
+from cutgate.firmware_sim.state import (
     AbortTransfers,
     AcknowledgeReceived,
     BoneMoved,
@@ -39,10 +39,10 @@ from firmware_sim.state import (
     StopReceived,
     Tick,
 )
-from firmware_sim.table import EVERYWHERE, TABLE, step
-from protocol import permit as permits
-from protocol import records
-from protocol.states import (
+from cutgate.firmware_sim.table import EVERYWHERE, TABLE, step
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.states import (
     LATCHING,
     ControllerState,
     FaultCode,

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import fuzz
-from fuzz.harness import BrokenPromiseError, Family, attempt, choose, expect
+from tools import fuzz
+from tools.fuzz.harness import BrokenPromiseError, Family, attempt, choose, expect
 
 ENGINES = {"harness", "search"}
 FAMILIES: dict[str, Family] = {
-    name: importlib.import_module(f"fuzz.{name}").FAMILY
+    name: importlib.import_module(f"tools.fuzz.{name}").FAMILY
     for _, name, _ in pkgutil.iter_modules(fuzz.__path__)
     if name not in ENGINES
 }

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from fuzz import audit
-from runtime.audit.inspect import Status
-from runtime.audit.replay import Outcome, replay
-from runtime.audit.scan import scan
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.scan import scan
+from tools.fuzz import audit
 
 HUGE = 10**400
 VERDICT = "/audit/verdict"

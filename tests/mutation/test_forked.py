@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mutation.modules import ROOT
-from mutation.mutants import mutants
+from tools.mutation.modules import ROOT
+from tools.mutation.mutants import mutants
 
 SOURCE = """
 from dataclasses import dataclass
@@ -91,8 +91,8 @@ def test_the_usual_bound():
 TRY = """
 import json, sys
 from pathlib import Path
-from mutation.forked import Trial
-from mutation.mutants import mutants
+from tools.mutation.forked import Trial
+from tools.mutation.mutants import mutants
 folder = Path(sys.argv[1])
 those = mutants((folder / "rules.py").read_text())
 verdicts = Trial(folder / "rules.py", folder, ("test_rules.py",), 2).verdicts(those)
@@ -101,7 +101,7 @@ print(json.dumps({one.name: verdict.name for one, verdict in zip(those, verdicts
 
 
 def tried(folder: Path, first: str = "") -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-c", f"import mutation.forked\n{first}\n{TRY}", str(folder)]
+    words = [sys.executable, "-c", f"import tools.mutation.forked\n{first}\n{TRY}", str(folder)]
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
@@ -183,7 +183,7 @@ def test_a_test_that_waits_for_ever_hangs(folder):
     (folder / "test_rules.py").write_text(
         "import os, rules\ndef test_f():\n    if rules.f() == 2:\n        os.read(os.pipe()[0], 1)\n"
     )
-    assert json.loads(tried(folder, "mutation.forked.ASLEEP_S = 2").stdout) == {"f: 1 -> 2": "HANGS"}
+    assert json.loads(tried(folder, "tools.mutation.forked.ASLEEP_S = 2").stdout) == {"f: 1 -> 2": "HANGS"}
 
 
 def test_a_process_that_ends_by_itself_kills_no_mutant(folder):

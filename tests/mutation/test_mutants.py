@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from mutation import run
-from mutation.forked import Verdict
-from mutation.modules import OWN_TESTS, ROOT
-from mutation.mutants import OPERATORS, mutants
-from mutation.run import all_mutants, complaints, listed, sample, strangers
+from tools.mutation import run
+from tools.mutation.forked import Verdict
+from tools.mutation.modules import OWN_TESTS, ROOT
+from tools.mutation.mutants import OPERATORS, mutants
+from tools.mutation.run import all_mutants, complaints, listed, sample, strangers
 
 SAMPLE = 12
 
@@ -134,14 +134,14 @@ def test_a_sample_is_spread_and_always_the_same_until_a_module_changes(monkeypat
 @pytest.mark.parametrize("module", OWN_TESTS)
 def test_a_few_mutants_of_each_module_end_as_the_list_says(module):
     """The short mode; which few changes with the modules. The rest runs with make mutation."""
-    words = [sys.executable, "-m", "mutation.run", module, "--sample", str(SAMPLE), "--jobs", "2"]
+    words = [sys.executable, "-m", "tools.mutation.run", module, "--sample", str(SAMPLE), "--jobs", "2"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{module}: {SAMPLE} mutants" in done.stdout
 
 
 def test_the_page_is_about_a_whole_run_only(tmp_path):
-    words = [sys.executable, "-m", "mutation.run", "protocol/e2e.py", "--write", str(tmp_path / "page")]
+    words = [sys.executable, "-m", "tools.mutation.run", "protocol/e2e.py", "--write", str(tmp_path / "page")]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "whole run" in done.stderr

@@ -1,10 +1,10 @@
 """The page about the last whole run says what is run today, and what lives."""
 
-from mutation.forked import Verdict
-from mutation.modules import ROOT
-from mutation.mutants import OPERATORS, mutants
-from mutation.page import Score, about, page
-from mutation.run import listed
+from tools.mutation.forked import Verdict
+from tools.mutation.modules import ROOT
+from tools.mutation.mutants import OPERATORS, mutants
+from tools.mutation.page import Score, about, page
+from tools.mutation.run import listed
 
 PAGE = (ROOT / "docs" / "mutation.md").read_text(encoding="utf-8")
 

@@ -5,9 +5,9 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from protocol.path import BLOCK_BYTES, PathBlock
-from protocol.records import RECORDS, Record
-from protocol.wire import (
+from cutgate.protocol.path import BLOCK_BYTES, PathBlock
+from cutgate.protocol.records import RECORDS, Record
+from cutgate.protocol.wire import (
     Ascii,
     Blob,
     Block,

@@ -10,8 +10,8 @@ from cantools.database.can import Message
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from protocol.frames import DATABASE, IDS, Frame, FrameError, decode_frame, encode_frame, message_of
-from protocol.states import RuntimeCode
+from cutgate.protocol.frames import DATABASE, IDS, Frame, FrameError, decode_frame, encode_frame, message_of
+from cutgate.protocol.states import RuntimeCode
 
 ROOT = Path(__file__).parents[2]
 TAG = 0xC0FFEE

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol import conversation
-from protocol.conversation import (
+from cutgate.protocol import conversation
+from cutgate.protocol.conversation import (
     NO_MAC,
     Announce,
     Approach,
@@ -20,8 +20,8 @@ from protocol.conversation import (
     session_digest,
     session_tag,
 )
-from protocol.states import ControllerState, StopCause
-from protocol.wire import RecordError, digest
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.protocol.wire import RecordError, digest
 from tests.protocol.strategies import blocks
 
 

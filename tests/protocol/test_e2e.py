@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.e2e import CorruptionWatch, Sequence, Step, crc16, intact, protect
+from cutgate.protocol.e2e import CorruptionWatch, Sequence, Step, crc16, intact, protect
 
 payloads = st.binary(min_size=5, max_size=5)
 counters = st.integers(0, 255)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import records
-from protocol.endpoint import NO_SESSION, Endpoint, RecordReceived
-from protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, encode_frame
-from protocol.link import Accepted, Discarded, Violation
-from protocol.records import Channel, Side
-from protocol.states import ControllerState, Purpose, RuntimeCode, StopCause
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import NO_SESSION, Endpoint, RecordReceived
+from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, encode_frame
+from cutgate.protocol.link import Accepted, Discarded, Violation
+from cutgate.protocol.records import Channel, Side
+from cutgate.protocol.states import ControllerState, Purpose, RuntimeCode, StopCause
 
 TAG = 0x12345678
 NOW = 100.0

@@ -12,8 +12,8 @@ from can.io.canutils import CanutilsLogReader
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol import frames
-from protocol.frames import (
+from cutgate.protocol import frames
+from cutgate.protocol.frames import (
     BULK_IDS,
     CONTROL_IDS,
     DATA_IDS,
@@ -38,11 +38,11 @@ from protocol.frames import (
     joint_values,
     message_of,
 )
-from protocol.link import Link
-from protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
-from protocol.wire import Side
+from cutgate.protocol.link import Link
+from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
+from cutgate.protocol.wire import Side
 
-DBC = files("protocol").joinpath("cutgate.dbc")
+DBC = files("cutgate.protocol").joinpath("cutgate.dbc")
 
 
 def bounds(kind: type[Frame], name: str) -> tuple[int, int]:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.e2e import intact, protect
-from protocol.frames import (
+from cutgate.protocol.e2e import intact, protect
+from cutgate.protocol.frames import (
     BULK_IDS,
     CONTROL_IDS,
     DATA_IDS,
@@ -26,7 +26,7 @@ from protocol.frames import (
     encode_frame,
     joint_frames,
 )
-from protocol.link import (
+from cutgate.protocol.link import (
     Accepted,
     Discarded,
     ForTransfer,
@@ -37,8 +37,8 @@ from protocol.link import (
     Unlisted,
     Violation,
 )
-from protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
-from protocol.wire import Channel, Side
+from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
+from cutgate.protocol.wire import Channel, Side
 
 TAG = 0xC0FFEE
 TIMEOUT_S = 0.1

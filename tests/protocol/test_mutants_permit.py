@@ -8,9 +8,9 @@ from pathlib import Path
 from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.cmac import CMAC
 
-from protocol.conversation import Reset
-from protocol.permit import new_key_file, sign
-from protocol.states import StopCause
+from cutgate.protocol.conversation import Reset
+from cutgate.protocol.permit import new_key_file, sign
+from cutgate.protocol.states import StopCause
 
 KEY = bytes(range(32))
 

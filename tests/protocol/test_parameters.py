@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.parameters import (
+from cutgate.protocol.parameters import (
     UNIT,
     Calibration,
     Limits,
@@ -21,7 +21,7 @@ from protocol.parameters import (
     joints_to_counts,
     joints_to_memory,
 )
-from protocol.wire import RecordError
+from cutgate.protocol.wire import RecordError
 
 LIMITS = Limits.quantised(
     q_min_deg=[-80.0, 0.0, 50.0, -170.0, 0.0],

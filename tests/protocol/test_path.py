@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from protocol.path import (
+from cutgate.protocol.path import (
     BLOCK_BYTES,
     HEADER_BYTES,
     PATH_BYTES_MAX,
@@ -27,7 +27,7 @@ from protocol.path import (
     encode_axes,
     split,
 )
-from protocol.wire import RecordError, digest
+from cutgate.protocol.wire import RecordError, digest
 
 UP = [0.0, 0.0, 1.0]
 TIPS = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.conversation import Permit, Reset, SignedRecord, Start
-from protocol.permit import KeyFileError, load_key, new_key_file, sign, verify
-from protocol.wire import layout
+from cutgate.protocol.conversation import Permit, Reset, SignedRecord, Start
+from cutgate.protocol.permit import KeyFileError, load_key, new_key_file, sign, verify
+from cutgate.protocol.wire import layout
 from tests.protocol.strategies import blocks, values
 
 KEY = bytes(range(32))

@@ -3,14 +3,14 @@
 import can
 import pytest
 
-from protocol import port as ports
-from protocol import records
-from protocol.endpoint import Endpoint
-from protocol.frames import IDS, ControllerHeartbeat, RuntimeHeartbeat
-from protocol.link import Discarded, Violation
-from protocol.port import READ_FRAMES_MAX, Passed, Port
-from protocol.records import Side
-from protocol.states import RuntimeCode, StopCause
+from cutgate.protocol import port as ports
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.frames import IDS, ControllerHeartbeat, RuntimeHeartbeat
+from cutgate.protocol.link import Discarded, Violation
+from cutgate.protocol.port import READ_FRAMES_MAX, Passed, Port
+from cutgate.protocol.records import Side
+from cutgate.protocol.states import RuntimeCode, StopCause
 
 NOW = 10.0
 BEAT = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)

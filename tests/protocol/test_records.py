@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from protocol import wire
-from protocol.path import BLOCK_BYTES, PathBlock
-from protocol.records import (
+from cutgate.protocol import wire
+from cutgate.protocol.path import BLOCK_BYTES, PathBlock
+from cutgate.protocol.records import (
     ENVELOPE_BYTES_MAX,
     RECORDS,
     Acknowledge,
@@ -27,7 +27,7 @@ from protocol.records import (
     pack,
     unpack,
 )
-from protocol.states import StopCause
+from cutgate.protocol.states import StopCause
 from tests.protocol.strategies import blocks, path_blocks, records, session_of
 
 COLLECT = pack(Collect(), 5, 6)

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import pytest
 
-from protocol.states import (
+from cutgate.protocol.states import (
     LATCHING,
     ControllerState,
     FaultCode,

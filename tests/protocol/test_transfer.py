@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.transfer import BLOCK_FRAMES, FD_LENGTHS, PAYLOAD_BYTES_MAX, Transfer, TransferError
+from cutgate.protocol.transfer import BLOCK_FRAMES, FD_LENGTHS, PAYLOAD_BYTES_MAX, Transfer, TransferError
 
 SOCKET_BUFFER_FRAMES = 278
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol import permit
-from protocol.e2e import intact
-from protocol.frames import DATA_IDS, FRAMES, decode_frame, encode_frame
-from protocol.parameters import Calibration, Limits, Tool
-from protocol.path import Assembly, Path, PathBlock, split
-from protocol.records import (
+from cutgate.protocol import permit
+from cutgate.protocol.e2e import intact
+from cutgate.protocol.frames import DATA_IDS, FRAMES, decode_frame, encode_frame
+from cutgate.protocol.parameters import Calibration, Limits, Tool
+from cutgate.protocol.path import Assembly, Path, PathBlock, split
+from cutgate.protocol.records import (
     PROTOCOL_VERSION,
     Announce,
     Approach,
@@ -28,7 +28,7 @@ from protocol.records import (
     session_tag,
     unpack,
 )
-from protocol.states import ControllerState, StopCause
+from cutgate.protocol.states import ControllerState, StopCause
 from tests.protocol.vectors import generate
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.states import Purpose
-from protocol.wire import (
+from cutgate.protocol.states import Purpose
+from cutgate.protocol.wire import (
     I16,
     U8,
     U16,

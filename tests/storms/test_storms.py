@@ -12,13 +12,13 @@ from dataclasses import replace
 import can
 import pytest
 
-from firmware_sim import table as controller
-from firmware_sim.process import Word as ControllerWord
-from firmware_sim.state import HeartbeatLost, InputsChanged
-from protocol.states import ControllerState, StopCause
-from runtime.interlock import table as interlock
-from runtime.interlock.state import ENDED, Phase, RecordDurable, Word
-from runtime.session.job import make_job, read_files
+from cutgate.firmware_sim import table as controller
+from cutgate.firmware_sim.process import Word as ControllerWord
+from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.interlock import table as interlock
+from cutgate.runtime.interlock.state import ENDED, Phase, RecordDurable, Word
+from cutgate.runtime.session.job import make_job, read_files
 from tests.runtime.session.pair import NOW, job_of, pair_of
 from tests.storms.weather import Weather, reboot
 from tests.storms.witness import Witness

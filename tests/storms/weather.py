@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import can
 
-from firmware_sim.process import Word as ControllerWord
-from protocol.frames import FRAMES, TRANSFER_IDS
-from protocol.records import Side
-from runtime.interlock.state import Phase, Word
-from runtime.session.worker import Broken
+from cutgate.firmware_sim.process import Word as ControllerWord
+from cutgate.protocol.frames import FRAMES, TRANSFER_IDS
+from cutgate.protocol.records import Side
+from cutgate.runtime.interlock.state import Phase, Word
+from cutgate.runtime.session.worker import Broken
 from tests.runtime.session.pair import Pair
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Node
 

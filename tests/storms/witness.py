@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Any
 
-from protocol import permit as permits
-from protocol import records
-from protocol.endpoint import Endpoint, RecordReceived
-from protocol.states import ControllerState
-from runtime.audit.inspect import Status, read_log
-from runtime.audit.replay import Outcome
-from runtime.interlock.state import Phase, Send
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.states import ControllerState
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.state import Phase, Send
 from tests.runtime.session.pair import KEY, Pair
 
 MOVING = (Phase.STARTING, Phase.CUTTING)

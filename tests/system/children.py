@@ -17,16 +17,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from firmware_sim import command
-from firmware_sim.__main__ import main as controller_side
-from protocol.port import Port
-from runtime.audit import log as audit_log
-from runtime.audit.disk import Reservation, SystemDisk
-from runtime.commands import app, run
-from runtime.interlock import permissives, table
-from runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
-from runtime.interlock.tracking import Watch
-from runtime.session import worker
+from cutgate.firmware_sim import command
+from cutgate.firmware_sim.__main__ import main as controller_side
+from cutgate.protocol.port import Port
+from cutgate.runtime.audit import log as audit_log
+from cutgate.runtime.audit.disk import Reservation, SystemDisk
+from cutgate.runtime.commands import app, run
+from cutgate.runtime.interlock import permissives, table
+from cutgate.runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
+from cutgate.runtime.interlock.tracking import Watch
+from cutgate.runtime.session import worker
 
 SECOND_BLOCK = "second block"
 MOVING = "moving"
@@ -74,7 +74,7 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
     sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.argv = [program, *arguments]
-    if program == "runtime.cli":
+    if program == "cutgate.runtime.cli":
         worker_by_fork()
         bend(script or Script())
         sys.exit(app.execute(arguments))

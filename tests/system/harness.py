@@ -24,10 +24,10 @@ from typing import Any, Self
 
 import can
 
-from protocol import records
-from protocol.frames import CONTROL_IDS, IDS, Frame, Progress, decode_frame
-from protocol.permit import KEY_BYTES, new_key_file
-from runtime.audit.inspect import Log, read_log
+from cutgate.protocol import records
+from cutgate.protocol.frames import CONTROL_IDS, IDS, Frame, Progress, decode_frame
+from cutgate.protocol.permit import KEY_BYTES, new_key_file
+from cutgate.runtime.audit.inspect import Log, read_log
 from tests.system import children
 from tests.system.children import Script
 
@@ -324,7 +324,9 @@ class Rig:
         self.channel = Path(place) / "bus.sock"
         write_inputs(self.folder)
         try:
-            self.hub = self._start("hub", "firmware_sim", ["bus", "serve", "--socket", str(self.channel)])
+            self.hub = self._start(
+                "hub", "cutgate.firmware_sim", ["bus", "serve", "--socket", str(self.channel)]
+            )
             self.hub.line("serving on")
             self.bus = Observer(self.channel)
             self._stack.callback(self.bus.close)
@@ -363,7 +365,9 @@ class Rig:
         options += [f"--joints={joints}"] if joints is not None else []
         options += [word for fault in faults for word in ("--fault", fault)]
         options += ["--fd"] * fd
-        child = self._start("controller", "firmware_sim", ["sim", *options, *self._where], fresh=fresh)
+        child = self._start(
+            "controller", "cutgate.firmware_sim", ["sim", *options, *self._where], fresh=fresh
+        )
         if ready:
             child.line("enabling device released")
         return child
@@ -395,7 +399,7 @@ class Rig:
         options += ["--json"] * json + ["--fd"] * fd
         return self._start(
             "runtime",
-            "runtime.cli",
+            "cutgate.runtime.cli",
             ["run", str(plan or here / "plan.json"), *options],
             apart=True,
             fresh=fresh,
@@ -406,7 +410,7 @@ class Rig:
         """One case of the negative suite, in a fresh interpreter."""
         options = ["--plant-disconnected", "--only", case, "--key", str(self.folder / "site.key")]
         options += ["--site", str(self.folder / "site.toml"), "--out", str(self.folder / "report.json")]
-        return self._start("tester", "runtime.cli", ["conform", *options, *self._where], fresh=True)
+        return self._start("tester", "cutgate.runtime.cli", ["conform", *options, *self._where], fresh=True)
 
     # ------------------------------------------------------------ a session's usual way
 

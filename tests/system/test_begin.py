@@ -21,10 +21,10 @@ sys.meta_path.insert(0, Interrupt())
 SCRIPT = Path(sys.executable).with_name("cutgate")
 
 
-@pytest.mark.parametrize("module", ["typer", "numpy", "runtime.commands.run"])
+@pytest.mark.parametrize("module", ["typer", "numpy", "cutgate.runtime.commands.run"])
 @pytest.mark.parametrize(("command", "code"), [("run", 3), ("verify", 130)])
 @pytest.mark.parametrize(
-    "program", [[sys.executable, "-m", "runtime.cli"], [str(SCRIPT)]], ids=["module", "script"]
+    "program", [[sys.executable, "-m", "cutgate.runtime.cli"], [str(SCRIPT)]], ids=["module", "script"]
 )
 def test_ctrl_c_while_the_program_is_loaded_is_one_line_and_a_code(tmp_path, program, command, code, module):
     if not Path(program[0]).exists():

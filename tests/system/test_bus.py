@@ -5,8 +5,8 @@ import signal
 import can
 import pytest
 
-from protocol import records
-from protocol.frames import (
+from cutgate.protocol import records
+from cutgate.protocol.frames import (
     IDS,
     ControllerFault,
     ControllerHeartbeat,
@@ -14,8 +14,8 @@ from protocol.frames import (
     RuntimeStop,
     encode_frame,
 )
-from protocol.states import RuntimeCode, StopCause
-from runtime.interlock.state import Phase
+from cutgate.protocol.states import RuntimeCode, StopCause
+from cutgate.runtime.interlock.state import Phase
 from tests.system.children import Script
 from tests.system.harness import FAST, POSES, TIMEOUT_S, begins, decoded, is_kind, session_tag, state_of
 

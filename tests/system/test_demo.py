@@ -5,12 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from runtime.audit.inspect import Status
+from cutgate.runtime.audit.inspect import Status
 from tests.system.harness import judged
 
 
 def test_the_demo_refuses_explains_and_cuts(tmp_path):
-    command = [sys.executable, "-m", "runtime.cli", "demo", "--out", str(tmp_path / "demo"), "--json"]
+    command = [sys.executable, "-m", "cutgate.runtime.cli", "demo", "--out", str(tmp_path / "demo"), "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr

@@ -4,10 +4,10 @@ import time
 
 import pytest
 
-from protocol import records
-from protocol.frames import ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
-from protocol.states import RuntimeCode, StopCause
-from runtime.interlock.state import Phase
+from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.states import RuntimeCode, StopCause
+from cutgate.runtime.interlock.state import Phase
 from tests.system.children import Script
 from tests.system.harness import HEARTBEAT_S, begins
 

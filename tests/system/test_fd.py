@@ -2,8 +2,8 @@
 
 import pytest
 
-from protocol.frames import BULK_IDS
-from runtime.audit.inspect import Status
+from cutgate.protocol.frames import BULK_IDS
+from cutgate.runtime.audit.inspect import Status
 from tests.system.harness import POSES, SITE
 
 

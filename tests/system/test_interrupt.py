@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.frames import RuntimeHeartbeat, RuntimeStop
-from protocol.states import StopCause
-from runtime.audit.inspect import Status
-from runtime.interlock.state import Phase
+from cutgate.protocol.frames import RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.interlock.state import Phase
 from tests.system.children import SECOND_BLOCK, Script
 from tests.system.harness import state_of
 

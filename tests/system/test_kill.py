@@ -19,10 +19,10 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from protocol import records
-from protocol.frames import IDS, ControllerHeartbeat
-from runtime.audit.inspect import Status, verify_log
-from runtime.interlock.state import Phase
+from cutgate.protocol import records
+from cutgate.protocol.frames import IDS, ControllerHeartbeat
+from cutgate.runtime.audit.inspect import Status, verify_log
+from cutgate.runtime.interlock.state import Phase
 from tests.system.children import HALF_THE_CUT, SECOND_BLOCK, Script, synced_bytes
 from tests.system.harness import FAST, ROBOT, SAFE, Rig
 

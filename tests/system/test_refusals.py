@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from config.load import load_robot
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records
-from protocol.frames import CONTROL_IDS, ControllerHeartbeat
-from protocol.states import ControllerState
-from runtime.verification import certified
-from runtime.verification.recorded import problem_from_records
+from cutgate.config.load import load_robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records
+from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat
+from cutgate.protocol.states import ControllerState
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.recorded import problem_from_records
 from tests.system.children import Script
 from tests.system.harness import ROBOT, state_of
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from protocol import records
-from protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
-from protocol.states import StopCode
-from runtime.audit.inspect import Status
-from runtime.audit.replay import Outcome, replay
-from runtime.commands.app import execute
-from runtime.session.job import VERIFIER
-from runtime.verification import certified
+from cutgate.protocol import records
+from cutgate.protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
+from cutgate.protocol.states import StopCode
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.commands.app import execute
+from cutgate.runtime.session.job import VERIFIER
+from cutgate.runtime.verification import certified
 from tests.system.harness import FAST, POSES, ROOT, is_kind, judged, registration
 
 REAL = ROOT.parent / "shared" / "paths"

@@ -4,9 +4,16 @@ import signal
 
 import pytest
 
-from protocol.frames import ControllerFault, ControllerHeartbeat, Joint4, Joints01, Joints23, RuntimeHeartbeat
-from protocol.states import StopCause
-from runtime.audit.inspect import Status
+from cutgate.protocol.frames import (
+    ControllerFault,
+    ControllerHeartbeat,
+    Joint4,
+    Joints01,
+    Joints23,
+    RuntimeHeartbeat,
+)
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script
 from tests.system.harness import TIMEOUT_S, is_kind, state_of
 

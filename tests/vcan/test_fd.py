@@ -7,11 +7,11 @@ import sys
 
 import pytest
 
-from config.bus import has_socketcan, open_bus
-from protocol.endpoint import Endpoint, RecordReceived
-from protocol.path import Assembly, split
-from protocol.port import Port
-from protocol.records import BlockStored, Side
+from cutgate.config.bus import has_socketcan, open_bus
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.path import Assembly, split
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import BlockStored, Side
 
 pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
 
@@ -55,7 +55,16 @@ def test_an_upload_in_frames_of_64_bytes_arrives_whole():
 
 
 def test_the_demo_over_fd_goes_as_told(tmp_path):
-    command = [sys.executable, "-m", "runtime.cli", "demo", "--fd", "--json", "--out", str(tmp_path / "demo")]
+    command = [
+        sys.executable,
+        "-m",
+        "cutgate.runtime.cli",
+        "demo",
+        "--fd",
+        "--json",
+        "--out",
+        str(tmp_path / "demo"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["as_told"] is True

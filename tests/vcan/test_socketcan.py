@@ -8,13 +8,13 @@ import sys
 import can
 import pytest
 
-from config.bus import LatchingSocketcanBus, default_interface, has_socketcan, open_bus
+from cutgate.config.bus import LatchingSocketcanBus, default_interface, has_socketcan, open_bus
 
 pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
 
 WAIT_S = 20.0
 ECHO = """
-from config.bus import open_bus
+from cutgate.config.bus import open_bus
 with open_bus("socketcan", "vcan0") as bus:
     print("ready", flush=True)
     for _ in range(200):

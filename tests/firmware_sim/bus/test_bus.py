@@ -10,10 +10,10 @@ from contextlib import contextmanager
 import can
 import pytest
 
-from config.bus import open_bus
-from firmware_sim.bus import wire
-from firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
-from firmware_sim.hil.plugin import hub_process
+from cutgate.config.bus import open_bus
+from cutgate.firmware_sim.bus import wire
+from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
+from cutgate.firmware_sim.hil.plugin import hub_process
 
 WAIT_S = 20.0
 
@@ -295,7 +295,9 @@ WELCOME = wire.Record(wire.Kind.WELCOME).pack()
     ],
 )
 def test_a_hub_that_does_not_welcome_is_refused_with_the_reason(place, monkeypatch, answers, ends, why):
-    monkeypatch.setattr("firmware_sim.bus.client.HELLO_TIMEOUT_S", WAIT_S if ends or answers else 0.01)
+    monkeypatch.setattr(
+        "cutgate.firmware_sim.bus.client.HELLO_TIMEOUT_S", WAIT_S if ends or answers else 0.01
+    )
     with false_hub(place / "bus.sock", *answers) as done:
         if ends:
             done.set()

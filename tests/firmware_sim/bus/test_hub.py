@@ -12,11 +12,11 @@ from contextlib import contextmanager
 import can
 import pytest
 
-from firmware_sim.bus import candump, wire
-from firmware_sim.bus import hub as hub_module
-from firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
-from firmware_sim.bus.hub import Hub, HubError, is_served
-from firmware_sim.bus.wire import Flag, Kind, Record
+from cutgate.firmware_sim.bus import candump, wire
+from cutgate.firmware_sim.bus import hub as hub_module
+from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
+from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served
+from cutgate.firmware_sim.bus.wire import Flag, Kind, Record
 
 WAIT_S = 20.0
 

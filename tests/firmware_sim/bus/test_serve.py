@@ -3,13 +3,13 @@
 import os
 import signal
 import subprocess
-import sys
 
 import can
 import pytest
 
-from firmware_sim.bus.__main__ import main, serve
-from firmware_sim.hil.plugin import hub_process
+from cutgate.config.interpreter import program
+from cutgate.firmware_sim.bus.serve import main, serve
+from cutgate.firmware_sim.hil.plugin import hub_process
 
 WAIT_S = 20.0
 
@@ -57,7 +57,7 @@ def test_bad_input_is_one_line_and_exit_2(place, capsys):
 def test_the_default_socket_lies_in_the_users_runtime_directory_and_frames_are_logged(place):
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(place)}
     log = place / "frames.log"
-    command = [sys.executable, "-m", "firmware_sim.bus", "serve", "--log", str(log)]
+    command = program("cutgate.firmware_sim", "bus", "serve", "--log", str(log))
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as hub:
         path = place / "cutgate" / "bus0.sock"
         assert hub.stdout.readline() == f"serving on {path}\n"
@@ -72,7 +72,7 @@ def test_the_default_socket_lies_in_the_users_runtime_directory_and_frames_are_l
 def test_serve_gives_the_signals_back(place, monkeypatch, capsys):
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(
-        "firmware_sim.bus.__main__.Hub.serve", lambda hub: os.kill(os.getpid(), signal.SIGTERM)
+        "cutgate.firmware_sim.bus.serve.Hub.serve", lambda hub: os.kill(os.getpid(), signal.SIGTERM)
     )
     serve(str(place / "bus.sock"))
     assert signal.getsignal(signal.SIGTERM) is before

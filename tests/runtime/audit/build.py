@@ -13,21 +13,21 @@ from pathlib import Path
 from threading import Event as ThreadEvent
 from typing import Any
 
-from config.load import Loaded, robot_from_bytes
-from config.model import Robot
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records as wire
-from runtime.audit import names, records
-from runtime.audit.disk import Reservation, SystemDisk
-from runtime.audit.inspect import read_log
-from runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
-from runtime.audit.scan import scan
-from runtime.audit.writer import LogWriter
-from runtime.plan.load import plan_from_bytes, registration_from_bytes
-from runtime.plan.prepare import prepare, with_branch
-from runtime.verification import approach, certificate, certified
-from runtime.verification.document import Digests, verdict_document
-from runtime.verification.recorded import problem_from_records
+from cutgate.config.load import Loaded, robot_from_bytes
+from cutgate.config.model import Robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records as wire
+from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.disk import Reservation, SystemDisk
+from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
+from cutgate.runtime.audit.scan import scan
+from cutgate.runtime.audit.writer import LogWriter
+from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.prepare import prepare, with_branch
+from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification.recorded import problem_from_records
 
 VERIFIER = "cutgate 0.1.0"
 OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))

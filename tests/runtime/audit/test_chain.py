@@ -6,7 +6,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.audit.chain import GENESIS, Link, advance
+from cutgate.runtime.audit.chain import GENESIS, Link, advance
 
 TIMES = st.integers(0, 2**64 - 1)
 LINKS = st.builds(

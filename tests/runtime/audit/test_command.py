@@ -6,12 +6,12 @@ import shutil
 
 import pytest
 
-from runtime.audit import records
-from runtime.audit.inspect import read_log
-from runtime.commands.app import execute
-from runtime.commands.screen import output
-from runtime.review.show import print_story
-from runtime.review.story import story
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.commands.app import execute
+from cutgate.runtime.commands.screen import output
+from cutgate.runtime.review.show import print_story
+from cutgate.runtime.review.story import story
 from tests.runtime.audit.build import decision, forge, session_log, small_log
 from tests.runtime.audit.test_replay import admit, in_document
 

@@ -8,8 +8,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from runtime.audit.commit import Append, Closed, Committer, Durable, Failed, Files, Finish, Reserve, Reserved
-from runtime.audit.disk import SystemDisk, write_all
+from cutgate.runtime.audit.commit import (
+    Append,
+    Closed,
+    Committer,
+    Durable,
+    Failed,
+    Files,
+    Finish,
+    Reserve,
+    Reserved,
+)
+from cutgate.runtime.audit.disk import SystemDisk, write_all
 from tests.runtime.audit.build import PATIENCE_S, WatchedDisk, hanging
 
 
@@ -157,7 +167,7 @@ def test_without_reservation_the_free_space_is_looked_at(tmp_path, monkeypatch):
     def unsupported(_descriptor, _size):
         raise OSError(errno.EOPNOTSUPP, "no")
 
-    monkeypatch.setattr("runtime.audit.disk._fallocate", unsupported)
+    monkeypatch.setattr("cutgate.runtime.audit.disk._fallocate", unsupported)
     disk = SystemDisk()
     descriptor = disk.create(tmp_path / "x")
     reservation = disk.reserve(descriptor, tmp_path / "x", 4096)
@@ -176,7 +186,7 @@ def test_a_reservation_error_is_an_error(tmp_path):
 
 
 def test_a_c_library_without_fallocate_is_not_supported(monkeypatch, tmp_path):
-    monkeypatch.setattr("runtime.audit.disk._LIBC", object())
+    monkeypatch.setattr("cutgate.runtime.audit.disk._LIBC", object())
     disk = SystemDisk()
     descriptor = disk.create(tmp_path / "x")
     assert not disk.reserve(descriptor, tmp_path / "x", 4096).reserved
@@ -191,7 +201,7 @@ def test_an_interrupted_reservation_is_asked_for_again(monkeypatch, tmp_path):
         ctypes.set_errno(errno.EINTR)
         return -1 if len(calls) == 1 else 0
 
-    monkeypatch.setattr("runtime.audit.disk._LIBC", SimpleNamespace(fallocate=fallocate))
+    monkeypatch.setattr("cutgate.runtime.audit.disk._LIBC", SimpleNamespace(fallocate=fallocate))
     assert SystemDisk().reserve(-1, tmp_path / "x", 4096).reserved
     assert len(calls) == 2
 

@@ -13,10 +13,10 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, MessageIndex, Schema, Statistics
 from mcap.writer import Writer
 
-from runtime.audit import records
-from runtime.audit.inspect import Status, read_log, verify_log
-from runtime.audit.scan import MAGIC, recoverable_head, scan
-from runtime.audit.writer import LogWriter
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.inspect import Status, read_log, verify_log
+from cutgate.runtime.audit.scan import MAGIC, recoverable_head, scan
+from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import decision, forge, small_log
 
 
@@ -463,7 +463,7 @@ class Failing:
 
 
 def test_an_error_of_the_stock_reader_is_a_failure(data, monkeypatch):
-    monkeypatch.setattr("runtime.audit.inspect.NonSeekingReader", Failing)
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.NonSeekingReader", Failing)
     judged(data, "read linearly, the file gives an error: ValueError")
 
 
@@ -478,7 +478,7 @@ def test_another_content_by_index_is_a_failure(data, monkeypatch):
         def iter_attachments(self):
             return iter(())
 
-    monkeypatch.setattr("runtime.audit.inspect.make_reader", Hiding)
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.make_reader", Hiding)
     judged(data, "read by index, the file gives other records")
 
 

@@ -7,12 +7,12 @@ from hashlib import sha256
 
 import pytest
 
-from config.load import InputError
-from runtime.audit import records
-from runtime.audit.commit import Append, Closed, Durable, Failed, Reserved
-from runtime.audit.inspect import Status, read_log, verify_log
-from runtime.audit.log import AuditLog, Clock, candump_line
-from runtime.audit.scan import recoverable_head
+from cutgate.config.load import InputError
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.commit import Append, Closed, Durable, Failed, Reserved
+from cutgate.runtime.audit.inspect import Status, read_log, verify_log
+from cutgate.runtime.audit.log import AuditLog, Clock, candump_line
+from cutgate.runtime.audit.scan import recoverable_head
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,

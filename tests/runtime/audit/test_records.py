@@ -6,8 +6,8 @@ import math
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from runtime.audit import records
-from runtime.audit.schema import FORBIDDEN, flat_schema, schema_bytes
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.schema import FORBIDDEN, flat_schema, schema_bytes
 from tests.runtime.audit.build import MODELS, decision, verdict_of
 
 

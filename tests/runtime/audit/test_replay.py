@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from protocol.records import Limits
-from runtime.audit import names, records
-from runtime.audit.inspect import Status, read_log, verify_log
-from runtime.audit.replay import Outcome, replay
-from runtime.plan.load import registration_from_bytes
-from runtime.verification import certified
-from runtime.verification.certificate import Certificate
+from cutgate.protocol.records import Limits
+from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.inspect import Status, read_log, verify_log
+from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.plan.load import registration_from_bytes
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.certificate import Certificate
 from tests.altering import altered
 from tests.runtime.audit.build import (
     STANDS,

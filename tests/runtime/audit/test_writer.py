@@ -6,10 +6,10 @@ import json
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from runtime.audit import records
-from runtime.audit.chain import GENESIS
-from runtime.audit.scan import scan
-from runtime.audit.writer import METADATA, LogWriter
+from cutgate.runtime.audit import records
+from cutgate.runtime.audit.chain import GENESIS
+from cutgate.runtime.audit.scan import scan
+from cutgate.runtime.audit.writer import METADATA, LogWriter
 from tests.runtime.audit.build import decision, small_log
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.hil.plugin import hub_process
-from protocol.permit import new_key_file
-from runtime.commands.app import execute
+from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.protocol.permit import new_key_file
+from cutgate.runtime.commands.app import execute
 
 ROBOT = Path(__file__).parents[3] / "examples" / "robot.toml"
 
@@ -72,7 +72,7 @@ def test_a_simulated_controller_in_its_own_process_passes(
     command = [
         sys.executable,
         "-m",
-        "firmware_sim",
+        "cutgate.firmware_sim",
         "sim",
         "--robot",
         str(ROBOT),

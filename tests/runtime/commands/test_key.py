@@ -2,8 +2,8 @@
 
 import stat
 
-from protocol.permit import load_key
-from runtime.commands import app as cli
+from cutgate.protocol.permit import load_key
+from cutgate.runtime.commands import app as cli
 
 
 def test_a_new_key_is_readable_by_its_owner_only_and_can_be_loaded(tmp_path, capsys):

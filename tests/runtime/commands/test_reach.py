@@ -18,12 +18,12 @@ from plotly.offline import get_plotlyjs
 from pydantic import Field
 from rich.console import Console
 
-from runtime.commands import app as cli
-from runtime.commands import reach as command
-from runtime.commands.reach_page import page
-from runtime.commands.reach_picture import KINDS, kind_of, layers, picture
-from runtime.verification import reach
-from runtime.verification.verdict import BOUNDARIES
+from cutgate.runtime.commands import app as cli
+from cutgate.runtime.commands import reach as command
+from cutgate.runtime.commands.reach_page import page
+from cutgate.runtime.commands.reach_picture import KINDS, kind_of, layers, picture
+from cutgate.runtime.verification import reach
+from cutgate.runtime.verification.verdict import BOUNDARIES
 from tests.runtime.commands.contract import Hex, Name, Part, Real, Vector
 from tests.runtime.verification.test_search import strokes
 
@@ -309,7 +309,7 @@ def test_an_interrupt_ends_the_command_at_once_and_leaves_no_file(path, tmp_path
     """Before there are workers, and while they start or work: all processes of the terminal get it."""
     arguments = ["reach", path, "--robot", ROBOT, "--step-mm", 12, "--cores", 2, "--out", tmp_path / "map"]
     running = subprocess.Popen(
-        [sys.executable, "-m", "runtime.cli", *map(str, arguments)],
+        [sys.executable, "-m", "cutgate.runtime.cli", *map(str, arguments)],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from runtime.commands.session_view import SessionView, approach_line
-from runtime.interlock.state import Phase, VerdictReady
-from runtime.verification.approach import Start, verify
+from cutgate.runtime.commands.session_view import SessionView, approach_line
+from cutgate.runtime.interlock.state import Phase, VerdictReady
+from cutgate.runtime.verification.approach import Start, verify
 from tests.runtime.interlock.builders import NOW, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.test_approach import MIDDLE, cut
 

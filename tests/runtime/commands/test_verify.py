@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.commands import app as cli
+from cutgate.runtime.commands import app as cli
 from tests.runtime.commands.contract import VerdictDocument
 
 ROOT = Path(__file__).parents[3]
@@ -204,7 +204,7 @@ def test_an_internal_error_is_one_line_and_exit_70(cutgate, monkeypatch):
     def broken(problem):
         raise RuntimeError("first line\nsecond line")
 
-    monkeypatch.setattr("runtime.verification.certified.verify", broken)
+    monkeypatch.setattr("cutgate.runtime.verification.certified.verify", broken)
     code, out, err = cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)
     assert (code, out) == (70, "")
     assert err.count("\n") == 1
@@ -215,7 +215,7 @@ def test_an_interrupt_is_exit_130(cutgate, monkeypatch):
     def interrupted(problem):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("runtime.verification.certified.verify", interrupted)
+    monkeypatch.setattr("cutgate.runtime.verification.certified.verify", interrupted)
     assert cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)[0] == 130
 
 
@@ -229,7 +229,17 @@ def test_usage_errors_and_help(cutgate):
 
 def test_the_installed_program_does_the_same():
     result = subprocess.run(
-        [sys.executable, "-m", "runtime.cli", "verify", PLAN, *MOUNTED, "--registration", FIRST, "--json"],
+        [
+            sys.executable,
+            "-m",
+            "cutgate.runtime.cli",
+            "verify",
+            PLAN,
+            *MOUNTED,
+            "--registration",
+            FIRST,
+            "--json",
+        ],
         cwd=ROOT,
         capture_output=True,
         text=True,

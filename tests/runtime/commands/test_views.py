@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from runtime.commands import screen
-from runtime.commands.verdict_view import print_verdict
-from runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.commands import screen
+from cutgate.runtime.commands.verdict_view import print_verdict
+from cutgate.runtime.verification.guidance import Guidance, Move
 from tests.runtime.verification.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
 
 

@@ -2,19 +2,19 @@
 
 from pathlib import Path
 
-from config.load import load_robot
-from config.records import calibration_record, limits_record, tool_record
-from firmware_sim import memory
-from firmware_sim.process import Options, Process
-from firmware_sim.state import Controller, Holdings, Identity
-from protocol import records
-from protocol.endpoint import Endpoint
-from protocol.port import Port
-from protocol.records import Side
-from runtime.conform.bench import Bench
-from runtime.conform.cases import Case
-from runtime.conform.suite import Outcome, Result, Verdict, run
-from runtime.conform.table import cases
+from cutgate.config.load import load_robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.process import Options, Process
+from cutgate.firmware_sim.state import Controller, Holdings, Identity
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import Side
+from cutgate.runtime.conform.bench import Bench
+from cutgate.runtime.conform.cases import Case
+from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
+from cutgate.runtime.conform.table import cases
 from tests.runtime.session.pair import KEY, Generator
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 

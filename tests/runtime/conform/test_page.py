@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from runtime.conform.table import cases
+from cutgate.runtime.conform.table import cases
 
 DOCS = Path(__file__).parents[3] / "docs"
 

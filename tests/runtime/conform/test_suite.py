@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from firmware_sim import process as process_module
-from firmware_sim import rules, table
-from firmware_sim.process import Word
-from firmware_sim.state import Controller, PathChecked
-from protocol.link import Link, Violation
-from protocol.states import ControllerState, Refusal, StopCause
-from runtime.conform.suite import Verdict
-from runtime.conform.table import cases
+from cutgate.firmware_sim import process as process_module
+from cutgate.firmware_sim import rules, table
+from cutgate.firmware_sim.process import Word
+from cutgate.firmware_sim.state import Controller, PathChecked
+from cutgate.protocol.link import Link, Violation
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.conform.suite import Verdict
+from cutgate.runtime.conform.table import cases
 from tests.runtime.conform.rig import Rig, by_name, failing
 
 SLOW = (

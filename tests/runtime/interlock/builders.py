@@ -6,9 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from protocol import records
-from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
-from runtime.interlock.state import (
+from cutgate.protocol import records
+from cutgate.protocol.states import (
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+from cutgate.runtime.interlock.state import (
     HEARTBEAT_CODE,
     Announced,
     BlockStored,
@@ -45,7 +53,7 @@ from runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from runtime.interlock.table import step
+from cutgate.runtime.interlock.table import step
 
 NOW = 1000.0
 EPOCH = 3

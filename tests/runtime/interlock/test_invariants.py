@@ -6,9 +6,9 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import records
-from protocol.states import ControllerState, RuntimeCode, StopCause
-from runtime.interlock.state import (
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
+from cutgate.runtime.interlock.state import (
     ENDED,
     Commit,
     Interlock,
@@ -18,7 +18,7 @@ from runtime.interlock.state import (
     SendStop,
     SessionOpened,
 )
-from runtime.interlock.table import AUTHORISING, MOVING, step
+from cutgate.runtime.interlock.table import AUTHORISING, MOVING, step
 from tests.runtime.interlock.builders import (
     EPOCH,
     FRESH,

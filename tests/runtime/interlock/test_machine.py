@@ -11,9 +11,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from protocol import records
-from protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause, StopCode
-from runtime.interlock.state import (
+from cutgate.protocol import records
+from cutgate.protocol.states import (
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+from cutgate.runtime.interlock.state import (
     ENDED,
     Announced,
     BlockStored,
@@ -40,7 +48,7 @@ from runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from runtime.interlock.table import step
+from cutgate.runtime.interlock.table import step
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
     BOOT_NONCE,

@@ -6,10 +6,10 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from protocol import records
-from protocol.states import ControllerState, Refusal, StopCause
-from runtime.interlock import permissives as p
-from runtime.interlock.state import DeviceCycle
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock import permissives as p
+from cutgate.runtime.interlock.state import DeviceCycle
 from tests.altering import altered
 from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from protocol import records
-from protocol.states import (
+from cutgate.protocol import records
+from cutgate.protocol.states import (
     WITHDRAWING,
     ControllerState,
     FaultCode,
@@ -16,9 +16,9 @@ from protocol.states import (
     StopCause,
     StopCode,
 )
-from runtime.interlock import permissives as p
-from runtime.interlock import table
-from runtime.interlock.state import (
+from cutgate.runtime.interlock import permissives as p
+from cutgate.runtime.interlock import table
+from cutgate.runtime.interlock.state import (
     ENDED,
     HEARTBEAT_CODE,
     Announced,
@@ -53,7 +53,7 @@ from runtime.interlock.state import (
     Withheld,
     Word,
 )
-from runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING, step
+from cutgate.runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING, step
 from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
@@ -292,7 +292,7 @@ def test_every_stop_leaves_in_the_same_step(phase, name):
 
 
 @pytest.mark.parametrize("cause", [cause for cause in StopCause if cause is not StopCause.NONE], ids=str)
-@pytest.mark.parametrize("phase", MOVING, ids=str)
+@pytest.mark.parametrize("phase", sorted(MOVING), ids=str)
 def test_every_cause_the_shell_or_the_controller_can_name_stops_the_cut(phase, cause):
     for event in (
         Failed(cause, "why"),
@@ -354,7 +354,7 @@ def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase):
         assert stops(effects, StopCode.END) == [StopCause.OPERATOR_QUIT]
 
 
-@pytest.mark.parametrize("phase", ENDED, ids=str)
+@pytest.mark.parametrize("phase", sorted(ENDED), ids=str)
 def test_an_ended_session_answers_nothing(phase):
     state = in_phase(phase)
     for event in events(state):
@@ -461,7 +461,7 @@ def test_a_heartbeat_before_the_opened_record_is_seen_and_judged_later():
     assert after.controller == view(ControllerState.FAULT, cause=StopCause.BONE_MOVED)
 
 
-@pytest.mark.parametrize("phase", ORDERS, ids=str)
+@pytest.mark.parametrize("phase", sorted(ORDERS), ids=str)
 @pytest.mark.parametrize("kind", [ControllerState.PERMITTED, ControllerState.CUTTING], ids=str)
 def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
     _, effects = step(in_phase(phase), beat(kind, device_pressed=False), NOW)
@@ -470,7 +470,7 @@ def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
     assert stops(effects) == [StopCause.EMERGENCY_STOP]
 
 
-@pytest.mark.parametrize("phase", MOVING, ids=str)
+@pytest.mark.parametrize("phase", sorted(MOVING), ids=str)
 @pytest.mark.parametrize("pressed", [True, False])
 def test_done_and_the_arm_back_end_the_session_in_order_also_with_the_device_already_released(phase, pressed):
     done = beat(ControllerState.DONE, device_pressed=pressed)

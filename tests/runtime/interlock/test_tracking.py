@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
-from runtime.interlock.tracking import Bounds, Course, Watch
+from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
+from cutgate.runtime.interlock.tracking import Bounds, Course, Watch
 from tests.runtime.interlock.builders import TIMING
 
 LINKS = (450.0, 400.0)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from runtime.kinematics.arm import TrueArm, turns, wrap
+from cutgate.runtime.kinematics.arm import TrueArm, turns, wrap
 
 
 def arm(side, *, offset=0.0, tilt=0.0):

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from runtime.kinematics.pose import rigid_defect, slerp, transform_poses, turn_about_vertical, turn_angles
+from cutgate.runtime.kinematics.pose import (
+    rigid_defect,
+    slerp,
+    transform_poses,
+    turn_about_vertical,
+    turn_angles,
+)
 
 
 def random_rigid(rng):

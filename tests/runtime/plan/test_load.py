@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.load import InputError
-from runtime.plan.load import load_plan, load_registration, plan_from_bytes, registration_from_bytes
+from cutgate.config.load import InputError
+from cutgate.runtime.plan.load import load_plan, load_registration, plan_from_bytes, registration_from_bytes
 
 EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 TURNED = [[0.0, -1.0, 0.0, 10.0], [1.0, 0.0, 0.0, -20.0], [0.0, 0.0, 1.0, 30.0], [0.0, 0.0, 0.0, 1.0]]

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.load import InputError, Loaded, robot_from_bytes
-from protocol.records import Path as PathRecord
-from runtime.plan.model import Plan, Registration
-from runtime.plan.prepare import DEFAULT_FEED_MM_S, IDENTITY_REGISTRATION, prepare, with_branch
+from cutgate.config.load import InputError, Loaded, robot_from_bytes
+from cutgate.protocol.records import Path as PathRecord
+from cutgate.runtime.plan.model import Plan, Registration
+from cutgate.runtime.plan.prepare import DEFAULT_FEED_MM_S, IDENTITY_REGISTRATION, prepare, with_branch
 
 PRESET = Path(__file__).parents[3] / "config" / "presets" / "example.toml"
 ROBOT = robot_from_bytes("example.toml", PRESET.read_bytes())

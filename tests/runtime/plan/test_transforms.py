@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.load import robot_from_bytes
-from config.records import calibration_record, limits_record, tool_record
-from runtime.plan.load import load_plan, load_registration
-from runtime.plan.prepare import prepare
-from runtime.verification import certified
-from runtime.verification.recorded import problem_from_records
+from cutgate.config.load import robot_from_bytes
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.prepare import prepare
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.recorded import problem_from_records
 
 PRESET = Path(__file__).parents[3] / "config" / "presets" / "example.toml"
 ROBOT = robot_from_bytes("example.toml", PRESET.read_bytes())

@@ -18,33 +18,33 @@ from unittest import mock
 
 import can
 
-from config.terminal import WordReader
-from firmware_sim import memory
-from firmware_sim import process as controller_side
-from firmware_sim.faults import FaultSpec
-from firmware_sim.kinematics import as_joints
-from firmware_sim.process import Options, Process
-from firmware_sim.state import Controller, Holdings, Identity, Memory
-from protocol import records
-from protocol.endpoint import Endpoint, RecordReceived
-from protocol.frames import BULK_IDS, CONTROL_IDS
-from protocol.port import Port
-from protocol.records import Side
-from protocol.states import StopCause
-from runtime.audit import names
-from runtime.audit.commit import Committer, Failed, Files, Job
-from runtime.audit.inspect import Log, read_log
-from runtime.audit.log import AuditLog, OpenInfo, Paths
-from runtime.audit.log import Clock as LogClock
-from runtime.audit.replay import Replay, replay
-from runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
-from runtime.interlock.state import Job as SessionJob
-from runtime.session.job import VERIFIER, log_bytes, make_job, read_files
-from runtime.session.job import Files as InputFiles
-from runtime.session.journal import Journal
-from runtime.session.loop import Session, wake_pipe
-from runtime.session.worker import Answer, Broken, Request, prove
-from runtime.verification import certified
+from cutgate.config.terminal import WordReader
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim import process as controller_side
+from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.kinematics import as_joints
+from cutgate.firmware_sim.process import Options, Process
+from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import Side
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit import names
+from cutgate.runtime.audit.commit import Committer, Failed, Files, Job
+from cutgate.runtime.audit.inspect import Log, read_log
+from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
+from cutgate.runtime.audit.log import Clock as LogClock
+from cutgate.runtime.audit.replay import Replay, replay
+from cutgate.runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
+from cutgate.runtime.interlock.state import Job as SessionJob
+from cutgate.runtime.session.job import VERIFIER, log_bytes, make_job, read_files
+from cutgate.runtime.session.job import Files as InputFiles
+from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.loop import Session, wake_pipe
+from cutgate.runtime.session.worker import Answer, Broken, Request, prove
+from cutgate.runtime.verification import certified
 from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
@@ -376,7 +376,7 @@ class Pair:
         return self
 
     def _log(self) -> AuditLog:
-        with mock.patch("runtime.audit.log.Committer", TurnByTurn):
+        with mock.patch("cutgate.runtime.audit.log.Committer", TurnByTurn):
             log = AuditLog.create(
                 self.directory / "logs",
                 log_id=f"{self.sessions:08x}{LOG_ID[8:]}",

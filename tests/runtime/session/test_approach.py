@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_sim.faults import FaultName
-from firmware_sim.kinematics import as_joints
-from firmware_sim.plant import Leg
-from firmware_sim.process import Word
-from protocol import records
-from protocol.frames import ControllerHeartbeat, Progress
-from protocol.records import joints_to_counts, joints_to_memory
-from protocol.states import ControllerState, Refusal, StopCause
-from runtime.audit.inspect import Status
-from runtime.audit.replay import Outcome
-from runtime.interlock.state import Phase
+from cutgate.firmware_sim.faults import FaultName
+from cutgate.firmware_sim.kinematics import as_joints
+from cutgate.firmware_sim.plant import Leg
+from cutgate.firmware_sim.process import Word
+from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerHeartbeat, Progress
+from cutgate.protocol.records import joints_to_counts, joints_to_memory
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.state import Phase
 from tests.altering import altered
 from tests.runtime.session.pair import STANDS, proved
 from tests.runtime.session.test_session import first_frames

@@ -2,10 +2,10 @@
 
 import pytest
 
-from protocol import permit as permits
-from protocol import records
-from protocol.endpoint import RecordReceived
-from protocol.frames import (
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.frames import (
     BULK_IDS,
     CONTROL_IDS,
     ControllerFault,
@@ -14,8 +14,8 @@ from protocol.frames import (
     RuntimeStop,
     encode_frame,
 )
-from protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
-from runtime.interlock.state import Commit, Phase
+from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.runtime.interlock.state import Commit, Phase
 from tests.runtime.session.pair import KEY, Stranger
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from protocol.frames import RuntimeHeartbeat
-from protocol.states import ControllerState, StopCause
-from runtime.interlock.state import Phase
+from cutgate.protocol.frames import RuntimeHeartbeat
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.wire import Clock
 
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_sim.faults import FaultName
-from protocol import records
-from protocol.states import ControllerState, Refusal, StopCause
-from runtime.interlock.state import Phase, Refused
+from cutgate.firmware_sim.faults import FaultName
+from cutgate.protocol import records
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import Stranger
 from tests.runtime.session.test_session import first_frames
 
@@ -80,7 +80,7 @@ def test_a_reboot_ends_the_session(pair, state):
 
 
 def test_a_path_that_was_being_checked_does_not_survive_a_reboot(pair, monkeypatch):
-    monkeypatch.setattr("firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
     pair.begin().until(lambda: pair.process._check is not None)
     assert pair.process._wait_ms() == 0.0
     pair.process._happen(FaultName.REBOOT)

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_sim.approach import Approach
-from firmware_sim.kinematics import as_joints
-from firmware_sim.plant import Leg, Plant, PlantState, StoredPath
-from protocol import records
-from protocol.records import joints_to_memory
-from runtime.interlock.tracking import CHORD_MM, CHORD_RAD
-from runtime.session.course import KNOT_S, course_of
-from runtime.session.worker import prove
-from runtime.verification.recorded import problem_from_records
+from cutgate.firmware_sim.approach import Approach
+from cutgate.firmware_sim.kinematics import as_joints
+from cutgate.firmware_sim.plant import Leg, Plant, PlantState, StoredPath
+from cutgate.protocol import records
+from cutgate.protocol.records import joints_to_memory
+from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD
+from cutgate.runtime.session.course import KNOT_S, course_of
+from cutgate.runtime.session.worker import prove
+from cutgate.runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import STANDS
 from tests.runtime.session.test_worker import request
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from protocol import records
-from protocol.frames import RuntimeHeartbeat, RuntimeStop
-from protocol.states import ControllerState, RuntimeCode, StopCause
-from runtime.audit.inspect import Status
-from runtime.interlock.state import Phase, Withheld
+from cutgate.protocol import records
+from cutgate.protocol.frames import RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.interlock.state import Phase, Withheld
 from tests.runtime.session.test_session import first_frames
 
 

@@ -6,15 +6,15 @@ import signal
 import can
 import pytest
 
-from firmware_sim import memory
-from protocol import records
-from protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
-from protocol.states import ControllerState, FaultCode, StopCause
-from runtime.audit.inspect import Status, read_log
-from runtime.commands.app import INTERNAL, execute
-from runtime.interlock.state import Phase, Send
-from runtime.session.journal import Journal
-from runtime.session.loop import Session
+from cutgate.firmware_sim import memory
+from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.states import ControllerState, FaultCode, StopCause
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.commands.app import INTERNAL, execute
+from cutgate.runtime.interlock.state import Phase, Send
+from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.loop import Session
 from tests.runtime.session.pair import KEY, Prover
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER, RUNTIME
@@ -145,10 +145,10 @@ def command(pair, monkeypatch, tmp_path):
     key.write_text(KEY.hex())
     key.chmod(0o600)
     node = pair.wire.nodes[RUNTIME]
-    monkeypatch.setattr("runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
-    monkeypatch.setattr("runtime.commands.run.Worker", Prover)
-    monkeypatch.setattr("runtime.commands.run.sys.stdin", None)
-    monkeypatch.setattr("runtime.commands.run.sys.argv", ["cutgate", "run", "pl\udcffan"])
+    monkeypatch.setattr("cutgate.runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
+    monkeypatch.setattr("cutgate.runtime.commands.run.Worker", Prover)
+    monkeypatch.setattr("cutgate.runtime.commands.run.sys.stdin", None)
+    monkeypatch.setattr("cutgate.runtime.commands.run.sys.argv", ["cutgate", "run", "pl\udcffan"])
     monkeypatch.setattr(node, "shutdown", lambda: None)
 
     def run():
@@ -220,7 +220,7 @@ def test_a_memory_that_cannot_be_written_latches(cutting, monkeypatch):
     def fail(*_):
         raise OSError("full")
 
-    monkeypatch.setattr("firmware_sim.memory._replace", fail)
+    monkeypatch.setattr("cutgate.firmware_sim.memory._replace", fail)
     cutting.controller_terminal.type("bone-motion")
     cutting.turn()
     assert (cutting.controller.state, cutting.controller.cause) == (

@@ -5,12 +5,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from protocol.frames import BULK_IDS
-from protocol.states import ControllerState, StopCause
-from protocol.transfer import FD_LENGTHS
-from runtime.audit.inspect import Status
-from runtime.audit.replay import Outcome
-from runtime.interlock.state import Phase
+from cutgate.protocol.frames import BULK_IDS
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.protocol.transfer import FD_LENGTHS
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import Pair, job_of, pair_of
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth
 

@@ -6,11 +6,11 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from config.load import InputError, load_site
-from config.records import calibration_record, limits_record, tool_record
-from protocol import records
-from protocol.path import BLOCK_BYTES
-from runtime.session.job import VERIFIER, configuration_digest, make_job, read_files, utc_now
+from cutgate.config.load import InputError, load_site
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records
+from cutgate.protocol.path import BLOCK_BYTES
+from cutgate.runtime.session.job import VERIFIER, configuration_digest, make_job, read_files, utc_now
 from tests.runtime.session.pair import NOW, job_of
 
 

@@ -5,11 +5,11 @@ from typing import get_args
 
 import pytest
 
-from protocol import records
-from protocol.port import Passed
-from protocol.states import FaultCode, Refusal, StopCause, StopCode
-from runtime.audit.inspect import read_log
-from runtime.interlock.state import (
+from cutgate.protocol import records
+from cutgate.protocol.port import Passed
+from cutgate.protocol.states import FaultCode, Refusal, StopCause, StopCode
+from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.interlock.state import (
     Dropped,
     Event,
     Failed,
@@ -23,8 +23,8 @@ from runtime.interlock.state import (
     Tick,
     Word,
 )
-from runtime.interlock.table import EVERYWHERE
-from runtime.session.journal import NAMES, Journal, plain
+from cutgate.runtime.interlock.table import EVERYWHERE
+from cutgate.runtime.session.journal import NAMES, Journal, plain
 from tests.runtime.interlock.builders import READY, in_phase
 
 BAD = "caf\udce9 \ud800"

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_sim.process import CHECK_POSES_PER_TURN
-from protocol import path as paths
-from protocol import records
-from runtime.interlock.state import Phase
+from cutgate.firmware_sim.process import CHECK_POSES_PER_TURN
+from cutgate.protocol import path as paths
+from cutgate.protocol import records
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import Pair
 
 PARTS = 300

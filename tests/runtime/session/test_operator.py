@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from protocol import records
-from protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
-from protocol.states import ControllerState, StopCause
-from runtime.interlock.state import Dropped, Phase, Refused, Word
-from runtime.session.worker import Broken
+from cutgate.protocol import records
+from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.interlock.state import Dropped, Phase, Refused, Word
+from cutgate.runtime.session.worker import Broken
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER
 

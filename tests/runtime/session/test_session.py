@@ -4,13 +4,13 @@ from itertools import pairwise
 
 import pytest
 
-from protocol import records
-from protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
-from protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
-from runtime.audit.inspect import Status, read_log
-from runtime.audit.replay import Outcome
-from runtime.interlock.state import Phase
-from runtime.session.loop import EVENTS
+from cutgate.protocol import records
+from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.session.loop import EVENTS
 from tests.runtime.session.pair import TURN_S
 from tests.runtime.session.wire import RUNTIME
 

@@ -7,16 +7,16 @@ from functools import partial
 
 import pytest
 
-from firmware_sim import process as controller_side
-from firmware_sim.faults import FaultName
-from firmware_sim.plant import Leg
-from firmware_sim.process import Process
-from protocol import records
-from protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
-from protocol.states import ControllerState, StopCause
-from runtime.audit.inspect import Status
-from runtime.audit.replay import Outcome
-from runtime.interlock.state import Phase
+from cutgate.firmware_sim import process as controller_side
+from cutgate.firmware_sim.faults import FaultName
+from cutgate.firmware_sim.plant import Leg
+from cutgate.firmware_sim.process import Process
+from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import proved
 from tests.runtime.session.wire import lose, nth, of
 

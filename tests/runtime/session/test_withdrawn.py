@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.load import InputError
-from runtime.session import withdrawn
+from cutgate.config.load import InputError
+from cutgate.runtime.session import withdrawn
 
 DIGESTS = st.binary(min_size=32, max_size=32)
 

@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import pytest
 
-from protocol import records
-from runtime.session import worker as workers
-from runtime.session.worker import Answer, Broken, Request, Worker, prove
-from runtime.verification import certificate
-from runtime.verification.recorded import problem_from_records
+from cutgate.protocol import records
+from cutgate.runtime.session import worker as workers
+from cutgate.runtime.session.worker import Answer, Broken, Request, Worker, prove
+from cutgate.runtime.verification import certificate
+from cutgate.runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, STANDS, job_of
 
 PATIENCE_S = 60.0

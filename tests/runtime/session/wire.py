@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import can
 
-from protocol.frames import IDS, Frame, decode_frame
-from protocol.records import Side
+from cutgate.protocol.frames import IDS, Frame, decode_frame
+from cutgate.protocol.records import Side
 
 F = TypeVar("F", bound=Frame)
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from runtime.kinematics.arm import TrueArm
-from runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.runtime.kinematics.arm import TrueArm
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
 
 DEG = math.pi / 180.0
 WIDE = 36000.0 * DEG

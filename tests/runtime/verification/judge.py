@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from runtime.verification import certified
+from cutgate.runtime.verification import certified
 from tests.oracle.dense import COLUMNS, SIDES, Dense
 from tests.runtime.verification.cases import DEG
 from tests.runtime.verification.random_paths import random_paths, with_deadband

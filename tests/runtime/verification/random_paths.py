@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
 from tests.runtime.verification.cases import DEG
 
 LARGEST_TURN = 170 * DEG

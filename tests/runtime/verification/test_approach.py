@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_sim.approach import own_ends
-from firmware_sim.kinematics import as_joints, calibrated_arm
-from firmware_sim.path_check import PathCheck
-from protocol import records
-from runtime.verification import approach, certified
-from runtime.verification.approach import Start
-from runtime.verification.geometry import canonical
-from runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.firmware_sim.approach import own_ends
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.protocol import records
+from cutgate.runtime.verification import approach, certified
+from cutgate.runtime.verification.approach import Start
+from cutgate.runtime.verification.geometry import canonical
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path

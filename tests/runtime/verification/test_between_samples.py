@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, turned, wrist_path
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.problem import Arm, Deadband
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.problem import Arm, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, turned, wrist_path
 
 LEVEL = axis(90 * DEG, 0.0)

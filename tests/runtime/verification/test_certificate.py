@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from runtime.verification import bisection, certificate, certified
-from runtime.verification.certificate import Certificate, CertificateError, certify, recheck
-from runtime.verification.problem import Deadband
+from cutgate.runtime.verification import bisection, certificate, certified
+from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
+from cutgate.runtime.verification.problem import Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
 from tests.runtime.verification.random_paths import random_paths

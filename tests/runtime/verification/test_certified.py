@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 
 LEVEL = axis(90 * DEG, 0.0)

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.verdict import ARM_BOUNDARIES
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.verdict import ARM_BOUNDARIES
 from tests.oracle.dense import Dense
 from tests.runtime.verification import judge
 from tests.runtime.verification.cases import DEG, random_problem

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification.document import Digests, document_text, verdict_document
-from runtime.verification.guidance import Guidance, Move
-from runtime.verification.verdict import Boundary, Branch, Evaluations, SpeedLine, Verdict
+from cutgate.runtime.verification.document import Digests, document_text, verdict_document
+from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.verdict import Boundary, Branch, Evaluations, SpeedLine, Verdict
 from tests.runtime.commands.contract import VerdictDocument
 
 GOOD = Boundary("outer", "mm", 7.25, 7.2493, 3, 0.5, 12.5, 5.0, violated=False)

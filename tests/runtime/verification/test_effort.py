@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.problem import Deadband
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.problem import Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 from tests.runtime.verification.random_paths import random_paths
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocol.path import Path
-from runtime.verification import certified, guidance
-from runtime.verification.guidance import guide
-from runtime.verification.placing import Placing, Reserve
-from runtime.verification.problem import Arm
-from runtime.verification.search import smallest_translation
+from cutgate.protocol.path import Path
+from cutgate.runtime.verification import certified, guidance
+from cutgate.runtime.verification.guidance import guide
+from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.problem import Arm
+from cutgate.runtime.verification.search import smallest_translation
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 
 LEAN = axis(60 * DEG, 0.2)

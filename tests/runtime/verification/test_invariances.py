@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from runtime.verification import certified
-from runtime.verification.problem import Calibration
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.problem import Calibration
 from tests.oracle.dense import Dense
 from tests.runtime.verification.cases import mirrored, turned
 from tests.runtime.verification.judge import GAP, judged

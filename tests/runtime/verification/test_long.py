@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from runtime.verification import certified
+from cutgate.runtime.verification import certified
 from tests.runtime.verification import judge
 from tests.runtime.verification.cases import axis, problem, wrist_path
 

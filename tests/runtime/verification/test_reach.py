@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.commands.reach import Work, survey
-from runtime.verification import certified, reach
-from runtime.verification.guidance import pivot_of
-from runtime.verification.problem import Calibration
+from cutgate.runtime.commands.reach import Work, survey
+from cutgate.runtime.verification import certified, reach
+from cutgate.runtime.verification.guidance import pivot_of
+from cutgate.runtime.verification.problem import Calibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
 from tests.runtime.verification.test_guidance import registered
 from tests.runtime.verification.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from runtime.verification import certified
+from cutgate.runtime.verification import certified
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.load import robot_from_bytes
-from config.records import calibration_record, limits_record, tool_record
-from protocol.records import Path as PathRecord
-from protocol.records import RecordError
-from runtime.verification.recorded import problem_from_records
+from cutgate.config.load import robot_from_bytes
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol.records import Path as PathRecord
+from cutgate.protocol.records import RecordError
+from cutgate.runtime.verification.recorded import problem_from_records
 
 PRESET = (Path(__file__).parents[3] / "config" / "presets" / "example.toml").read_text(encoding="utf-8")
 ROBOT = robot_from_bytes(

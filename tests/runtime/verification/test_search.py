@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.verification import certified, search
-from runtime.verification.guidance import moved
-from runtime.verification.placing import Placing, Reserve
-from runtime.verification.problem import Arm, Calibration
-from runtime.verification.search import FINEST_MM, TOLERANCE_MM, smallest_translation
+from cutgate.runtime.verification import certified, search
+from cutgate.runtime.verification.guidance import moved
+from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.problem import Arm, Calibration
+from cutgate.runtime.verification.search import FINEST_MM, TOLERANCE_MM, smallest_translation
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 from tests.runtime.verification.placements import admitted, grid
 

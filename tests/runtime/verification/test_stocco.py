@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.verification import certified, stocco
-from runtime.verification.problem import Arm, Deadband
+from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.problem import Arm, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 
 LENGTH, EXTENT, STROKES, DEADBAND = 17501.0, 225.0, 25, 25.0

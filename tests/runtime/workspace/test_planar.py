@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from runtime.workspace.distance import side_distances, signed_distance, signed_sides
-from runtime.workspace.planar import (
+from cutgate.runtime.workspace.distance import side_distances, signed_distance, signed_sides
+from cutgate.runtime.workspace.planar import (
     Arc,
     PlanarWorkspace,
     distance_to_arc,

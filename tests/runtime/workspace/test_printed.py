@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.verification.stocco import march
-from runtime.workspace.distance import signed_distance
-from runtime.workspace.planar import PlanarWorkspace
-from runtime.workspace.printed import printed_distance, printed_sides
+from cutgate.runtime.verification.stocco import march
+from cutgate.runtime.workspace.distance import signed_distance
+from cutgate.runtime.workspace.planar import PlanarWorkspace
+from cutgate.runtime.workspace.printed import printed_distance, printed_sides
 from tests.runtime.workspace.test_planar import FAMILIES, FULL, workspace
 
 PAPER = workspace(500, 500, (-60, 60), (0, 150))

@@ -1,0 +1,8 @@
+"""Exit codes that mean the same for every command; 0 and 1 are each command's own."""
+
+REFUSED = 2
+"""An input file, an option or the bus was refused."""
+STOPPED = 3
+"""``run``: stopped, by a person or a fault."""
+INTERNAL = 70
+INTERRUPTED = 130

@@ -1,0 +1,162 @@
+"""Files that people write: robot, site, plan, tool path, registration, and the path that is made of them."""
+
+import json
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cutgate.config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
+from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import records as wire
+from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.model import Plan, Registration
+from cutgate.runtime.plan.prepare import prepare
+from tests.runtime.audit.build import inputs
+from tools.fuzz.harness import Family, attempt, choose, expect
+
+NOW = datetime(2026, 9, 1, tzinfo=UTC)
+POSE_LIMIT = 5000
+
+
+def check(data: bytes) -> None:
+    """The first byte chooses which file the rest is."""
+    (name, read), rest = choose(data, FILES)
+    try:
+        read(rest)
+    except InputError as error:
+        expect(name in str(error), f"{error} names its file")
+        expect(all(str(problem).isprintable() for problem in error.problems), "a message can be shown")
+
+
+def _robot(data: bytes) -> None:
+    robot = robot_from_bytes("robot.toml", data)
+    for record in (limits_record(robot), calibration_record(robot), tool_record(robot)):
+        expect(type(record).parse(record.body()) == record, f"{record} can be sent")
+    again = type(robot).model_validate_json(robot.model_dump_json(by_alias=True))
+    expect(again == robot, "a robot survives being written")
+
+
+def _site(data: bytes) -> None:
+    site = site_from_bytes("site.toml", data)
+    expect(type(site).model_validate_json(site.model_dump_json(by_alias=True)) == site, "a site survives")
+
+
+def _plan(data: bytes) -> None:
+    _prepared("plan.json", data)
+
+
+def _csv(data: bytes) -> None:
+    _prepared("path.csv", data)
+
+
+def _prepared(name: str, data: bytes) -> None:
+    """The plan, and the path it becomes where the example's registration puts it."""
+    plan = plan_from_bytes(Path(name), data, POSE_LIMIT)
+    expect(bool(np.isfinite(plan.tips_mm).all() and np.isfinite(plan.axes).all()), "every pose is finite")
+    expect(len(plan.tips_mm) <= data.count(b",") // 5, "no pose comes from nowhere")
+    _quantised(plan, data, REGISTRATION)
+
+
+def _quantised(plan: Plan, data: bytes, registration: Loaded[Registration]) -> None:
+    loaded = Loaded(plan, data, Path("plan.json"))
+    prepared = attempt(InputError, lambda: prepare(loaded, registration, inputs().robot.value, now=NOW))
+    if prepared is not None:
+        expect(wire.Path.parse(prepared.path.body()) == prepared.path, "a path can be sent")
+
+
+def _registration(data: bytes) -> None:
+    value = registration_from_bytes(Path("registration.json"), data)
+    expect(value.created.utcoffset() is not None, "a registration's time is absolute")
+    rotation = value.matrix[:3, :3]
+    expect(bool(abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-5), "a registration is rigid")
+    _quantised(PLAN, inputs().plan, Loaded(value, data, Path("registration.json")))
+
+
+FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
+    ("robot.toml", _robot),
+    ("site.toml", _site),
+    ("plan.json", _plan),
+    ("path.csv", _csv),
+    ("registration.json", _registration),
+)
+PLAN = plan_from_bytes(Path("plan.csv"), inputs().plan)
+REGISTRATION = Loaded(
+    registration_from_bytes(Path("registration.json"), inputs().registration),
+    inputs().registration,
+    Path("registration.json"),
+)
+ROBOT_IN_FULL = b"""schema = "cutgate.robot/1"
+name = "full"
+elbow = "left"
+[arm]
+upper_link_mm = 450.0
+forearm_link_mm = 450.0
+[tool]
+length_mm = 160.0
+[limits]
+q0_deg = [-80.0, 80.0]
+q1_deg = [-145.0, 0.0]
+q2_mm = [50.0, 450.0]
+q3_deg = [-36000, 36000]
+q4_deg = [0.0, 110.0]
+speed = [1.0, 1.0, 200.0, 2.0, 2.0]
+acceleration = [5.0, 5.0, 1000.0, 10.0, 10.0]
+[calibration]
+upper_link_error_mm = 0.125
+joint_offset_deg = [0.1, 0.0, -0.5, 0.0, 0.0]
+slide_tilt_mrad = [1.0, -2.0]
+residual_mm = 0.05
+residual_deg = 0.01
+[wrist]
+hold_roll_when_vertical = true
+hold_roll_deg = 5.0
+[deadband]
+arm_mm = 5.0
+wrist_deg = 2.0
+path_tolerance_mm = 0.1
+path_tolerance_deg = 0.1
+"""
+PLAN_JSON: dict[str, Any] = {
+    "schema": "cutgate.plan/1",
+    "id": "a",
+    "implant": "stem",
+    "side": "left",
+    "units": "mm",
+    "tool_length_mm": 160.0,
+    "feed_mm_s": 5.5,
+    "ct_T_implant": [[1, 0, 0, 3], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]],
+    "ct_id": "ct",
+    "poses": [[0, 0, 0, 0, 0, 1], [1, 0.5, -1e-3, 0, 0.6, 0.8], [2, 1, 0, 0, 0, 1]],
+}
+
+
+def _seeds() -> Iterator[bytes]:
+    i = inputs()
+    site = (
+        b'schema = "cutgate.site/1"\npose_limit = 1000\n[timing]\nheartbeat_ms = 20\n'
+        b'[start]\nstart_tolerance_mm = 0.5\n[bus]\ninterface = "cutgate"\n'
+    )
+    examples = (
+        ("robot.toml", i.robot.data),
+        ("robot.toml", ROBOT_IN_FULL),
+        ("site.toml", b'schema = "cutgate.site/1"\n'),
+        ("site.toml", site),
+        ("plan.json", json.dumps(PLAN_JSON).encode()),
+        ("path.csv", i.plan),
+        ("path.csv", i.plan.replace(b"\n", b"\r\n")),
+        ("registration.json", i.registration),
+        ("registration.json", i.registration.replace(b'"id"', b'"ct_id": "ct", "id"')),
+    )
+    names = [name for name, _ in FILES]
+    for name, content in examples:
+        yield bytes([names.index(name)]) + content
+    yield bytes([4]) + i.registration.replace(b'"id"', b'"\\u001b[2J\\nid": 1, "id"')
+    for nasty in (b'{"a":' * 5000, b"[" * 5000, b'{"schema":1e999}', b"a = " + b"[" * 5000, b"9" * 5000):
+        for number in range(len(FILES)):
+            yield bytes([number]) + nasty
+
+
+FAMILY = Family(check, tuple(_seeds()))

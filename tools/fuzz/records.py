@@ -1,0 +1,139 @@
+"""Records and the path: envelopes, bodies, block by block assembly, and who signed."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+
+from cutgate.protocol.conversation import SignedRecord
+from cutgate.protocol.permit import sign, verify
+from cutgate.protocol.records import (
+    RECORDS,
+    Acknowledge,
+    Assembly,
+    Calibration,
+    Limits,
+    Path,
+    PathBlock,
+    Record,
+    RecordError,
+    Reset,
+    Side,
+    Tool,
+    pack,
+    split,
+    unpack,
+)
+from cutgate.protocol.states import StopCause
+from cutgate.protocol.wire import Channel
+from tests.runtime.audit.build import inputs, wire_permit
+from tools.fuzz.harness import Family, attempt, choose, expect
+
+KEY = bytes(range(32))
+TAG = 0xC0FFEE
+HEAD = struct.Struct("<BBHII")
+
+
+def check(data: bytes) -> None:
+    """The first byte chooses what the rest is parsed as."""
+    what, rest = choose(data, PARSERS)
+    what(rest)
+
+
+def _envelope(data: bytes) -> None:
+    """As it stands, and with a length and a CRC that are right."""
+    for candidate in (data, _sealed(data)):
+        for sender, channel in (
+            (None, None),
+            (Side.RUNTIME, Channel.CONTROL),
+            (Side.CONTROLLER, Channel.BULK),
+        ):
+            envelope = attempt(
+                RecordError, lambda c=candidate, s=sender, h=channel: unpack(c, sender=s, channel=h)
+            )
+            if envelope is not None:
+                again = pack(envelope.record, envelope.session, envelope.sequence)
+                expect(again == candidate, f"{envelope.record} has one form")
+
+
+def _sealed(data: bytes) -> bytes:
+    code, reserved, _, session, sequence = HEAD.unpack(data[: HEAD.size].ljust(HEAD.size, b"\0"))
+    body = data[HEAD.size : HEAD.size + 4079]
+    covered = HEAD.pack(code, reserved, len(body), session, sequence) + body
+    return covered + struct.pack("<I", zlib.crc32(covered))
+
+
+def _body(data: bytes) -> None:
+    """A record's body; nobody has signed it, whatever code it carries."""
+    kind, body = choose(data, KINDS)
+    if kind is PathBlock:
+        body = body[:16] + struct.pack("<I", zlib.crc32(body[16:])) + body[20:] if data[0] & 64 else body
+    record = attempt(RecordError, kind.parse, body)
+    if record is None:
+        return
+    expect(record.body() == body, f"{record} has one form")
+    if isinstance(record, Limits | Calibration | Tool):
+        record.problems()
+    if isinstance(record, SignedRecord):
+        expect(verify(KEY, record) == (record == sign(KEY, record)), "only the key's holder signs")
+
+
+def _path(data: bytes) -> None:
+    path = attempt(RecordError, Path.parse, data)
+    if path is not None:
+        expect(path.body() == data, "a path has one form")
+        lengths = (path.axes**2).sum(axis=1)
+        expect(bool((abs(lengths - 1.0) <= 1e-12).all()), "every axis is a unit vector")
+        expect(len(path.tips_mm) == len(path) >= 2, "a path has two poses or more")
+
+
+def _assembly(data: bytes) -> None:
+    """Blocks of two paths in any order, some altered: what is complete is what was taken, in order."""
+    assembly, taken = Assembly(), b""
+    for at in range(0, len(data), 3):
+        which, place, change = data[at : at + 3].ljust(3, b"\0")
+        body = bytearray(BLOCKS[which % len(BLOCKS)].body())
+        if which & 128:
+            body[place % 24] ^= change or 1
+        block = attempt(RecordError, PathBlock.parse, bytes(body))
+        after = block and attempt(RecordError, assembly.add, block)
+        if block and after:
+            taken += block.data
+            assembly = after
+        expect(len(taken) <= assembly.total, "no more is stored than was announced")
+        whole = attempt(RecordError, lambda kept=assembly: kept.data)
+        expect((whole is not None) == assembly.complete, "data is there when it is complete")
+        expect(whole is None or whole == taken, "what is complete is what came")
+
+
+PARSERS = (_envelope, _body, _path, _assembly)
+KINDS: tuple[type[Record], ...] = tuple(RECORDS.values())
+PATH = inputs().path
+LONGER = PATH[:36] + struct.pack("<I", 450) + (PATH[40:] * 75)
+BLOCKS = (*split(LONGER), *split(LONGER + bytes(20 * 3)))
+
+
+def _seeds() -> Iterator[bytes]:
+    i = inputs()
+    signed = sign(KEY, wire_permit())
+    bodies: list[Record] = [
+        signed,
+        Limits.parse(i.limits),
+        Calibration.parse(i.calibration),
+        Tool.parse(i.tool),
+        Acknowledge(StopCause.BONE_MOVED),
+        Reset(bytes(16), 1, bytes(32), StopCause.SECOND_NODE),
+        BLOCKS[0],
+        BLOCKS[2],
+    ]
+    for record in bodies:
+        yield bytes([PARSERS.index(_envelope)]) + pack(record, TAG, 7)
+        yield bytes([PARSERS.index(_body), KINDS.index(type(record))]) + record.body()
+    reserved = HEAD.pack(Acknowledge.TYPE, 1, 1, TAG, 7) + Acknowledge(StopCause.BONE_MOVED).body()
+    yield bytes([PARSERS.index(_envelope)]) + reserved
+    yield bytes([PARSERS.index(_path)]) + i.path
+    yield bytes([PARSERS.index(_path)]) + LONGER
+    for order in ((0, 1, 2), (3, 4, 5), (0, 4, 2), (0, 0, 1), (128, 1, 2)):
+        yield bytes([PARSERS.index(_assembly)]) + b"".join(bytes([which, 17, 3]) for which in order)
+
+
+FAMILY = Family(check, tuple(_seeds()))

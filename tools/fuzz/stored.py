@@ -1,0 +1,110 @@
+"""Files that the program keeps for itself: the controller's memory, the last log's head, the key; and option texts."""
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from cutgate.config.load import InputError
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.state import Memory
+from cutgate.protocol.permit import KeyFileError, load_key
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit.directory import HEAD, head_bytes, previous_session
+from cutgate.runtime.audit.scan import recoverable_head
+from cutgate.runtime.session import withdrawn
+from tools.fuzz.harness import Family, attempt, choose, expect
+
+DIRECTORY = tempfile.TemporaryDirectory(prefix="cutgate-fuzz-")
+PLACE = Path(DIRECTORY.name)
+
+
+def check(data: bytes) -> None:
+    """The first byte chooses which file the rest is."""
+    read, rest = choose(data, READERS)
+    read(rest)
+
+
+def _written(name: str, data: bytes) -> Path:
+    path = PLACE / name
+    path.write_bytes(data)
+    path.chmod(0o600)
+    return path
+
+
+def _memory(data: bytes) -> None:
+    path = _written("memory.json", data)
+    remembered = attempt(memory.ControllerMemoryError, memory.load, path)
+    if remembered is not None:
+        memory.save(path, remembered)
+        expect(memory.load(path) == remembered, "what is remembered stays remembered")
+
+
+def _head(data: bytes) -> None:
+    _written(HEAD, data)
+    previous = previous_session(PLACE, recoverable_head)
+    if previous.log is not None:
+        expect(Path(previous.log).name == previous.log, "a log's name leads nowhere else")
+    expect(previous.crashed or previous.note is None, "what could not be read counts as a crash")
+
+
+def _key(data: bytes) -> None:
+    key = attempt(KeyFileError, load_key, _written("key", data))
+    expect(key is None or len(key) == 32, "a key is 32 bytes")
+
+
+def _fault(data: bytes) -> None:
+    with contextlib.suppress(UnicodeDecodeError):
+        spec = attempt(ValueError, FaultSpec.parse, data.decode())
+        if spec is not None:
+            again = f"{spec.name}@{spec.state.name.lower()}"
+            expect(FaultSpec.parse(again) == spec, "a fault can be named again")
+
+
+def _withdrawn(data: bytes) -> None:
+    _written(withdrawn.WITHDRAWN, data)
+    listed = attempt(InputError, withdrawn.load, PLACE)
+    if listed is not None:
+        expect(all(len(digest) == 32 for digest in listed), "an entry is a SHA-256")
+        withdrawn.add(PLACE, bytes(32), "a.mcap")
+        expect({*withdrawn.load(PLACE)} == {*listed, bytes(32)}, "what is withdrawn stays withdrawn")
+
+
+READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault, _withdrawn)
+
+
+def _text_of(remembered: Memory) -> str:
+    path = PLACE / "seed.json"
+    memory.save(path, remembered)
+    return path.read_text(encoding="ascii")
+
+
+def _seeds() -> Iterator[bytes]:
+    withdrawn = Memory(frozenset({bytes(32)}), frozenset({bytes(range(32))}), StopCause.SECOND_NODE)
+    examples = {
+        _memory: (_text_of(Memory()), _text_of(withdrawn), '{"schema": ' + "[" * 5000),
+        _head: (
+            head_bytes(log="a.mcap", head="ab" * 32, closed=True).decode(),
+            head_bytes(log="a.mcap", head=None, closed=False).decode(),
+            head_bytes(log="a\0b", head=None, closed=False).decode(),
+            head_bytes(log="\ud800", head=None, closed=False).decode(),
+            head_bytes(log="..", head=None, closed=False).decode(),
+            "[" * 5000,
+        ),
+        _key: ("ab" * 32 + "\n", "ab" * 31, "zz" * 32),
+        _withdrawn: (
+            f"{'ab' * 32} a.mcap\n",
+            f"{'ab' * 32} a.mcap\n{'0f' * 32} b.mcap\n",
+            f"{'ab' * 32}",
+            f"{'ab' * 31} a.mcap",
+            f"{'ab ' * 32}\t a.mcap\n",
+        ),
+        _fault: ("flip-path-bit@permitted", "reboot", "hang@", "@", "hang@cutting@x"),
+    }
+    for number, read in enumerate(READERS):
+        for example in examples[read]:
+            yield bytes([number]) + example.encode()
+
+
+FAMILY = Family(check, tuple(_seeds()))

@@ -1,0 +1,61 @@
+"""The modules that decide, and each one's own tests: what coverage and mutation hold them to.
+
+``python -m tools.mutation.modules`` runs each module's own tests alone and fails below 100 % branch coverage.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).parents[2]
+OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
+    "runtime/interlock/table.py": ("tests/runtime/interlock/test_table.py",),
+    "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
+    "firmware_sim/table.py": (
+        "tests/firmware_sim/test_table.py",
+        "tests/firmware_sim/test_remembering.py",
+    ),
+    "firmware_sim/rules.py": ("tests/firmware_sim/test_rules.py",),
+    "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
+    "protocol/link.py": ("tests/protocol/test_link.py",),
+    "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),
+    "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
+}
+"""Module to the test files that must cover and guard it without help from any other."""
+
+
+def covered(module: str) -> tuple[bool, str]:
+    """Whether the module's own tests pass and reach each branch; with the line of the report."""
+    with tempfile.TemporaryDirectory() as folder:
+        data = f"COVERAGE_FILE={folder}/data"
+        name = module.removesuffix(".py").replace("/", ".")
+        pytest = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--cov={name}", "--cov-branch"]
+        limits = ["--cov-report=term-missing:skip-covered", "--cov-fail-under=100"]
+        done = subprocess.run(  # noqa: S603 - our own interpreter on our own tests
+            ["/usr/bin/env", data, sys.executable, *pytest, *limits, *OWN_TESTS[module]],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    lines = [
+        line for line in done.stdout.splitlines() if line.startswith((module, "TOTAL", "FAILED", "ERROR"))
+    ]
+    return done.returncode == 0, "\n    ".join(lines)
+
+
+def main(modules: Iterable[str]) -> int:
+    """Print one line a module; 1 if any falls short."""
+    short = 0
+    for module in modules or OWN_TESTS:
+        whole, report = covered(module)
+        print(f"{'ok  ' if whole else 'MISS'} {module}\n    {report}", flush=True)  # noqa: T201 - a report
+        short += not whole
+    return int(short > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -13,6 +13,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar, cast
 
@@ -30,7 +31,6 @@ M = TypeVar("M", bound=BaseModel)
 BYTES_PER_MB: Final = 1_000_000
 DEFAULT_LIMIT: Final = int(CONSTANTS["file_size_limit_mb"].default) * BYTES_PER_MB
 MAX_SHOWN: Final = 20
-PRESETS: Final = Path(__file__).parent / "presets"
 _VALUE_CHARACTERS: Final = 60
 
 
@@ -105,6 +105,52 @@ class Loaded(Generic[T]):
         return hashlib.sha256(self.data).digest()
 
 
+@dataclass(frozen=True, slots=True)
+class Shipped:
+    """Files of one kind that come with the program, each known by a name of its own.
+
+    Attributes:
+        folder: where they lie.
+        begin: what their names begin with.
+        ending: what follows the name in the folder.
+        kind: one of them, for messages.
+    """
+
+    folder: Path
+    begin: str
+    ending: str
+    kind: str
+
+    @property
+    def names(self) -> dict[str, Path]:
+        """The file of every name, in the names' order."""
+        files = sorted(self.folder.glob(f"{self.begin}*{self.ending}"))
+        return {file.name.removesuffix(self.ending): file for file in files}
+
+    def file(self, path: str | os.PathLike[str]) -> Path:
+        """The file that a person names: one that exists, or else the shipped one of that name.
+
+        A file that exists is never hidden by a shipped one; a folder hides none.
+
+        Raises:
+            InputError: neither; lists the names.
+        """
+        names, exists = self.names, os.path.lexists(path)
+        folder = os.path.isdir(path)  # noqa: PTH112 - Path's raises where it may not look
+        if str(path) in names and (folder or not exists):
+            return names[str(path)]
+        if exists:
+            return Path(path)
+        remedy = f"check the name, or name {self.kind}: {', '.join(names)}"
+        raise InputError(shown(str(path)), "", None, "no such file", remedy)
+
+
+SHIPPED: Final = Path(str(resources.files("cutgate")))
+"""The program's own files, installed or in a checkout."""
+EXAMPLES: Final = SHIPPED / "examples"
+PRESETS: Final = Shipped(SHIPPED / "config" / "presets", "", ".toml", "a preset")
+
+
 def shown(value: object) -> str:
     """A value for a message: on one line, printable, at most 60 characters; empty for None."""
     if value is None:
@@ -115,7 +161,7 @@ def shown(value: object) -> str:
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> bytes:
-    """The whole file, read once.
+    """The whole file as it was when opened, read once.
 
     Args:
         path: a regular file.
@@ -126,9 +172,11 @@ def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> byte
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
                 raise InputError(path, "", None, "not a regular file", "name a file")
-            data = file.read(limit + 1)
+            # read() takes all the memory that it is asked for: never more than the file has, however large the limit.
+            data = file.read(min(status.st_size, limit + 1))
     except FileNotFoundError:
         raise InputError(path, "", None, "no such file", "check the name") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
@@ -247,20 +295,9 @@ def load_robot(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Load
     Raises:
         InputError: no such file or preset; lists every problem of the file.
     """
-    file = _file_or_preset(path)
+    file = PRESETS.file(path)
     data = read_bytes(file, limit)
-    return Loaded(robot_from_bytes(path, data), data, Path(file))
-
-
-def _file_or_preset(path: str | os.PathLike[str]) -> str | os.PathLike[str]:
-    """A file that exists is never hidden by a preset's name."""
-    if os.path.lexists(path):
-        return path
-    presets = {preset.stem: preset for preset in sorted(PRESETS.glob("*.toml"))}
-    if str(path) not in presets:
-        remedy = f"check the name, or name a preset: {', '.join(presets)}"
-        raise InputError(shown(str(path)), "", None, "no such file", remedy)
-    return presets[str(path)]
+    return Loaded(robot_from_bytes(path, data), data, file)
 
 
 def robot_from_bytes(path: object, data: bytes) -> Robot:

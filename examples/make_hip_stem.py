@@ -14,11 +14,12 @@ opening, z out of the bone along the shank, x medial, y anterior):
 Run ``python examples/make_hip_stem.py [FOLDER]``; the same files come out on every run.
 """
 
-import json
 import math
 import sys
 from pathlib import Path
 from typing import Final
+
+from cutgate.examples.plan_files import Bone, Vector, pointing_at, rounded, turned, write
 
 DEPTH: Final = 110.0
 BOW_RADIUS: Final = 500.0
@@ -32,12 +33,6 @@ WINDOW_FOLLOWS: Final = 1.0 / 3.0
 POSES: Final = 2000
 TURNS: Final = 138
 """Of the helix in both passes together."""
-FEED_MM_S: Final = 20.0
-TOOL_LENGTH_MM: Final = 160.0
-CT_ID: Final = "example-femur-ct"
-
-Vector = tuple[float, float, float]
-Matrix = list[list[float]]
 
 
 def section(depth: float, angle: float, width: float) -> Vector:
@@ -67,44 +62,11 @@ def pose(index: int) -> list[float]:
     tip = section(depth, angle, width)
     rim = section(0.0, angle, width)
     window = (WINDOW_FOLLOWS * rim[0], WINDOW_FOLLOWS * rim[1], WINDOW_HEIGHT)
-    axis = [w - t for w, t in zip(window, tip, strict=True)]
-    length = math.hypot(*axis)
-    return [round(value, 4) for value in tip] + [round(value / length, 7) for value in axis]
+    axis = pointing_at(window)(tip)
+    return [round(value, 4) for value in tip] + [round(value, 7) for value in axis]
 
 
-def turned(yaw_deg: float, tilt_deg: float, spin_deg: float, origin: Vector) -> Matrix:
-    """The rigid transform that spins about z, tilts z toward +x, turns about z, then moves to ``origin``."""
-    (cy, sy), (ct, st), (cs, ss) = (
-        (math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (yaw_deg, tilt_deg, spin_deg)
-    )
-    yaw = [[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]]
-    tilt = [[ct, 0.0, st], [0.0, 1.0, 0.0], [-st, 0.0, ct]]
-    spin = [[cs, -ss, 0.0], [ss, cs, 0.0], [0.0, 0.0, 1.0]]
-    rotation = times(times(yaw, tilt), spin)
-    return [[*row, o] for row, o in zip(rotation, origin, strict=True)] + [[0.0, 0.0, 0.0, 1.0]]
-
-
-def times(a: Matrix, b: Matrix) -> Matrix:
-    """Matrix product."""
-    return [
-        [math.fsum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)]
-        for row in a
-    ]
-
-
-def inverse(rigid: Matrix) -> Matrix:
-    """Inverse of a rigid transform."""
-    rotation = [list(column) for column in zip(*(row[:3] for row in rigid[:3]), strict=True)]
-    back = [-math.fsum(r * row[3] for r, row in zip(line, rigid[:3], strict=True)) for line in rotation]
-    return [[*line, b] for line, b in zip(rotation, back, strict=True)] + [[0.0, 0.0, 0.0, 1.0]]
-
-
-def rounded(matrix: Matrix) -> Matrix:
-    """To 1e-9, so that the files are short; + 0.0 turns -0.0 into 0.0."""
-    return [[round(value, 9) + 0.0 for value in row] for row in matrix]
-
-
-CT_T_IMPLANT: Final = rounded(turned(-35.0, 20.0, 10.0, (-82.5, 41.0, 1210.0)))
+FEMUR: Final = Bone("example-femur-ct", "left", rounded(turned(-35.0, 20.0, 10.0, (-82.5, 41.0, 1210.0))))
 FIRST: Final = (720.0, 376.0, 352.0)
 """Where the opening stands first, in the robot frame, mm: too far out and too high."""
 SECOND: Final = (673.0, 345.0, 317.0)
@@ -113,58 +75,18 @@ R_YAW_TILT_SPIN: Final = (60.0, 50.0, 0.0)
 """The shank leans 50 deg from the vertical, toward 60 deg in the floor plane."""
 
 
-def plan() -> dict[str, object]:
-    """The plan file's content."""
-    return {
-        "schema": "cutgate.plan/1",
-        "id": "hip-stem-example",
-        "implant": "tapered femoral stem, example",
-        "side": "left",
-        "units": "mm",
-        "tool_length_mm": TOOL_LENGTH_MM,
-        "feed_mm_s": FEED_MM_S,
-        "ct_T_implant": CT_T_IMPLANT,
-        "ct_id": CT_ID,
-        "poses": [pose(index) for index in range(POSES)],
-    }
-
-
-def registration(name: str, opening: Vector, residual_rms_mm: float, created_utc: str) -> dict[str, object]:
-    """A registration file's content: the femur lies so that the opening's centre is at ``opening``."""
-    r_t_implant = turned(*R_YAW_TILT_SPIN, opening)
-    return {
-        "schema": "cutgate.registration/1",
-        "id": name,
-        "R_T_CT": rounded(times(r_t_implant, inverse(CT_T_IMPLANT))),
-        "residual_rms_mm": residual_rms_mm,
-        "created_utc": created_utc,
-        "ct_id": CT_ID,
-    }
-
-
-def text(document: dict[str, object]) -> str:
-    """JSON with one line a pose or matrix row."""
-    body = json.dumps(document, indent=1, allow_nan=False)
-    lines: list[str] = []
-    for line in body.split("\n"):
-        short = line.strip()
-        inside = lines and lines[-1].lstrip().startswith("[") and not lines[-1].rstrip(",").endswith("]")
-        if inside:
-            lines[-1] += short if short.startswith("]") else ("" if lines[-1].endswith("[") else " ") + short
-        else:
-            lines.append(line)
-    return "\n".join(lines) + "\n"
-
-
 def main(folder: Path) -> None:
     """Writes the three files."""
+    poses = [pose(index) for index in range(POSES)]
+    first, second = (turned(*R_YAW_TILT_SPIN, opening) for opening in (FIRST, SECOND))
     files = {
-        "hip-stem.plan.json": plan(),
-        "registration-first.json": registration("example-first", FIRST, 0.31, "2026-01-15T08:02:11Z"),
-        "registration-second.json": registration("example-second", SECOND, 0.28, "2026-01-15T08:21:47Z"),
+        "hip-stem.plan.json": FEMUR.plan("hip-stem-example", "tapered femoral stem, example", poses),
+        "registration-first.json": FEMUR.registration("example-first", first, 0.31, "2026-01-15T08:02:11Z"),
+        "registration-second.json": FEMUR.registration(
+            "example-second", second, 0.28, "2026-01-15T08:21:47Z"
+        ),
     }
-    for name, document in files.items():
-        (folder / name).write_text(text(document), encoding="utf-8")
+    write(folder, files)
 
 
 if __name__ == "__main__":

@@ -205,7 +205,9 @@ def _parser() -> argparse.ArgumentParser:
         + ".",
         allow_abbrev=False,
     )
-    parser.add_argument("--robot", type=Path, required=True, help="robot.toml: the limits it reports")
+    parser.add_argument(
+        "--robot", type=Path, required=True, help="robot.toml or a preset: the limits it reports"
+    )
     parser.add_argument("--key", type=Path, help="pre-shared key; its memory is kept beside it")
     parser.add_argument("--interface", help="python-can interface; default vcan0, else the local virtual bus")
     parser.add_argument("--channel", help="channel of the interface")

@@ -1,28 +1,51 @@
 """All commands of ``cutgate``, and what an error looks like from outside; ``cutgate.runtime.cli`` is the way in."""
 
+from typing import Annotated
+
 import typer
 from typer.exceptions import TyperException
 
+from cutgate import __version__
 from cutgate.config.load import InputError
-from cutgate.runtime.commands import audit, conform, controller_side, demo, key, reach, recheck, run, verify
+from cutgate.runtime.commands import (
+    audit,
+    conform,
+    controller_side,
+    demo,
+    example,
+    key,
+    reach,
+    recheck,
+    run,
+    verify,
+)
 from cutgate.runtime.exits import INTERNAL, INTERRUPTED, REFUSED
 
 app = typer.Typer(
     name="cutgate",
     help="Decides whether a bone-milling robot may start to cut.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"cutgate {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def _root() -> None:
+def _root(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
     """Decides whether a bone-milling robot may start to cut."""
 
 
-for command in (verify, recheck, reach, run, controller_side, conform, key, audit, demo):
+for command in (verify, recheck, reach, run, controller_side, conform, key, audit, demo, example):
     command.register(app)
 
 

@@ -43,7 +43,9 @@ def conform(
     plant_disconnected: Annotated[
         bool, typer.Option("--plant-disconnected", help="You say: axes and cutter have no power.")
     ] = False,
-    robot: Annotated[Path | None, typer.Option(help="The approved robot.toml it must report.")] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="The approved robot.toml or preset, which it must report.")
+    ] = None,
     site: Annotated[Path | None, typer.Option(help="site.toml: heartbeat, time-out, reply time.")] = None,
     fd: Annotated[
         bool,

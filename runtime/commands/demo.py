@@ -8,7 +8,6 @@ import json as json_format
 import os
 import secrets
 import selectors
-import shutil
 import signal
 import subprocess
 import time
@@ -23,10 +22,11 @@ from rich.text import Text
 
 from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
 from cutgate.config.interpreter import program
-from cutgate.config.load import InputError
+from cutgate.config.load import EXAMPLES
 from cutgate.protocol.permit import KEY_BYTES, new_key_file
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
 from cutgate.runtime.review.comparison import print_comparison
@@ -35,15 +35,12 @@ from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
 
-EXAMPLES: Final = Path(__file__).parents[2] / "examples"
+PLAN: Final = "hip-stem.plan.json"
+REGISTRATIONS: Final = ("registration-first.json", "registration-second.json")
+SETTINGS: Final = ("robot.toml", "site.toml")
 TIME_SCALE: Final = 100
 DEADLINE_S: Final = 60.0
 END_S: Final = 10.0
-SITE: Final = """schema = "cutgate.site/1"
-[timing]  # slower than the default, so that the demo also runs on a busy machine
-heartbeat_ms = 50
-timeout_ms = 500
-"""
 SCHEMA: Final = "cutgate.demo/1"
 
 
@@ -70,7 +67,7 @@ class DemoError(Exception):
 def demo(
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for key, logs and inputs; must not exist. Default: a new one here."),
+        typer.Option(help="Folder for key, logs and inputs, new or empty. Default: a new one here."),
     ] = None,
     fd: Annotated[bool, typer.Option("--fd", help="Bulk records in CAN FD frames.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
@@ -88,10 +85,7 @@ def demo(
             _bus(folder, say) as where,
             _controller(folder, [*where, *["--fd"] * fd], say) as controller,
         ):
-            runs = [
-                _run(folder, name, [*where, *["--fd"] * fd], controller, say)
-                for name in ("registration-first.json", "registration-second.json")
-            ]
+            runs = [_run(folder, name, [*where, *["--fd"] * fd], controller, say) for name in REGISTRATIONS]
     except DemoError as error:
         console.print(Text(f"demo: {error}", BAD), soft_wrap=True)
         raise typer.Exit(1) from None
@@ -130,23 +124,11 @@ class _Teller:
 
 
 def _folder(out: Path | None) -> Path:
-    """A new folder with key, site and the example's files. Nothing that exists is touched."""
-    if not (EXAMPLES / "hip-stem.plan.json").is_file():
-        raise InputError(EXAMPLES, "", None, "the examples are not there", "run the demo from a checkout")
+    """A folder, new or empty, with key, site and the example's files. Nothing that exists is touched."""
     folder = out or Path(f"cutgate-demo-{time.strftime('%Y%m%dT%H%M%S')}")
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        raise InputError(
-            folder, "--out", None, "exists already", "name a folder that does not exist"
-        ) from None
-    except OSError as error:
-        raise InputError(
-            folder, "--out", None, f"cannot be made ({error.strerror})", "name another"
-        ) from None
-    for name in ("hip-stem.plan.json", "robot.toml", "registration-first.json", "registration-second.json"):
-        shutil.copyfile(EXAMPLES / name, folder / name)
-    (folder / "site.toml").write_text(SITE, encoding="utf-8")
+    fill(
+        folder, "--out", {name: (EXAMPLES / name).read_bytes() for name in (PLAN, *REGISTRATIONS, *SETTINGS)}
+    )
     new_key_file(folder / "site.key", secrets.token_bytes(KEY_BYTES))
     return folder
 
@@ -229,7 +211,7 @@ def _run(
         "site.key",
     ]
     options = [*files, *where, "--log-dir", "logs", "--json"]
-    arguments = program("cutgate.runtime.cli", "run", "hip-stem.plan.json", *options)
+    arguments = program("cutgate.runtime.cli", "run", PLAN, *options)
     with _process("runtime", arguments, cwd=folder) as runtime:
         _converse({"runtime": runtime, "controller": controller}, say)
         assert runtime.stdout is not None  # noqa: S101 - a pipe was asked for

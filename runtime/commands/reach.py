@@ -11,6 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -25,6 +26,7 @@ from cutgate.protocol import records
 from cutgate.runtime.commands.reach_page import page
 from cutgate.runtime.commands.reach_picture import picture
 from cutgate.runtime.commands.screen import messages, output, working
+from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification import certified, reach
@@ -41,6 +43,8 @@ VALUES_MAX: Final = 73
 CHUNK: Final = 32
 """Positions judged in one go, a fraction of a second: what the progress bar moves by."""
 KINDS: Final = (".png", ".html", ".csv", ".json")
+DRAWN_BY: Final = {".png": "matplotlib", ".html": "plotly"}
+"""Not installed with cutgate alone: nobody draws beside a controller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +203,7 @@ def _files(out: Path | None, *, json: bool) -> dict[str, Path]:
     """What to write where, by kind: one file, a folder of all four, or nothing.
 
     Raises:
-        InputError: a folder that cannot be made.
+        InputError: a folder that cannot be made, or a picture that nothing here can draw.
     """
     if out is None:
         if json:
@@ -209,6 +213,14 @@ def _files(out: Path | None, *, json: bool) -> dict[str, Path]:
         folder, files = out.parent, {out.suffix.lower(): out}
     else:
         folder, files = out, {kind: out / f"reach{kind}" for kind in KINDS}
+    if missing := sorted(DRAWN_BY[kind] for kind in DRAWN_BY.keys() & files if not find_spec(DRAWN_BY[kind])):
+        raise InputError(
+            out,
+            "--out",
+            None,
+            f"needs {' and '.join(missing)}, not installed here",
+            "pip install 'cutgate[pictures]', or ask for data alone: --out FILE.csv, --out FILE.json or --json",
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -263,12 +275,10 @@ def _made_for(prepared: Prepared, robot: Robot) -> dict[str, Any]:
 
 
 def reach_command(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan (.json) or tool path.")],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help=PLAN_HELP)],
     *,
-    robot: Annotated[Path, typer.Option(help="The robot's description, robot.toml.")],
-    registration: Annotated[
-        Path | None, typer.Option(help="Where the bone stands; identity if left out.")
-    ] = None,
+    robot: RobotOption,
+    registration: RegistrationOption = None,
     step_mm: Annotated[
         float, typer.Option(min=0.5, max=500.0, help="Distance of neighbouring positions.")
     ] = 20.0,

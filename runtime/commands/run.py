@@ -24,6 +24,7 @@ from cutgate.runtime.audit import names
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import working
 from cutgate.runtime.commands.session_view import SessionView, print_outcome, run_document
+from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.job import VERIFIER, Files, log_bytes, make_job, read_files, utc_now
@@ -36,9 +37,9 @@ EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
 
 
 def run(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv).")],
-    robot: Annotated[Path, typer.Option(help="The site's approved robot.toml.")],
-    registration: Annotated[Path, typer.Option(help="Where the bone stands.")],
+    path: Annotated[Path, typer.Argument(metavar="PATH", help=PLAN_HELP)],
+    robot: Annotated[Path, typer.Option(help=f"The site's approved {ROBOT_HELP}.")],
+    registration: Annotated[Path, typer.Option(help=f"{REGISTRATION_HELP}.")],
     site: Annotated[
         Path | None, typer.Option(help="Timing, bus and log directory; see docs/files.md.")
     ] = None,

@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
-from cutgate.config.load import InputError, load_robot
+from cutgate.config.load import PRESETS, InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import output, working
 from cutgate.runtime.commands.verdict_view import print_verdict
-from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.certificate import certify
@@ -27,11 +27,13 @@ from cutgate.runtime.verification.verdict import Verdict
 
 ADMISSIBLE, INADMISSIBLE = 0, 1
 
-PathArgument = Annotated[
-    Path, typer.Argument(metavar="PATH", help="Plan (.json) or tool path (.csv: x,y,z,i,j,k).")
-]
-RobotOption = Annotated[Path, typer.Option(help="The robot's description, robot.toml.")]
-RegistrationOption = Annotated[Path | None, typer.Option(help="Where the bone stands; identity if left out.")]
+PLAN_HELP = f"Plan (.json), tool path (.csv: x,y,z,i,j,k) or example ({', '.join(PLANS.names)})."
+ROBOT_HELP = f"robot.toml or preset ({', '.join(PRESETS.names)})"
+REGISTRATION_HELP = "Where the bone stands: registration.json or an example's"
+
+PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help=PLAN_HELP)]
+RobotOption = Annotated[Path, typer.Option(help=f"The robot's description: {ROBOT_HELP}.")]
+RegistrationOption = Annotated[Path | None, typer.Option(help=f"{REGISTRATION_HELP}; identity if left out.")]
 ToolOption = Annotated[
     float | None, typer.Option(min=0.0, max=2000.0, help="Replaces the robot's tool length.")
 ]

@@ -6,37 +6,46 @@ from typing import Any, Final
 import numpy as np
 
 from cutgate.config.constants import CONSTANTS
-from cutgate.config.load import DEFAULT_LIMIT, InputError, Loaded, parse_json, read_bytes, validate
+from cutgate.config.load import (
+    DEFAULT_LIMIT,
+    EXAMPLES,
+    InputError,
+    Loaded,
+    Shipped,
+    parse_json,
+    read_bytes,
+    validate,
+)
 from cutgate.runtime.plan.csv import parse_csv
 from cutgate.runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, table_of
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)
+PLANS: Final = Shipped(EXAMPLES, "", ".plan.json", "an example")
+REGISTRATIONS: Final = Shipped(EXAMPLES, "registration-", ".json", "an example")
 DEFAULT_POSE_LIMIT: Final = int(CONSTANTS["pose_limit"].default)
 
 
 def load_plan(
     path: str | Path, *, size_limit: int = DEFAULT_LIMIT, pose_limit: int = DEFAULT_POSE_LIMIT
 ) -> Loaded[Plan]:
-    """A plan (``.json``) or a bare tool path (``.csv``), read once.
+    """A plan (``.json``) or a bare tool path (``.csv``), or else the example of that name; read once.
 
     Raises:
         InputError: names file, key or line, value and bound.
     """
-    path = Path(path)
-    _check_extension(path, PLAN_EXTENSIONS, "a plan or tool path")
+    path = _found(path, PLANS, PLAN_EXTENSIONS, "a plan or tool path")
     data = read_bytes(path, size_limit)
     return Loaded(plan_from_bytes(path, data, pose_limit), data, path)
 
 
 def load_registration(path: str | Path, *, size_limit: int = DEFAULT_LIMIT) -> Loaded[Registration]:
-    """A registration (``.json``), read once.
+    """A registration (``.json``), or else the example of that name; read once.
 
     Raises:
         InputError: names file, key, value and bound.
     """
-    path = Path(path)
-    _check_extension(path, REGISTRATION_EXTENSIONS, "a registration")
+    path = _found(path, REGISTRATIONS, REGISTRATION_EXTENSIONS, "a registration")
     data = read_bytes(path, size_limit)
     return Loaded(registration_from_bytes(path, data), data, path)
 
@@ -85,8 +94,20 @@ def _check_count(path: Path, poses: list[Any], pose_limit: int) -> None:
         raise InputError(path, "poses", f"{len(poses)} poses", f"<= {pose_limit} poses", remedy)
 
 
-def _check_extension(path: Path, accepted: tuple[str, ...], what: str) -> None:
-    """Refuses an extension that is not read, before the file is touched."""
-    if path.suffix.lower() not in accepted:
-        found = path.suffix or "missing"
-        raise InputError(path, "extension", found, f"{' or '.join(accepted)} for {what}", "convert the file")
+def _found(path: str | Path, shipped: Shipped, accepted: tuple[str, ...], what: str) -> Path:
+    """The file that is named, or the example.
+
+    Raises:
+        InputError: an extension that is not read, before the file is touched; or no such file or example.
+    """
+    suffix = Path(path).suffix
+    if suffix and suffix.lower() not in accepted:
+        raise InputError(path, "extension", suffix, _either(accepted, what), "convert the file")
+    found = shipped.file(path)
+    if not found.suffix:
+        raise InputError(path, "extension", "missing", _either(accepted, what), "convert the file")
+    return found
+
+
+def _either(extensions: tuple[str, ...], what: str) -> str:
+    return f"{' or '.join(extensions)} for {what}"

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from cutgate.config.load import (
     site_from_bytes,
     validate,
 )
-from cutgate.config.model import Robot, Site
+from cutgate.config.model import Robot, Site, Timing
 from cutgate.config.records import calibration_record, limits_record, tool_record
 
 ROOT = Path(__file__).parents[2]
@@ -60,6 +61,22 @@ def test_what_is_neither_file_nor_preset_is_refused_with_the_presets_names(name,
         load_robot(name)
 
 
+def test_a_folder_of_a_presets_name_does_not_hide_the_preset(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "example").mkdir()
+    (tmp_path / "another").mkdir()
+    assert load_robot("example").value.name == "example"
+    with pytest.raises(InputError, match="another: cannot be read"):
+        load_robot("another")
+
+
+def test_a_broken_link_of_a_presets_name_hides_the_preset(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "example").symlink_to("nowhere")
+    with pytest.raises(InputError, match="example: no such file"):
+        load_robot("example")
+
+
 def test_the_example_robot_is_the_preset():
     assert (ROOT / "examples" / "robot.toml").read_text(encoding="utf-8") == EXAMPLE
 
@@ -81,6 +98,15 @@ def test_what_the_file_says_is_what_the_robot_has():
         else value
         for key, value in file.items()
     }
+
+
+def test_the_example_site_is_read_also_with_every_commented_key():
+    text = (ROOT / "examples" / "site.toml").read_text(encoding="utf-8")
+    site = site_from_bytes("site.toml", text.encode())
+    assert site == Site(timing=Timing(heartbeat_ms=50, timeout_ms=500))
+    everything = re.sub(r"^# (?=\[|\w+ = )", "", text, flags=re.MULTILINE)
+    site = site_from_bytes("site.toml", everything.encode())
+    assert site.model_fields_set >= {"key_file", "registration_max_age_s", "timing", "bus", "log"}
 
 
 CALIBRATION = """
@@ -320,6 +346,11 @@ def test_a_file_is_read_up_to_its_limit_and_not_beyond(tmp_path):
     assert len(read_bytes(tmp_path / "f", 100)) == 100
     with pytest.raises(InputError, match="<= 99 bytes"):
         read_bytes(tmp_path / "f", 99)
+
+
+def test_a_limit_larger_than_the_memory_takes_none_of_it(tmp_path):
+    (tmp_path / "f").write_bytes(b"x" * 100)
+    assert len(read_bytes(tmp_path / "f", 1 << 62)) == 100
 
 
 def test_text_that_is_not_utf8_names_its_line():

@@ -10,6 +10,7 @@ from tests.system.harness import judged
 
 
 def test_the_demo_refuses_explains_and_cuts(tmp_path):
+    (tmp_path / "demo").mkdir()  # one that is there and empty will do
     command = [sys.executable, "-m", "cutgate.runtime.cli", "demo", "--out", str(tmp_path / "demo"), "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr

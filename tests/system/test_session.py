@@ -14,10 +14,8 @@ from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
-from tests.system.harness import FAST, POSES, ROOT, is_kind, judged, registration
-
-REAL = ROOT.parent / "shared" / "paths"
-real_paths = pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
+from tests.system.harness import FAST, POSES, is_kind, judged, registration
+from tests.tool_paths import tool_path
 
 
 def reviewed(path: Path) -> tuple[Status, Outcome]:
@@ -93,21 +91,21 @@ def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):
     assert [stop.code for _, stop in rig.bus.all(RuntimeStop)] == [StopCode.END]
 
 
-@real_paths
-def test_a_real_five_axis_path_is_cut_to_its_end(rig):
+@pytest.mark.parametrize(("name", "poses"), [("blade-channel.csv", 561), ("impeller-blade.csv", 484)])
+def test_a_five_axis_path_is_cut_to_its_end(rig, name, poses):
     placed = registration("placed", (600, 0, 200))
     (rig.folder / "placed.json").write_text(json.dumps(placed), encoding="utf-8")
-    sim, run = rig.cutting(scale=100, plan=REAL / "impeller-blade.csv", registration="placed.json")
+    sim, run = rig.cutting(scale=100, plan=tool_path(name), registration="placed.json")
     assert run.exit() == 0
-    assert "DONE: 483 segments executed" in sim.line("state DONE")
+    assert f"DONE: {poses - 1} segments executed" in sim.line("state DONE")
     assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
 
 
-@real_paths
-def test_a_real_path_that_goes_round_is_not_admitted(rig):
+@pytest.mark.parametrize("name", ["whole-wheel.csv", "impeller-op1.csv"])
+def test_a_path_that_goes_round_is_not_admitted(rig, name):
     placed = registration("placed", (600, 0, 200))
     (rig.folder / "placed.json").write_text(json.dumps(placed), encoding="utf-8")
-    run, sim = rig.run(plan=REAL / "impeller-op1.csv", registration="placed.json"), rig.sim()
+    run, sim = rig.run(plan=tool_path(name), registration="placed.json"), rig.sim()
     assert run.exit() == 1
     assert "INADMISSIBLE" in run.document
     assert "roll_m" in run.document.partition("NOT ADMITTED")[2]

@@ -22,14 +22,18 @@ LENGTH_MM, EXTENT_MM, STROKES = 17501.0, 225.0, 25
 TABLE_1 = ((765.299, 90.0, 97), (274.514, 90.0, 83), (500.0, 90.0, 47), (546.458, 0.0, 65))
 """Placements of the zigzag, rho in mm and phi in deg, and the evaluations that the paper prints."""
 
-TABLE_2 = ((5000.0, 500), (7000.0, 700), (3000.0, 300))
-"""Path lengths, mm, and the bounds that the paper prints for a deadband of 5 mm."""
+TABLE_2 = (
+    (5000.0, 500, "hip-stem", "second"),
+    (7000.0, 700, "femoral", "femoral"),
+    (3000.0, 300, "tibial", "tibial"),
+)
+"""Path lengths, mm, the bounds that the paper prints for a deadband of 5 mm, the shipped plan and its registration."""
 
 
-def prepared(registration: str) -> tuple[Prepared, Problem]:
-    """The example's plan under one of its registrations: 2000 poses, 5003.6 mm, turning axis."""
+def prepared(registration: str, name: str = "hip-stem") -> tuple[Prepared, Problem]:
+    """A shipped plan under one of its registrations; the hip stem has 2000 poses, 5003.6 mm, turning axis."""
     robot = load_robot(EXAMPLES / "robot.toml").value
-    plan = load_plan(EXAMPLES / "hip-stem.plan.json")
+    plan = load_plan(EXAMPLES / f"{name}.plan.json")
     placed = load_registration(EXAMPLES / f"registration-{registration}.json")
     ready = prepare(plan, placed, robot, now=datetime.now(UTC))
     bodies = (limits_record(robot).body(), calibration_record(robot).body(), tool_record(robot).body())

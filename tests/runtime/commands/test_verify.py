@@ -9,10 +9,10 @@ import pytest
 
 from cutgate.runtime.commands import app as cli
 from tests.runtime.commands.contract import VerdictDocument
+from tests.tool_paths import tool_path
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples"
-REAL = ROOT.parent / "shared" / "paths"
 ROBOT = EXAMPLES / "robot.toml"
 PLAN = EXAMPLES / "hip-stem.plan.json"
 FIRST, SECOND = EXAMPLES / "registration-first.json", EXAMPLES / "registration-second.json"
@@ -144,18 +144,18 @@ def test_feed_and_tool_options_reach_the_verdict(verdict, tmp_path):
     )
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
-def test_a_real_five_axis_path_is_admitted(verdict, tmp_path):
-    code, found = verdict(
-        REAL / "impeller-blade.csv", *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200))
-    )
-    assert (code, found.verdict, found.path.poses) == (0, "admissible", 484)
-    assert found.path.tip_length_mm == pytest.approx(330.8, abs=0.1)
+@pytest.mark.parametrize(
+    ("name", "poses", "length_mm"), [("blade-channel.csv", 561, 427.4), ("impeller-blade.csv", 484, 330.8)]
+)
+def test_a_five_axis_path_is_admitted(verdict, tmp_path, name, poses, length_mm):
+    code, found = verdict(tool_path(name), *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200)))
+    assert (code, found.verdict, found.path.poses) == (0, "admissible", poses)
+    assert found.path.tip_length_mm == pytest.approx(length_mm, abs=0.1)
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="real tool paths (shared/paths) are not here")
-def test_a_real_path_that_goes_round_is_refused_naming_roll(verdict, cutgate, tmp_path):
-    arguments = (REAL / "impeller-op1.csv", *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200)))
+@pytest.mark.parametrize("name", ["whole-wheel.csv", "impeller-op1.csv"])
+def test_a_path_that_goes_round_is_refused_naming_roll(verdict, cutgate, tmp_path, name):
+    arguments = (tool_path(name), *MOUNTED, "--registration", placed(tmp_path, (600, 0, 200)))
     code, found = verdict(*arguments)
     assert (code, found.verdict) == (1, "inadmissible")
     violated = {name for name, boundary in found.boundaries.items() if boundary.violated}
@@ -248,11 +248,3 @@ def test_the_installed_program_does_the_same():
     )
     assert result.returncode == 1
     assert VerdictDocument.model_validate_json(result.stdout).verdict == "inadmissible"
-
-
-def test_the_example_files_come_out_of_their_script_byte_by_byte(tmp_path):
-    subprocess.run([sys.executable, EXAMPLES / "make_hip_stem.py", tmp_path], check=True, timeout=60)
-    written = sorted(path.name for path in tmp_path.iterdir())
-    assert written == ["hip-stem.plan.json", "registration-first.json", "registration-second.json"]
-    for name in written:
-        assert (tmp_path / name).read_bytes() == (EXAMPLES / name).read_bytes()

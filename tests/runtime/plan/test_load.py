@@ -242,11 +242,52 @@ def test_a_bad_tool_path_is_refused_naming_line_value_and_bound(text, parts):
 
 
 @pytest.mark.parametrize("name", ["p.txt", "p", "p.apt", "p.ngc", "p.json.gz"])
-def test_another_extension_is_refused_naming_the_accepted_ones(name):
+@pytest.mark.parametrize("there", [True, False])
+def test_another_extension_is_refused_naming_the_accepted_ones(name, there, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if there or "." not in name:
+        (tmp_path / name).touch()
     message = message_of(lambda: load_plan(name))
     assert name in message
-    assert ".json or .csv" in message
-    assert ".json" in message_of(lambda: load_registration(name))
+    assert "must be .json or .csv for a plan or tool path" in message
+    assert "must be .json for a registration" in message_of(lambda: load_registration(name))
+
+
+EXAMPLES = [
+    (load_plan, "hip-stem", "hip-stem.plan.json"),
+    (load_plan, "femoral", "femoral.plan.json"),
+    (load_plan, "tibial", "tibial.plan.json"),
+    (load_registration, "registration-first", "registration-first.json"),
+    (load_registration, "registration-second", "registration-second.json"),
+    (load_registration, "registration-femoral", "registration-femoral.json"),
+    (load_registration, "registration-tibial", "registration-tibial.json"),
+]
+
+
+@pytest.mark.parametrize(("load", "name", "file"), EXAMPLES, ids=[name for _, name, _ in EXAMPLES])
+def test_an_example_can_be_named_where_no_such_file_is(load, name, file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).mkdir()
+    loaded = load(name)
+    assert loaded.path.samefile(Path(__file__).parents[3] / "examples" / file)
+    assert loaded.data == loaded.path.read_bytes()
+    (tmp_path / name).rmdir()
+    (tmp_path / name).touch()
+    assert "extension is missing" in message_of(lambda: load(name))
+
+
+@pytest.mark.parametrize(
+    "name", ["femorl", "", "femoral.plan", "Femoral", "nowhere.json", "registration", "fem\0", "*"]
+)
+def test_what_is_neither_file_nor_example_is_refused_with_the_examples_names(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused = {load: message_of(lambda load=load: load(name)) for load in (load_plan, load_registration)}
+    if name == "femoral.plan":
+        assert all("extension is .plan" in message for message in refused.values())
+        return
+    assert "no such file; check the name, or name an example: femoral, hip-stem, tibial" in refused[load_plan]
+    names = "registration-femoral, registration-first, registration-second, registration-tibial"
+    assert f"or name an example: {names}" in refused[load_registration]
 
 
 def test_more_poses_than_the_limit_are_refused():

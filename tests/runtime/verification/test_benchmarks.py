@@ -27,7 +27,12 @@ def test_table_1_beside_bisection_and_the_fewest_evaluations_possible(script):
 
 def test_table_2_is_one_more_than_printed(script):
     _, *rows = script("verification").table_2()
-    assert [row[1:] for row in rows] == [("500", "501"), ("700", "701"), ("300", "301")]
+    assert [row[1:4] for row in rows] == [
+        ("500", "501", "hip-stem"),
+        ("700", "701", "femoral"),
+        ("300", "301", "tibial"),
+    ]
+    assert all(int(march) <= int(bound) for *_, bound, march in rows)
 
 
 def test_no_cover_is_found_where_the_path_does_not_keep_the_distance(script):

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
+from tests.tool_paths import tool_path
 
 LEVEL = axis(90 * DEG, 0.0)
 FREE = {
@@ -17,7 +17,6 @@ FREE = {
     "upper": np.array([WIDE, math.pi, 1e4, WIDE, math.pi]),
     "speed": np.full(5, 1e12),
 }
-PATHS = Path(__file__).parents[3] / "../shared/paths"
 
 
 def limits(**joints):
@@ -29,33 +28,37 @@ def limits(**joints):
     return {"lower": lower, "upper": upper, "speed": FREE["speed"]}
 
 
-def real_path(name):
-    file = PATHS / name
-    if not file.exists():
-        pytest.skip(f"{file} is not there")
-    table = np.loadtxt(file, delimiter=",", skiprows=1)
+def milled(name):
+    table = np.loadtxt(tool_path(name), delimiter=",", skiprows=1)
     return table[:, :3], table[:, 3:] / np.linalg.norm(table[:, 3:], axis=1, keepdims=True)
 
 
-# -- real tool paths -----------------------------------------------------------------------------
+# -- tool paths of five-axis milling -----------------------------------------------------------------
 
 
-def test_the_real_blade_channel_is_admitted():
-    tips, axes = real_path("impeller-blade.csv")
+@pytest.mark.parametrize(
+    ("name", "tip_mm", "wrist_mm"),
+    [("blade-channel.csv", 427.440, 1081.970), ("impeller-blade.csv", 330.777, 1004.878)],
+)
+def test_a_blade_channel_is_admitted(name, tip_mm, wrist_mm):
+    tips, axes = milled(name)
     verdict = certified.verify(problem(np.add(tips, (450.0, 150.0, 100.0)), axes))
     assert verdict.admissible, verdict.reasons
     assert min(b.certified / b.deadband for b in verdict.boundaries.values()) > 10
-    assert verdict.tip_length_mm == pytest.approx(330.777, abs=1e-3)
-    assert verdict.wrist_length_mm == pytest.approx(1004.878, abs=1e-3)
+    assert verdict.tip_length_mm == pytest.approx(tip_mm, abs=1e-3)
+    assert verdict.wrist_length_mm == pytest.approx(wrist_mm, abs=1e-3)
 
 
-def test_the_real_first_operation_is_refused_for_its_roll():
-    tips, axes = real_path("impeller-op1.csv")
+@pytest.mark.parametrize(
+    ("name", "clearance"), [("whole-wheel.csv", "-129.5"), ("impeller-op1.csv", "-35.5")]
+)
+def test_an_axis_that_goes_round_by_almost_a_turn_is_refused_for_its_roll(name, clearance):
+    tips, axes = milled(name)
     verdict = certified.verify(problem(np.add(tips, (450.0, 150.0, 100.0)), axes))
     assert not verdict.admissible
     assert [b.name for b in verdict.boundaries.values() if b.violated] == ["roll_max"]
     assert verdict.branch is None
-    assert any(reason.startswith("roll_max: clearance -35.5") for reason in verdict.reasons)
+    assert any(reason.startswith(f"roll_max: clearance {clearance}") for reason in verdict.reasons)
 
 
 # -- the arm -------------------------------------------------------------------------------------

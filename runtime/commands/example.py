@@ -1,0 +1,135 @@
+"""``cutgate example``: writes the example files into a folder, to start from."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from cutgate.config.load import EXAMPLES, InputError
+
+SUFFIXES: Final = (".json", ".toml")
+"""What is written of the examples: data, not the scripts that made them."""
+README: Final = """\
+cutgate: files to start from
+============================
+
+robot.toml                   the robot: limits, calibration, deadbands
+site.toml                    timing, key and log folder of the site
+hip-stem.plan.json           cavity of a femoral stem, 5.0 m of path
+  registration-first.json    refused: the bone stands too far out and too high
+  registration-second.json   admitted
+femoral.plan.json            femoral component of a knee, 7.0 m
+  registration-femoral.json  admitted
+tibial.plan.json             tibial tray of a knee, 3.0 m
+  registration-tibial.json   admitted
+
+All commands are for this folder. Off-line, refused and admitted:
+
+  cutgate verify hip-stem.plan.json --robot robot.toml \\
+      --registration registration-first.json
+  cutgate verify femoral.plan.json --robot robot.toml \\
+      --registration registration-femoral.json
+
+A session with a simulated controller takes two terminals. In the first one,
+the bus only where the kernel has no vcan0:
+
+  cutgate key new site.key
+  cutgate bus serve &
+  cutgate sim --robot robot.toml --key site.key --time-scale 60
+
+In the second one:
+
+  cutgate run tibial.plan.json --robot robot.toml \\
+      --registration registration-tibial.json \\
+      --site site.toml --key site.key --log-dir logs
+
+When it says permitted, type hold in the first terminal (the enabling device)
+and then start in the second one. Afterwards:
+
+  cutgate audit show logs/*.mcap
+  cutgate audit verify logs/*.mcap
+"""
+
+
+def example(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder, or one that is empty.")],
+) -> None:
+    """Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.
+
+    Nothing that exists is touched. Exit code: 0 written, 2 refused.
+    """
+    files = {path.name: path.read_bytes() for path in sorted(EXAMPLES.iterdir()) if path.suffix in SUFFIXES}
+    fill(folder, "DIR", files | {"README.txt": README.encode()})
+    typer.echo(f"{folder}: {len(files) + 1} files written; {folder / 'README.txt'} says how to start")
+
+
+def fill(folder: Path, option: str, files: dict[str, bytes]) -> None:
+    """Makes a folder, or takes one that is empty, and writes files into it: all of them or none.
+
+    Args:
+        folder: where; a link to an empty folder is followed.
+        option: what the user calls the folder, for messages.
+        files: content by name. None is written over or through anything that has appeared meanwhile.
+
+    Raises:
+        InputError: no folder, not empty, or not to be written.
+    """
+    made = _make(folder, option)
+    begun: list[Path] = []
+    try:
+        for name, content in files.items():
+            with (folder / name).open("xb") as file:
+                begun.append(folder / name)
+                file.write(content)
+    except BaseException as error:
+        for path in begun:
+            with suppress(OSError):
+                path.unlink()
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            left = [path.name for path in begun if os.path.lexists(path)]
+            remains = (
+                f"{', '.join(left)} could not be removed again" if left else "nothing of it is left there"
+            )
+            reason = f"cannot be written ({error.strerror})"
+            raise InputError(
+                folder / name, "", None, reason, f"make room or name another folder; {remains}"
+            ) from None
+        raise
+
+
+def _make(folder: Path, option: str) -> bool:
+    """Whether the folder is new; else it is there and empty."""
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        pass
+    except OSError as error:
+        raise InputError(
+            folder, option, None, f"cannot be made ({error.strerror})", "name another folder"
+        ) from None
+    else:
+        return True
+    try:
+        held = sorted(path.name for path in folder.iterdir())
+    except NotADirectoryError:
+        raise InputError(folder, option, "a file", "a folder, new or empty", "name another") from None
+    except OSError as error:
+        raise InputError(
+            folder, option, None, f"cannot be read ({error.strerror})", "name another folder"
+        ) from None
+    if held:
+        more = f" and {len(held) - 1} more" if len(held) > 1 else ""
+        raise InputError(
+            folder, option, f"a folder with {held[0]}{more} in it", "new or empty", "name another folder"
+        )
+    return False
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("example")(example)

@@ -24,6 +24,7 @@ from typing import Any, Self
 
 import can
 
+from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, IDS, Frame, Progress, decode_frame
 from cutgate.protocol.permit import KEY_BYTES, new_key_file
@@ -215,10 +216,10 @@ def start(
 class Observer:
     """One more client of the bus, that writes down every frame; ``at_once`` sees each the moment it arrives."""
 
-    def __init__(self, channel: Path) -> None:
+    def __init__(self, interface: str, channel: str) -> None:
         self.frames: list[can.Message] = []
         self.at_once: Callable[[can.Message], None] = lambda _message: None
-        self.bus = can.Bus(interface="cutgate", channel=str(channel), fd=True)
+        self.bus = open_bus(interface, channel, fd=True)
         self._changed = threading.Condition()
         self._ended = False
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -306,29 +307,26 @@ def _reassembled(frames: list[bytearray]) -> Iterator[records.Envelope]:
 
 
 class Rig:
-    """A hub with whatever a test starts on it; leaving the block ends all of it.
+    """A bus with whatever a test starts on it; leaving the block ends all of it.
 
     Attributes:
         folder: plan, registration, robot, site, keys and logs.
+        interface, channel: the bus; on the local virtual one it is a hub of the rig's own, any other one is there.
         bus: an observer of every frame.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, interface: str = LOCAL_INTERFACE, channel: str = "") -> None:
         self.folder = folder
+        self.interface, self.channel = interface, channel
         self.children: list[Child] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        # Not in the folder: a socket's path has at most 107 bytes.
-        place = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="cutgate-"))
-        self.channel = Path(place) / "bus.sock"
         write_inputs(self.folder)
         try:
-            self.hub = self._start(
-                "hub", "cutgate.firmware_sim", ["bus", "serve", "--socket", str(self.channel)]
-            )
-            self.hub.line("serving on")
-            self.bus = Observer(self.channel)
+            if self.interface == LOCAL_INTERFACE:
+                self._serve()
+            self.bus = Observer(self.interface, self.channel)
             self._stack.callback(self.bus.close)
         except BaseException:
             self.__exit__()
@@ -340,6 +338,13 @@ class Rig:
             child.end()
         self._stack.close()
 
+    def _serve(self) -> None:
+        # Not in the folder: a socket's path has at most 107 bytes.
+        place = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="cutgate-"))
+        self.channel = str(Path(place) / "bus.sock")
+        self.hub = self._start("hub", "cutgate.firmware_sim", ["bus", "serve", "--socket", self.channel])
+        self.hub.line("serving on")
+
     def _start(self, name: str, program: str, arguments: list[str], **how: Any) -> Child:
         child = start(name, program, arguments, **{"apart": False, "fresh": False, "script": None, **how})
         self.children.append(child)
@@ -347,7 +352,7 @@ class Rig:
 
     @property
     def _where(self) -> list[str]:
-        return ["--interface", "cutgate", "--channel", str(self.channel)]
+        return ["--interface", self.interface, "--channel", self.channel]
 
     def sim(
         self,

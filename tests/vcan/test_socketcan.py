@@ -1,7 +1,6 @@
 """The bus on real SocketCAN, where the kernel has `vcan0`."""
 
 import os
-import shutil
 import subprocess
 import sys
 
@@ -9,6 +8,7 @@ import can
 import pytest
 
 from cutgate.config.bus import LatchingSocketcanBus, default_interface, has_socketcan, open_bus
+from tests.vcan.conftest import ip
 
 pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
 
@@ -70,21 +70,15 @@ def test_fd_frames_reach_only_a_bus_opened_with_fd():
         assert classic.recv(WAIT_S).arbitration_id == 2
 
 
-@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None, reason="needs to make an interface")
-def test_an_interface_that_fails_raises_every_time_until_opened_anew():
-    subprocess.run(["ip", "link", "add", "dev", "vcan9", "type", "vcan"], check=True)
-    try:
-        subprocess.run(["ip", "link", "set", "vcan9", "up"], check=True)
-        with open_bus("socketcan", "vcan9") as bus:
-            subprocess.run(["ip", "link", "set", "vcan9", "down"], check=True)
-            for _ in range(3):
-                with pytest.raises(can.CanOperationError):
-                    bus.recv(WAIT_S)
-            with pytest.raises(can.CanOperationError, match="not opened anew"):
-                bus.send(frame(1))
-        subprocess.run(["ip", "link", "set", "vcan9", "up"], check=True)
-        with open_bus("socketcan", "vcan9") as bus:
+def test_an_interface_that_fails_raises_every_time_until_opened_anew(own_interface):
+    with open_bus("socketcan", own_interface) as bus:
+        ip("set", own_interface, "down")
+        for _ in range(3):
+            with pytest.raises(can.CanOperationError):
+                bus.recv(WAIT_S)
+        with pytest.raises(can.CanOperationError, match="not opened anew"):
             bus.send(frame(1))
-            assert bus.recv(0) is None
-    finally:
-        subprocess.run(["ip", "link", "del", "vcan9"], check=True)
+    ip("set", own_interface, "up")
+    with open_bus("socketcan", own_interface) as bus:
+        bus.send(frame(1))
+        assert bus.recv(0) is None

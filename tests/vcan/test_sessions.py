@@ -1,0 +1,131 @@
+"""Whole sessions on real SocketCAN, every part a process of its own, started as a user starts it."""
+
+import json
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import can
+import pytest
+
+from cutgate.config.bus import SOCKETCAN_CHANNEL, has_socketcan, open_bus
+from cutgate.protocol.frames import BULK_IDS, ControllerFault
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.commands.app import execute
+from tests.system.harness import FAST, POSES, Observer, Rig, registration, state_of
+from tests.vcan.conftest import ip
+
+pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
+
+VCAN0 = ("socketcan", SOCKETCAN_CHANNEL)
+MARK = can.Message(arbitration_id=0x7FF, is_extended_id=False)
+DEMO = [sys.executable, "-m", "cutgate.runtime.cli", "demo", "--json"]
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Sessions on vcan0."""
+    with Rig(tmp_path, *VCAN0) as made:
+        yield made
+
+
+def cutting(rig, *, scale: float = 1):
+    """Controller and runtime, with the arm moving."""
+    sim, run = rig.sim(scale=scale, fresh=True), rig.run(json=True, fresh=True)
+    run.line("permitted:")
+    rig.begin(sim, run)
+    return sim, run
+
+
+def assert_sound(log, capsys) -> None:
+    """What a reviewer does with a log: verify it, and decide again."""
+    capsys.readouterr()
+    assert execute(["audit", "verify", str(log)]) == 0
+    assert execute(["audit", "replay", str(log)]) == 0
+    said = capsys.readouterr().out
+    assert "OK (unsigned)" in said
+    assert "IDENTICAL" in said
+
+
+def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
+    sim, run = cutting(rig, scale=FAST)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    assert rig.at_rest(sim) == "INHIBITED"
+    document = json.loads(run.document)
+    assert (document["outcome"], document["cause"], document["log"]["closed"]) == ("completed", "NONE", True)
+    assert_sound(rig.logs()[-1], capsys)
+
+
+def test_a_path_that_leaves_the_workspace_is_refused(rig, capsys):
+    shifted = registration("shifted", (600, 0, 200))
+    (rig.folder / "shifted.json").write_text(json.dumps(shifted), encoding="utf-8")
+    sim, run = rig.sim(fresh=True), rig.run(json=True, registration="shifted.json", fresh=True)
+    assert run.exit() == 1
+    document = json.loads(run.document)
+    assert (document["outcome"], document["verdict"]["verdict"]) == ("not_admitted", "inadmissible")
+    assert rig.at_rest(sim) == "INHIBITED"
+    assert "state PERMITTED" not in sim.told
+    assert_sound(rig.logs()[-1], capsys)
+
+
+def test_the_operator_stops_a_cut(rig, capsys):
+    sim, run = cutting(rig)
+    run.say("stop")
+    assert run.exit() == 3
+    rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.OPERATOR_STOP)
+    assert rig.at_rest(sim) == "INHIBITED (OPERATOR_STOP)"
+    assert_sound(rig.logs()[-1], capsys)
+
+
+@pytest.mark.parametrize("how", ["set {} down", "del {}"], ids=["down", "deleted"])
+def test_an_interface_that_fails_in_mid_cut_stops_both_sides(tmp_path, own_interface, capsys, how):
+    """Down is what a driver in trouble does, deleted an adapter that is pulled out."""
+    with Rig(tmp_path, "socketcan", own_interface) as rig:
+        sim, run = rig.cutting()
+        ip(*how.format(own_interface).split())
+        assert run.exit() == 3
+        assert sim.exit() == 2
+        assert state_of(sim) == "INHIBITED (BUS_FAILED)"
+        assert rig.log().of("/audit/decision")[-1]["first_out"] == "BUS_FAILED"
+        assert "the bus failed: Error receiving: Network is down" in run.told
+        assert_sound(rig.logs()[-1], capsys)
+
+
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+def test_the_demo_goes_as_told_and_its_logs_hold_what_the_kernel_carried(tmp_path, fd):
+    command = [*DEMO, "--out", str(tmp_path / "demo"), *["--fd"] * fd]
+    with closing(Observer(*VCAN0)) as observer:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+        with open_bus(*VCAN0) as bus:
+            bus.send(MARK)
+        observer.frame(lambda message: message.arbitration_id == MARK.arbitration_id)
+    assert done.returncode == 0, done.stderr
+    assert "using socketcan/vcan0" in done.stderr
+    document = json.loads(done.stdout)
+    assert document["as_told"] is True
+    reviews = [(review["verify"], review["replay"]) for review in document["reviews"]]
+    assert reviews == [("OK", "IDENTICAL")] * 2
+
+    assert all(m.is_fd is m.bitrate_switch is (fd and m.arbitration_id in BULK_IDS) for m in observer.frames)
+    assert max(len(m.data) for m in observer.frames) == (64 if fd else 8)
+    carried = by_identifier(candump_words(message) for message in observer.frames)
+    for session in document["sessions"]:
+        lines = Path(session["log"]["candump"]).read_text(encoding="ascii").splitlines()
+        for can_id, kept in by_identifier(line.split()[2] for line in lines).items():
+            assert kept in carried[can_id], can_id  # the controller also speaks before and after a session
+
+
+def candump_words(message: can.Message) -> str:
+    """A frame as candump writes it; of FD flags it shows bit rate switch (1) and FD itself (4)."""
+    return f"{message.arbitration_id:03X}#{'#5' if message.is_fd else ''}{message.data.hex().upper()}"
+
+
+def by_identifier(words) -> dict[str, str]:
+    """All frames of each identifier, in order; between two senders the order is each reader's own."""
+    found: dict[str, str] = {}
+    for word in words:
+        can_id = word.partition("#")[0]
+        found[can_id] = found.get(can_id, " ") + word + " "
+    return found

@@ -1,9 +1,14 @@
-# make test and make demo each create what they need: a .venv from pinned, hashed requirements.
+# make test and make demo each create what they need: an environment from pinned, hashed requirements.
+# PYTHON=python3.13 VENV=.venv-3.13 does it beside the usual one with another Python.
 PYTHON ?= python3
-BIN := .venv/bin
-READY := .venv/ready
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+# The index is the user's own, a mirror perhaps; nothing else of pip's settings may change what is installed or where.
+PIP := env -u PIP_TARGET -u PIP_PREFIX -u PIP_ROOT -u PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT=/dev/null PIP_USER=0 \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps
 
-.PHONY: test test-long fuzz c-sources bench demo pictures lint types imports check lock clean docs coverage-own mutation
+.PHONY: test test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
 
 test: $(READY)
 	$(BIN)/python -m pytest --cov --cov-report=term
@@ -13,6 +18,10 @@ test: $(READY)
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/storms tests/exploration
 
+# Whole sessions on real SocketCAN; where the kernel has no vcan0, in a small virtual machine (docs/bus.md).
+test-vcan: $(READY)
+	tools/vcan.sh $(BIN)/python
+
 # Coverage-guided search for bytes that break a parser's promise; FAMILIES and SECONDS (of each) change it.
 FAMILIES ?= frames transfers records files stored certificate bus terminal audit
 SECONDS ?= 20
@@ -21,11 +30,10 @@ fuzz: .venv-fuzz/ready
 		.venv-fuzz/bin/python -m tools.fuzz.search $$family -max_total_time=$(SECONDS) -print_final_stats=1; done
 
 # atheris has no place among the pinned packages: nothing but this target needs it.
-.venv-fuzz/ready: requirements.txt
+.venv-fuzz/ready: requirements-dev.txt pyproject.toml
 	$(PYTHON) -m venv --clear .venv-fuzz
-	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --require-hashes -r requirements.txt
+	$(MAKE) --no-print-directory VENV=.venv-fuzz install
 	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: "atheris>=3,<4"
-	.venv-fuzz/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index -e .
 	touch $@
 
 # C sources of the single frames, from the DBC: cutgate.c and cutgate.h in OUT.
@@ -73,17 +81,34 @@ types: $(READY)
 imports: $(READY)
 	$(BIN)/lint-imports
 
-$(READY): requirements.txt pyproject.toml
-	$(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --require-hashes -r requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index -e .
+$(READY): requirements-dev.txt pyproject.toml
+	$(PYTHON) -m venv --clear $(VENV)
+	$(MAKE) --no-print-directory install
 	touch $@
 
-# Rewrites requirements.txt from pyproject.toml; it names versions and hashes, never an address.
-lock: $(READY)
-	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-		--no-emit-find-links --no-header --no-annotate --extra dev pyproject.toml -o requirements.txt
+# Everything is locked and nothing is resolved here: what is released tomorrow changes nothing.
+install:
+	$(PIP) --only-binary :all: --require-hashes -r requirements-dev.txt
+	$(PIP) --no-build-isolation --no-index --editable .
+
+# Rewrites both locks from pyproject.toml, keeping what fits; they name versions and hashes, never an address.
+# requirements.txt is what runs beside a controller, requirements-dev.txt all of it with pictures and development.
+COMPILE := pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	--no-emit-find-links --no-header --no-annotate pyproject.toml
+lock: $(VENV)-lock/ready
+	$(VENV)-lock/bin/uv $(COMPILE) --output-file requirements.txt
+	$(VENV)-lock/bin/uv $(COMPILE) --constraint requirements.txt --extra pictures --extra dev \
+		--output-file requirements-dev.txt
+
+$(VENV)-lock/ready:
+	$(PYTHON) -m venv --clear $(VENV)-lock
+	$(VENV)-lock/bin/python -m pip install --quiet --disable-pip-version-check "uv==0.13.9"
+	touch $@
+
+# The product as it is installed elsewhere.
+wheel: $(READY)
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index \
+		--wheel-dir dist .
 
 clean:
-	rm -rf .venv build *.egg-info
+	rm -rf .venv .venv-* build dist *.egg-info

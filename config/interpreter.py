@@ -13,8 +13,8 @@ def own_code_only() -> None:
 
     Only what Python itself loads before our first line is out of reach.
     """
-    named = os.environ.pop("PYTHONPATH", None)
-    foreign = set() if named is None else {_absolute(folder) for folder in named.split(os.pathsep)}
+    named = os.environ.pop("PYTHONPATH", "")
+    foreign = {_absolute(folder) for folder in named.split(os.pathsep)} if named else set()
     os.environ["PYTHONSAFEPATH"] = "1"  # children that a library starts
     first = 0 if sys.flags.safe_path else 1  # else the script's folder, or with -m the working directory
     sys.path[:] = [folder for folder in sys.path[first:] if _absolute(folder) not in foreign]

@@ -258,7 +258,8 @@ def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, va
     if refusal is Refusal.MAC_INVALID:
         assert (after.state, after.permit) == (ControllerState.FAULT, None)
     else:
-        assert after == replace(twin.controller, issued=None)
+        expected = vars(replace(twin.controller, issued=None))
+        assert vars(after) == expected, "identity first: the altered field may be NaN"
 
 
 OPEN_CASE = Case(POWERED_UP, OPEN, NOW)

@@ -59,7 +59,7 @@ below in every one of these modules, one at a time, and runs the module's own te
 lives is a rule that no test states.
 
 - `make mutation` runs all of them, on all cores. It leaves with 1 if a mutant lives that
-  [survivors.toml](../mutation/survivors.toml) does not list, and if that names one that is dead or no mutant any more.
+  [survivors.toml](../tools/mutation/survivors.toml) does not list, and if that names one that is dead or no mutant any more.
 - `make mutation MODULES=protocol/e2e.py`, `SAMPLE=100` and `JOBS=1` run less, or slower.
 - `make mutation WRITE=docs/mutation.md` writes this page as well.
 - `make test` runs a sample of each module; which mutants are in it changes with the modules.

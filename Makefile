@@ -8,10 +8,25 @@ READY := $(VENV)/ready
 PIP := env -u PIP_TARGET -u PIP_PREFIX -u PIP_ROOT -u PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT=/dev/null PIP_USER=0 \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps
 
-.PHONY: test test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
+.PHONY: test test-all coverage test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
 
+# In minutes: what needs the processor on every core, then what starts processes, each test on a bus of its own.
+PYTEST := $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 test: $(READY)
-	$(BIN)/python -m pytest --cov --cov-report=term
+	$(PYTEST) -m "not processes and not slow and not long"
+	$(PYTEST) -m "processes and not slow and not long" --ignore tests/vcan
+
+# All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,
+# a sample of mutants, larger worlds, the packages' index, the wheel, real SocketCAN.
+test-all: $(READY) coverage coverage-own
+	$(BIN)/python -m pytest -m "slow and not long" --ignore tests/vcan
+	$(MAKE) --no-print-directory test-vcan
+
+# Measured on what runs in one process; a report of nothing is not a whole one.
+STATEMENTS_MIN := 9000
+coverage: $(READY)
+	$(PYTEST) -m "not processes and not slow and not long and not no_cover" --cov --cov-report=term --cov-report=json:.coverage.json
+	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 # A million random segments against the dense reference on all cores, 2000 storms over both loops, the large worlds of
 # the exploration (3 GB); CUTGATE_SEGMENTS, CUTGATE_STORMS and CUTGATE_SEED change the first two.

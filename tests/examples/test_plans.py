@@ -51,6 +51,7 @@ def test_every_shipped_plan_and_registration_has_a_script():
     assert set().union(*SCRIPTS.values()) == {path.name for path in EXAMPLES.glob("*.json")}
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(("script", "names"), SCRIPTS.items(), ids=SCRIPTS)
 def test_the_files_come_out_of_their_script_byte_by_byte(script, names, tmp_path):
     subprocess.run([sys.executable, EXAMPLES / script, tmp_path], check=True, timeout=60)
@@ -136,6 +137,7 @@ def test_the_knees_paths_begin_and_end_far_outside_the_bone():
     assert load_plan("tibial").value.tips_mm[[0, -1], 2].min() >= 30.0
 
 
+@pytest.mark.processes
 def test_the_tool_paths_of_the_tests_come_out_of_their_script_byte_by_byte(tmp_path):
     data = Path(__file__).parents[1] / "data"
     subprocess.run([sys.executable, data / "make_tool_paths.py", tmp_path], check=True, timeout=60)

@@ -8,6 +8,7 @@ that whole sets are led on at once (``runtimes_after``, ``renamed_runtimes``).
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from cutgate.firmware_sim import state as c
@@ -49,6 +50,9 @@ class Step(NamedTuple):
 Groups = dict[tuple[int, int], int]
 """Runtimes after a move, by what they said with it and by what ceased to be the present one."""
 
+SETS = 4096
+"""So many sets of runtimes are remembered with what becomes of them: hundreds of controllers are met with each."""
+
 
 class Model:
     """The moves of the world.
@@ -68,6 +72,8 @@ class Model:
         self.runtime, self.controller = Runtime(world, runtime_step), Controller(world, controller_step)
         self.messages = Numbers()
         self.memo: dict[Any, Any] = {}
+        self.runtimes_after = lru_cache(SETS)(self._runtimes_after)
+        self.renamed_runtimes = lru_cache(SETS)(self._renamed_runtimes)
 
     def begin(self) -> tuple[int, int, int]:
         """No process, the controller as the world begins, nothing said."""
@@ -161,10 +167,13 @@ class Model:
 
     # ------------------------------------------------------------ many runtimes at once
 
-    def runtimes_after(self, runs: int, nonce_given: bool) -> tuple[Groups, int, list[tuple[int, Move]]]:
+    def _runtimes_after(
+        self, runs: int, nonce_given: bool
+    ) -> tuple[Groups, int, tuple[tuple[int, Move], ...]]:
         """Where every move leads these runtimes, the number of moves, and those that are wrong."""
         groups: Groups = defaultdict(int)
-        count, wrong = 0, []
+        count: int = 0
+        wrong: list[tuple[int, Move]] = []
         for place, byte in enumerate(_bytes(runs)):
             if byte:
                 key = "after", place, byte, nonce_given
@@ -175,7 +184,7 @@ class Model:
                     groups[group] |= reached
                 count += found[1]
                 wrong += found[2]
-        return groups, count, wrong
+        return groups, count, tuple(wrong)
 
     def _eight_after(
         self, place: int, byte: int, nonce_given: bool
@@ -190,7 +199,7 @@ class Model:
                     wrong.append((run, step.move))
         return tuple(groups.items()), count, wrong
 
-    def renamed_runtimes(self, runs: int, passing: int) -> int:
+    def _renamed_runtimes(self, runs: int, passing: int) -> int:
         """These runtimes after a move of the controller."""
         if not passing:
             return runs

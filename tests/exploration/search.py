@@ -73,7 +73,8 @@ def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
         if runs & nobody:
             for _move, (started, following, now) in model.starts(con, said):
                 reached[following, now] |= 1 << started
-        groups, count, wrong = model.runtimes_after(runs, model.nonce_given(con))
+        groups, count, broken = model.runtimes_after(runs, model.nonce_given(con))
+        wrong = list(broken)
         for (sent, passing), after in groups.items():
             reached[model.with_runtime(con, said, sent, passing)] |= after
         renamed = {}

@@ -11,6 +11,8 @@ import pytest
 from tools.mutation.modules import ROOT
 from tools.mutation.mutants import mutants
 
+pytestmark = pytest.mark.processes
+
 SOURCE = """
 from dataclasses import dataclass
 from functools import cache, partial

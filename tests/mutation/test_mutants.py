@@ -130,6 +130,8 @@ def test_a_sample_is_spread_and_always_the_same_until_a_module_changes(monkeypat
     assert sample(found, 40) != first
 
 
+@pytest.mark.slow
+@pytest.mark.processes
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("module", OWN_TESTS)
 def test_a_few_mutants_of_each_module_end_as_the_list_says(module):
@@ -140,6 +142,7 @@ def test_a_few_mutants_of_each_module_end_as_the_list_says(module):
     assert f"{module}: {SAMPLE} mutants" in done.stdout
 
 
+@pytest.mark.processes
 def test_the_page_is_about_a_whole_run_only(tmp_path):
     words = [sys.executable, "-m", "tools.mutation.run", "protocol/e2e.py", "--write", str(tmp_path / "page")]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from cutgate.protocol.frames import DATABASE, IDS, Frame, FrameError, decode_frame, encode_frame, message_of
 from cutgate.protocol.states import RuntimeCode
 
+pytestmark = pytest.mark.processes
+
 ROOT = Path(__file__).parents[2]
 TAG = 0xC0FFEE
 MESSAGES = {message.name: message for message in DATABASE.messages}

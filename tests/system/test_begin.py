@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.processes
+
 HOOK = """
 import os, signal, sys
 class Interrupt:

@@ -19,6 +19,8 @@ from cutgate.runtime.interlock.state import Phase
 from tests.system.children import Script
 from tests.system.harness import FAST, POSES, TIMEOUT_S, begins, decoded, is_kind, session_tag, state_of
 
+pytestmark = pytest.mark.processes
+
 MARGIN_S = 0.45
 STALE = 26
 

@@ -5,8 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from cutgate.runtime.audit.inspect import Status
 from tests.system.harness import judged
+
+pytestmark = pytest.mark.processes
 
 
 def test_the_demo_refuses_explains_and_cuts(tmp_path):

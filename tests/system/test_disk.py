@@ -11,6 +11,8 @@ from cutgate.runtime.interlock.state import Phase
 from tests.system.children import Script
 from tests.system.harness import HEARTBEAT_S, begins
 
+pytestmark = pytest.mark.processes
+
 MARGIN_S = 0.3
 """For a busy machine. A stop that waited for this disk would wait for ever."""
 

@@ -1,9 +1,13 @@
 """The files of ``cutgate example``, used as their README.txt says."""
 
+import pytest
+
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.commands.app import execute
 from tests.runtime.commands.test_example import commands
 from tests.system.harness import judged
+
+pytestmark = pytest.mark.processes
 
 
 def test_a_session_as_the_readme_says_cuts_to_its_end(rig, tmp_path, monkeypatch):

@@ -6,6 +6,8 @@ from cutgate.protocol.frames import BULK_IDS
 from cutgate.runtime.audit.inspect import Status
 from tests.system.harness import POSES, SITE
 
+pytestmark = pytest.mark.processes
+
 
 def test_a_session_over_fd_cuts_every_segment_with_bulk_frames_alone_as_fd(rig):
     (rig.folder / "site.toml").write_text(f"{SITE}[bus]\nfd = true\n", encoding="utf-8")

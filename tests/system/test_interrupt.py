@@ -14,6 +14,8 @@ from cutgate.runtime.interlock.state import Phase
 from tests.system.children import SECOND_BLOCK, Script
 from tests.system.harness import state_of
 
+pytestmark = pytest.mark.processes
+
 BOTH = (signal.SIGINT, signal.SIGTERM)
 
 

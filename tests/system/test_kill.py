@@ -26,6 +26,8 @@ from cutgate.runtime.interlock.state import Phase
 from tests.system.children import HALF_THE_CUT, SECOND_BLOCK, Script, synced_bytes
 from tests.system.harness import FAST, ROBOT, SAFE, Rig
 
+pytestmark = pytest.mark.processes
+
 AT_ONCE = 3
 """Sessions at the same time: they mostly wait."""
 SYNC_S = 0.02

@@ -15,6 +15,8 @@ from cutgate.runtime.verification.recorded import problem_from_records
 from tests.system.children import Script
 from tests.system.harness import ROBOT, state_of
 
+pytestmark = pytest.mark.processes
+
 
 def ended(rig, sim, run):
     """Quit, and see that the arm never moved."""

@@ -17,6 +17,8 @@ from cutgate.runtime.verification import certified
 from tests.system.harness import FAST, POSES, is_kind, judged, registration
 from tests.tool_paths import tool_path
 
+pytestmark = pytest.mark.processes
+
 
 def reviewed(path: Path) -> tuple[Status, Outcome]:
     """What ``audit verify`` and ``audit replay`` say of a log."""

@@ -17,6 +17,8 @@ from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script
 from tests.system.harness import TIMEOUT_S, is_kind, state_of
 
+pytestmark = pytest.mark.processes
+
 MARGIN_S = 0.45
 """For a busy machine; nothing in here depends on its smallness but the claim that the stop came in time."""
 

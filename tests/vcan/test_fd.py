@@ -10,7 +10,10 @@ from cutgate.protocol.path import Assembly, split
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import BlockStored, Side
 
-pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0"),
+]
 
 PATH = bytes(range(256)) * 80
 WAIT_S = 20.0

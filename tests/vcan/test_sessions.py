@@ -16,7 +16,10 @@ from cutgate.runtime.commands.app import execute
 from tests.system.harness import FAST, POSES, Observer, Rig, registration, state_of
 from tests.vcan.conftest import ip
 
-pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0"),
+]
 
 VCAN0 = ("socketcan", SOCKETCAN_CHANNEL)
 MARK = can.Message(arbitration_id=0x7FF, is_extended_id=False)

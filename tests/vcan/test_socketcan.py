@@ -10,7 +10,10 @@ import pytest
 from cutgate.config.bus import LatchingSocketcanBus, default_interface, has_socketcan, open_bus
 from tests.vcan.conftest import ip
 
-pytestmark = pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0"),
+]
 
 WAIT_S = 20.0
 ECHO = """

@@ -31,7 +31,7 @@ def covered(module: str) -> tuple[bool, str]:
     """Whether the module's own tests pass and reach each branch; with the line of the report."""
     with tempfile.TemporaryDirectory() as folder:
         data = f"COVERAGE_FILE={folder}/data"
-        name = module.removesuffix(".py").replace("/", ".")
+        name = "cutgate." + module.removesuffix(".py").replace("/", ".")
         pytest = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--cov={name}", "--cov-branch"]
         limits = ["--cov-report=term-missing:skip-covered", "--cov-fail-under=100"]
         done = subprocess.run(  # noqa: S603 - our own interpreter on our own tests

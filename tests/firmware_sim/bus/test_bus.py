@@ -15,6 +15,8 @@ from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
 from cutgate.firmware_sim.hil.plugin import hub_process
 
+pytestmark = pytest.mark.processes
+
 WAIT_S = 20.0
 
 

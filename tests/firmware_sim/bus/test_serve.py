@@ -11,6 +11,8 @@ from cutgate.config.interpreter import program
 from cutgate.firmware_sim.bus.serve import main, serve
 from cutgate.firmware_sim.hil.plugin import hub_process
 
+pytestmark = pytest.mark.processes
+
 WAIT_S = 20.0
 
 

@@ -122,6 +122,7 @@ def test_the_document_is_complete_and_every_position_of_the_grid_stands_in_it(cu
     assert (0.0, 0.0, 0.0, 0.0) in places
 
 
+@pytest.mark.processes
 def test_two_processes_find_exactly_what_one_finds(cutgate):
     one, two = (cutgate("--json", "--step-mm", 150, cores=cores)[1] for cores in (1, 2))
     assert one == two
@@ -304,6 +305,7 @@ def workers(pid):
     return sum(len(task.read_text().split()) for task in Path(f"/proc/{pid}/task").glob("*/children"))
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("wanted", [0, 2])
 def test_an_interrupt_ends_the_command_at_once_and_leaves_no_file(path, tmp_path, wanted):
     """Before there are workers, and while they start or work: all processes of the terminal get it."""

@@ -227,6 +227,7 @@ def test_usage_errors_and_help(cutgate):
     assert "--registration" in out
 
 
+@pytest.mark.processes
 def test_the_installed_program_does_the_same():
     result = subprocess.run(
         [

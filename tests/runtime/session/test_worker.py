@@ -16,6 +16,8 @@ from cutgate.runtime.verification import certificate
 from cutgate.runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, STANDS, job_of
 
+pytestmark = pytest.mark.processes
+
 PATIENCE_S = 60.0
 
 

@@ -1,9 +1,12 @@
-"""What holds for every test: which may start a process, and that Ctrl-C reaches whatever they start."""
+"""What holds for all tests: order, who may start a process, and that neither a parent nor a disk decides the outcome."""
 
+import gc
 import multiprocessing.util
+import os
 import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,12 +14,25 @@ import pytest
 STARTS = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.system"})
 """Audit events of a new process."""
 
+DEAREST = (
+    "exploration",
+    "errors",
+    "runtime/verification/test_certified_against_dense.py",
+    "docs",
+    "storms",
+    "runtime/conform",
+    "system/test_stops.py",
+    "runtime/commands/test_conform.py",
+    "system",
+)
+"""What takes longest, in folders and files: it begins first, so that at the end no core is left without work."""
+
 _running: pytest.Item | None = None
 
 
 def pytest_configure() -> None:
-    # Where the one who starts the tests ignores Ctrl-C (nohup, a job in the background), that is inherited by every
-    # program, and those tests of it would wait in vain. A handler is not inherited: children begin with the default.
+    # Where whoever starts the tests ignores Ctrl-C (nohup, a job in the background), every program inherits that, and
+    # the tests of it would wait in vain. A handler is not inherited: what is started from here has the default again.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.addaudithook(_audit)
     # multiprocessing starts its helpers without an audit event of their own.
@@ -29,14 +45,35 @@ def pytest_configure() -> None:
     multiprocessing.util.spawnv_passfds = spawnv_passfds
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: _rank(item.path))
+
+
+def _rank(path: Path) -> int:
+    name = path.relative_to(Path(__file__).parent)
+    return next((rank for rank, first in enumerate(DEAREST) if name.is_relative_to(first)), len(DEAREST))
+
+
+def pytest_collection_finish() -> None:
+    # Thousands of tests and all that they import live to the end: to look through them again and again for something
+    # to collect takes a tenth of the time.
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     global _running  # noqa: PLW0603 - an audit hook is told nothing of pytest
+    fsync = os.fsync
+    if not _marked(item):
+        # That bytes are on the disk nobody can see from within one process, and a busy disk lets it wait for seconds.
+        os.fsync = os.fstat  # type: ignore[assignment]
     _running = item
     try:
         return (yield)
     finally:
-        _running = None
+        _running, os.fsync = None, fsync
 
 
 def _audit(event: str, _arguments: tuple[Any, ...]) -> None:
@@ -45,6 +82,10 @@ def _audit(event: str, _arguments: tuple[Any, ...]) -> None:
 
 
 def _must_be_marked() -> None:
-    """A test that starts a process is marked ``processes``, so that it runs when nothing else needs the processor."""
-    if _running is not None and _running.get_closest_marker("processes") is None:
+    """A test that starts a process is marked, so that it runs when nothing else needs the processor."""
+    if _running is not None and not _marked(_running):
         pytest.fail("this test starts a process: mark it with pytest.mark.processes")
+
+
+def _marked(item: pytest.Item) -> bool:
+    return item.get_closest_marker("processes") is not None

@@ -9,6 +9,7 @@ import pytest
 from cutgate.protocol.frames import FRAMES
 from cutgate.protocol.records import RECORDS
 from cutgate.runtime.audit.inspect import Status
+from docs.make_error_matrix import PAGE, page
 from tests.errors.matrix import FOUND, GOES_ON, MESSAGES, NO_ROW, ROWS, End, Error
 
 SLACK_S = 1e-6
@@ -51,3 +52,8 @@ def test_a_row_is_tolerated_or_has_a_bound():
     assert set(names.values()) == {1}
     assert all((row.bound is None) == (row.end == GOES_ON) for row in ROWS)
     assert all(row.tolerated for row in ROWS if row.end == GOES_ON)
+
+
+def test_the_page_is_what_the_rows_show(played):
+    """In this file, so that it comes after them in the same process: no row is played twice."""
+    assert PAGE.read_text(encoding="utf-8") == page(played), "run make docs"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -273,14 +274,25 @@ def is_void(state: Controller) -> bool:
     )
 
 
+@cache
+def _requests(
+    epoch: int, nonce: bytes, given: records.Permit | None
+) -> tuple[records.Permit, records.Start, records.Reset]:
+    """Permit, start and reset for this epoch and nonce; the start names the permit that was given."""
+    start = replace(START, nonce=nonce, epoch=epoch)
+    if given is not None:
+        start = replace(start, permit_digest=records.digest(given.canonical()))
+    return (
+        permits.sign(KEY, replace(PERMIT, nonce=nonce, epoch=epoch)),
+        permits.sign(KEY, start),
+        permits.sign(KEY, replace(RESET, nonce=nonce, epoch=epoch)),
+    )
+
+
 def events(state: Controller) -> list[Event]:
     """At least one of every kind of event, each as tempting as it can be in ``state``."""
     epoch, nonce = state.epoch, state.issued.nonce if state.issued else PERMIT_NONCE
-    permit = permits.sign(KEY, replace(PERMIT, nonce=nonce, epoch=epoch))
-    start = replace(START, nonce=nonce, epoch=epoch)
-    if state.permit is not None:
-        start = replace(start, permit_digest=records.digest(state.permit.canonical()))
-    reset = permits.sign(KEY, replace(RESET, nonce=nonce, epoch=epoch))
+    permit, start, reset = _requests(epoch, nonce, state.permit)
     return [
         OpenReceived(OPEN, 1),
         CollectReceived(),
@@ -289,7 +301,7 @@ def events(state: Controller) -> list[Event]:
         *(NonceRequested(purpose, purpose.name.encode().ljust(16, b".")) for purpose in Purpose),
         PermitReceived(permit, 2),
         PermitReceived(replace(permit, mac=bytes(16)), 2),
-        StartReceived(permits.sign(KEY, start), 3),
+        StartReceived(start, 3),
         ResetReceived(reset, 4),
         AcknowledgeReceived(state.cause, 5),
         AcknowledgeReceived(StopCause.OPERATOR_QUIT, 5),

@@ -11,7 +11,7 @@ import pytest
 from tools.mutation.modules import ROOT
 from tools.mutation.mutants import mutants
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 SOURCE = """
 from dataclasses import dataclass

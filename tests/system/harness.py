@@ -26,7 +26,15 @@ import can
 
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.protocol import records
-from cutgate.protocol.frames import CONTROL_IDS, IDS, Frame, Progress, decode_frame
+from cutgate.protocol.frames import (
+    CONTROL_IDS,
+    IDS,
+    ControllerHeartbeat,
+    Frame,
+    Progress,
+    RuntimeHeartbeat,
+    decode_frame,
+)
 from cutgate.protocol.permit import KEY_BYTES, new_key_file
 from cutgate.runtime.audit.inspect import Log, read_log
 from tests.system import children
@@ -259,6 +267,14 @@ class Observer:
     def all(self, kind: type[Frame]) -> list[tuple[float, Any]]:
         """Every frame of this kind so far, with its time on the bus, s."""
         return [(m.timestamp, decoded(m)) for m in list(self.frames) if is_kind(m, kind)]
+
+    def beats(
+        self, kind: type[ControllerHeartbeat | RuntimeHeartbeat], *, after: int, before: can.Message
+    ) -> int:
+        """How many heartbeats one side sent in between: its own measure of time, whatever else the machine does."""
+        frames = list(self.frames)
+        end = next(number for number, message in enumerate(frames) if message is before)
+        return sum(is_kind(message, kind) for message in frames[after:end])
 
     def records(self, can_id: int) -> list[records.Envelope]:
         """Every whole record that was sent on a transfer identifier."""

@@ -62,7 +62,7 @@ lives is a rule that no test states.
   [survivors.toml](../tools/mutation/survivors.toml) does not list, and if that names one that is dead or no mutant any more.
 - `make mutation MODULES=protocol/e2e.py`, `SAMPLE=100` and `JOBS=1` run less, or slower.
 - `make mutation WRITE=docs/mutation.md` writes this page as well.
-- `make test` runs a sample of each module; which mutants are in it changes with the modules.
+- `make test-all` runs a sample of each module; which mutants are in it changes with the modules.
 
 What kills: a test that fails, in set-up, call or tear-down (*failed*); a module that cannot be imported, or tests that
 cannot be collected with it (*import*); a test that takes {HANGS_S:g} s and {SLOWER} times its own time on the processor, or

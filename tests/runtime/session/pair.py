@@ -31,6 +31,7 @@ from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Committer, Failed, Files, Job
 from cutgate.runtime.audit.inspect import Log, read_log
@@ -132,6 +133,10 @@ class TurnByTurn(Committer):
 
 
 # ---------------------------------------------------------------- worker, view, generator
+
+
+_environment = cache(audit_log._environment)
+"""What the log says of interpreter and packages: asked once, for a thousand sessions."""
 
 
 @cache
@@ -376,7 +381,7 @@ class Pair:
         return self
 
     def _log(self) -> AuditLog:
-        with mock.patch("cutgate.runtime.audit.log.Committer", TurnByTurn):
+        with mock.patch.multiple(audit_log, Committer=TurnByTurn, _environment=_environment):
             log = AuditLog.create(
                 self.directory / "logs",
                 log_id=f"{self.sessions:08x}{LOG_ID[8:]}",

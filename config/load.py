@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar, cast
+from typing import Any, BinaryIO, Final, Generic, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -170,29 +170,48 @@ def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> byte
     Raises:
         InputError: missing, not a regular file, unreadable, or larger than ``limit``.
     """
-    try:
-        with open(path, "rb", opener=_without_waiting) as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise InputError(path, "", None, "not a regular file", "name a file")
+    with open_input(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        check_size(path, size, limit, "raise file_size_limit_mb in site.toml or split it")
+        try:
             # read() takes all the memory that it is asked for: never more than the file has, however large the limit.
-            data = file.read(min(status.st_size, limit + 1))
+            return file.read(size)
+        except OSError as error:
+            raise unreadable(path, error) from None
+
+
+def open_input(path: str | os.PathLike[str]) -> BinaryIO:
+    """A regular file, opened to be read.
+
+    Raises:
+        InputError: missing, not a regular file, or unreadable.
+    """
+    try:
+        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - the caller closes it
     except FileNotFoundError:
         raise InputError(path, "", None, "no such file", "check the name") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise InputError(
-            shown(str(path)), "", None, f"cannot be read ({reason})", "check name and permissions"
-        ) from None
-    if not (len(data) <= limit):
-        raise InputError(
-            path,
-            "size",
-            f"over {limit} bytes",
-            f"<= {limit} bytes",
-            "raise file_size_limit_mb in site.toml or split it",
-        )
-    return data
+        raise unreadable(path, error) from None
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise InputError(path, "", None, "not a regular file", "name a file")
+    return file
+
+
+def unreadable(path: object, error: Exception) -> InputError:
+    """The refusal of a file that the system does not let be read."""
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return InputError(shown(str(path)), "", None, f"cannot be read ({reason})", "check name and permissions")
+
+
+def check_size(path: object, size: int, limit: int, remedy: str) -> None:
+    """Refuses a file that is larger than its kind may be, before it is read.
+
+    Raises:
+        InputError: more than ``limit`` bytes.
+    """
+    if not (size <= limit):
+        raise InputError(path, "size", f"{size} bytes", f"<= {limit} bytes", remedy)
 
 
 def _without_waiting(path: str, flags: int) -> int:

@@ -15,6 +15,8 @@ GENESIS: Final = bytes(32)
 """The head before the first message."""
 LINKED: Final = "/audit/"
 """Topics whose records carry ``prev``."""
+_STAMPS: Final = struct.Struct("<QQIQ")
+"""Times, sequence, and the length of the data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +35,23 @@ class Link:
 
 def advance(head: bytes, link: Link) -> bytes:
     """The head after this message, 32 bytes."""
-    parts = (
-        head,
-        _counted(link.topic.encode()),
-        _counted(link.encoding.encode()),
-        _counted(link.schema_name.encode()),
-        sha256(link.schema).digest(),
-        struct.pack("<QQI", link.log_time, link.publish_time, link.sequence),
-        _counted(link.data),
-    )
-    return sha256(b"".join(parts)).digest()
+    channel = of_channel(link.topic, link.encoding, link.schema_name, link.schema)
+    return advance_in(channel, head, link.log_time, link.publish_time, link.sequence, link.data)
+
+
+def of_channel(topic: str, encoding: str, schema_name: str, schema: bytes) -> bytes:
+    """What the chain covers of a message beside the message itself: the same for all of one channel."""
+    texts = (topic.encode(), encoding.encode(), schema_name.encode())
+    return b"".join((*map(_counted, texts), sha256(schema).digest()))
+
+
+def advance_in(
+    channel: bytes, head: bytes, log_time: int, publish_time: int, sequence: int, data: bytes
+) -> bytes:
+    """As ``advance``, for a message of the channel that ``of_channel`` gave."""
+    return sha256(
+        b"".join((head, channel, _STAMPS.pack(log_time, publish_time, sequence, len(data)), data))
+    ).digest()
 
 
 def _counted(data: bytes) -> bytes:

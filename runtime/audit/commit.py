@@ -1,8 +1,8 @@
 """The commit thread: writes bytes, syncs them, reports how far the log is durable. Nothing else.
 
-The disk may take its time or never answer; whoever hands bytes over never waits for it. After the first error
-the descriptor is abandoned: nothing is written, synced or finished any more, because a second fsync may report
-success for bytes that the first one lost.
+Durable means: synced, and found again under its name as it was written (``written``). The disk may take its time or
+never answer; whoever hands bytes over never waits for it. After the first error the descriptor is abandoned: nothing
+is written, synced or finished any more, because a second fsync may report success for bytes that the first one lost.
 """
 
 import contextlib
@@ -14,7 +14,10 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from cutgate.runtime.audit.disk import Disk, Reservation, write_all
+from cutgate.config.ours import Replacement
+from cutgate.runtime.audit.directory import HEAD_MAX
+from cutgate.runtime.audit.disk import Disk, Reservation
+from cutgate.runtime.audit.written import LostError, Written, identify
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Reserved:
-    """The answer to a reservation; ``size`` 0 where there is no space."""
+    """The answer to a reservation; its ``size`` is less than ``asked`` where there is no space."""
 
     asked: int
     reservation: Reservation
@@ -59,9 +62,15 @@ class Append:
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
-    """Space for ``size`` bytes of log in all."""
+    """Space for so many more bytes of log and of raw frames, and for what closing writes beside them."""
 
-    size: int
+    log: int
+    frames: int
+
+    @property
+    def size(self) -> int:
+        """In all, bytes."""
+        return self.log + self.frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +87,18 @@ Job = Append | Reserve | Finish
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """The open files of one log."""
+    """The open files of one log: new and empty ones, each with its name, and the directory's.
 
-    log: int
-    frames: int
-    log_path: Path
-    head_path: Path
+    Attributes:
+        log, frames: the log and the raw frames.
+        locked: holds the directory's lock, under this name.
+        head: what will take HEAD's place when the log is closed.
+    """
+
+    log: tuple[int, Path]
+    frames: tuple[int, Path]
+    locked: tuple[int, Path]
+    head: Replacement
 
 
 class Committer:
@@ -91,8 +106,9 @@ class Committer:
 
     def __init__(self, disk: Disk, files: Files) -> None:
         self._disk = disk
-        self._files = files
-        self._offset = 0
+        self._log, self._frames = (Written(disk, *file) for file in (files.log, files.frames))
+        self._locked = files.locked
+        self._head = files.head
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._events: deque[Event] = deque()
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -136,9 +152,10 @@ class Committer:
                 pass
         except Exception as error:  # noqa: BLE001 - a thread must not die while its owner believes it runs
             self._report(Failed(_reason(error)))
-        for descriptor in (self._files.log, self._files.frames):
+            self._head.discard()
+        for file in (self._log, self._frames):
             with contextlib.suppress(OSError):  # the outcome is reported already; this only frees the number
-                self._disk.close(descriptor)
+                self._disk.close(file.descriptor)
 
     def _next(self) -> list[Job]:
         """All jobs that wait, at least one: a slow disk syncs once for many."""
@@ -154,7 +171,7 @@ class Committer:
         self._append(appended)
         for job in jobs:
             if isinstance(job, Reserve):
-                self._report(Reserved(job.size, self._reserve(job.size)))
+                self._report(Reserved(job.size, self._reserve(job)))
             elif isinstance(job, Finish):
                 self._finish(job)
                 return True
@@ -162,31 +179,46 @@ class Committer:
 
     def _append(self, jobs: Sequence[Append | Finish]) -> None:
         data = b"".join(job.log for job in jobs)
-        if data:
-            write_all(self._disk, self._files.log, data)
-            self._offset += len(data)
         tokens = [job.token for job in jobs if isinstance(job, Append) and job.token is not None]
+        self._check(enabling=False)
+        if data:
+            self._log.append(data)
         if data or tokens:
-            self._disk.sync(self._files.log)
-            if not tokens:
-                self._report(Durable(None, self._offset))
-            for token in tokens:
-                self._report(Durable(token, self._offset))
+            self._log.sync()
+            self._check(enabling=bool(tokens))
+            for token in tokens or (None,):
+                self._report(Durable(token, self._log.size))
         # Raw frames come second: no enabling record waits for them.
-        write_all(self._disk, self._files.frames, b"".join(job.frames for job in jobs))
+        self._frames.append(b"".join(job.frames for job in jobs))
 
-    def _reserve(self, size: int) -> Reservation:
+    def _check(self, *, enabling: bool) -> None:
+        """What was written is there, in the directory that is locked. Raises LostError or OSError."""
+        identify(*self._locked)
+        self._log.check(enabling=enabling)
+        self._frames.check(enabling=enabling)
+
+    def _reserve(self, job: Reserve) -> Reservation:
         """No space is an answer, not a failure: nothing that was written is lost."""
         try:
-            return self._disk.reserve(self._files.log, self._files.log_path, size)
+            found = (
+                self._log.reserve(job.log),
+                self._frames.reserve(job.frames),
+                self._disk.reserve(self._head.descriptor, self._log.path, HEAD_MAX),
+            )
         except OSError as error:
-            return Reservation(0, reserved=False, how=_reason(error))
+            return Reservation(_short_of(job.size, self._log.path), reserved=False, how=_reason(error))
+        seen = [reservation for reservation in found if not reservation.reserved]
+        if seen:  # one file system: what is free, is free once
+            return min(seen, key=lambda reservation: reservation.size)
+        return Reservation(job.size, reserved=True, how=found[0].how)
 
     def _finish(self, job: Finish) -> None:
-        self._disk.trim(self._files.log)
-        self._disk.sync(self._files.log)
-        self._disk.sync(self._files.frames)
-        self._disk.replace(self._files.head_path, job.head)
+        self._log.trim()
+        self._frames.trim()
+        self._log.sync()
+        self._frames.sync()
+        self._check(enabling=True)
+        self._disk.replace(self._head, job.head)
         self._report(Closed())
 
     def _report(self, event: Event) -> None:
@@ -196,7 +228,21 @@ class Committer:
             os.write(self._wake_write, b"\0")
 
 
+def _short_of(asked: int, path: Path) -> int:
+    """How much is free where so much could not be reserved: less, whatever becomes free meanwhile, and not nothing.
+
+    0 is what stands for an answer that has not come yet.
+    """
+    try:
+        free = os.statvfs(path.parent)
+    except OSError:
+        return 1
+    return max(1, min(free.f_bavail * free.f_frsize, asked - 1))
+
+
 def _reason(error: Exception) -> str:
+    if isinstance(error, LostError):
+        return str(error)
     if isinstance(error, OSError) and error.errno is not None:
         return f"{os.strerror(error.errno)} (error {error.errno})"
     return f"{type(error).__name__}: {error}"

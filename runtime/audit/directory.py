@@ -1,22 +1,102 @@
-"""The log directory: one session at a time, and the head of the last one.
+"""The log directory: one session at a time, the head of the last one, and what must not get lost beside the logs.
 
 ``LOCK`` is held while a session runs. ``HEAD`` says what came last: ``open`` while a log is being written, so that
-the next session sees a crash, and ``closed`` with the chain's head afterwards.
+the next session sees a crash, and ``closed`` with the chain's head afterwards; and how the list of withdrawn
+registrations stood, which is nothing that may get shorter unnoticed. ``WITHDRAWN`` is that list. All of them decide,
+and are believed only if they are ours.
 """
 
+import contextlib
 import fcntl
 import json
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Any, BinaryIO, Final
 
 from cutgate.config.load import InputError
+from cutgate.config.ours import FRESH, open_ours, read_ours, replace_durably
+from cutgate.runtime.audit.heads import closing_head, recoverable_head
 
 LOCK: Final = "LOCK"
 HEAD: Final = "HEAD"
+WITHDRAWN: Final = "WITHDRAWN"
+HEAD_MAX: Final = 4096
+"""Bytes of HEAD, and what is reserved for the next one."""
+LIST_MAX: Final = 10_000_000
+"""Bytes of the list, 100 to an entry."""
 _FREE: Final = "free it, or name another with --log-dir"
+_RESTORE: Final = (
+    "restore HEAD and WITHDRAWN from a backup; or name another folder with --log-dir, "
+    "once it is certain that no registration that was withdrawn here is used again"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """How the list of withdrawn registrations stood: so many lines, with this SHA-256. Lines are only ever added."""
+
+    lines: int = 0
+    sha256: str = sha256().hexdigest()
+
+    @classmethod
+    def of(cls, data: bytes) -> "Listed":
+        """The list as it stands."""
+        return cls(data.count(b"\n"), sha256(data).hexdigest())
+
+    def begins(self, data: bytes) -> bool:
+        """Whether a list begins with what stood there."""
+        lines = data.splitlines(keepends=True)
+        return len(lines) >= self.lines and Listed.of(b"".join(lines[: self.lines])) == self
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What HEAD holds.
+
+    Attributes:
+        log: the last session's log.
+        head: the chain's head at its end; while it is open, that of the session before.
+        closed: it was closed in order.
+        listed: the list of withdrawn registrations; None in a HEAD of 0.1.0, which did not say.
+    """
+
+    log: str
+    head: str | None
+    closed: bool
+    listed: Listed | None = None
+
+    def encode(self) -> bytes:
+        """The file's content."""
+        content: dict[str, Any] = {
+            "schema": "cutgate.head/1",
+            "log": self.log,
+            "state": "closed" if self.closed else "open",
+            "head": self.head,
+        }
+        if self.listed is not None:
+            content["withdrawn"] = {"lines": self.listed.lines, "sha256": self.listed.sha256}
+        return json.dumps(content).encode() + b"\n"
+
+    @classmethod
+    def parse(cls, data: bytes) -> "Head":
+        """Raises ValueError for anything else."""
+        try:
+            content = json.loads(data)
+            log, head, state = content["log"], content["head"], content["state"]
+            listed = content.get("withdrawn")
+            listed = None if listed is None else Listed(listed["lines"], listed["sha256"])
+        except (KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{type(error).__name__}: {error}") from None
+        named = (
+            isinstance(log, str) and Path(log).name == log not in ("", "..") and isinstance(head, str | None)
+        )
+        counted = listed is None or (isinstance(listed.lines, int) and isinstance(listed.sha256, str))
+        if not (named and counted):
+            raise ValueError("not a head")
+        return cls(log, head, state == "closed", listed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +109,9 @@ class Previous:
     note: str | None = None
 
 
+# ---------------------------------------------------------------- one session at a time
+
+
 def lock(directory: Path) -> int:
     """Make the directory if it is missing and lock it; the descriptor that holds the lock.
 
@@ -37,12 +120,12 @@ def lock(directory: Path) -> int:
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
             directory, "log directory", reason, "a directory that can be written", _FREE
         ) from None
+    descriptor = open_ours(directory / LOCK, os.O_RDWR | os.O_CREAT)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -53,37 +136,123 @@ def lock(directory: Path) -> int:
     return descriptor
 
 
-def head_bytes(*, log: str, head: str | None, closed: bool) -> bytes:
-    """What HEAD holds."""
-    content = {"schema": "cutgate.head/1", "log": log, "state": "closed" if closed else "open", "head": head}
-    return json.dumps(content).encode() + b"\n"
+def sweep(directory: Path) -> None:
+    """Remove what a session that was cut short had prepared to put in a file's place; only under the lock."""
+    for name in (HEAD, WITHDRAWN):
+        for file in directory.glob(FRESH.format(name=name, number="*")):
+            with contextlib.suppress(OSError):  # it is in nobody's way
+                file.unlink()
 
 
-def previous_session(directory: Path, recover: Callable[[bytes], str]) -> Previous:
-    """What came before, read under the lock.
+# ---------------------------------------------------------------- the session before
 
-    Args:
-        directory: the log directory.
-        recover: the chain's head over the complete chunks of a log that was not closed.
+
+def previous_session(directory: Path) -> Previous:
+    """What came before, and whether its log is still what HEAD says; read under the lock.
+
+    Raises:
+        InputError: HEAD is not ours.
     """
     try:
-        log, head, closed = _parse_head((directory / HEAD).read_bytes())
+        head = _read_head(directory)
     except FileNotFoundError:
         return Previous()
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except ValueError as error:
         return Previous(crashed=True, note=f"HEAD could not be read: {error}")
-    if closed:
-        return Previous(log, head)
+    if not head.closed:
+        return _crashed(directory, head)
     try:
-        return Previous(log, recover((directory / log).read_bytes()), crashed=True)
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        return Previous(log, head, crashed=True, note=f"its log could not be read: {error}")
+        with _log(directory, head) as file:
+            found = closing_head(file)
+    except (OSError, ValueError, InputError) as error:
+        return Previous(head.log, head.head, note=f"{head.log} is not what HEAD says: {_why(error)}")
+    if found != head.head:
+        note = f"{head.log} is not what HEAD says: it ends in head {found}, not {head.head}"
+        return Previous(head.log, head.head, note=note)
+    return Previous(head.log, head.head)
 
 
-def _parse_head(data: bytes) -> tuple[str, str | None, bool]:
-    """Log, head and whether it was closed; raises ValueError, KeyError or TypeError for anything else."""
-    content = json.loads(data)
-    log, head = content["log"], content["head"]
-    if not (isinstance(log, str) and Path(log).name == log and isinstance(head, str | None)):
-        raise ValueError("not a head")
-    return log, head, content["state"] == "closed"
+def _crashed(directory: Path, head: Head) -> Previous:
+    try:
+        with _log(directory, head) as file:
+            return Previous(head.log, recoverable_head(file), crashed=True)
+    except (OSError, ValueError, InputError) as error:
+        note = f"its log could not be read: {_why(error)}"
+        return Previous(head.log, head.head, crashed=True, note=note)
+
+
+@contextlib.contextmanager
+def _log(directory: Path, head: Head) -> Iterator[BinaryIO]:
+    with os.fdopen(open_ours(directory / head.log), "rb") as file:
+        yield file
+
+
+def _why(error: Exception) -> str:
+    return error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+
+
+def _read_head(directory: Path) -> Head:
+    """Raises FileNotFoundError, InputError, or ValueError for what is no HEAD."""
+    return Head.parse(read_ours(directory / HEAD, HEAD_MAX))
+
+
+# ---------------------------------------------------------------- the list of withdrawn registrations
+
+
+def withdrawn_list(directory: Path) -> bytes:
+    """The list, if it is whole: it begins with everything that stood there when HEAD was written.
+
+    Raises:
+        InputError: it is missing, shorter, altered or not ours; or nothing says any more what stood there.
+    """
+    file = directory / WITHDRAWN
+    try:
+        data = read_ours(file, LIST_MAX)
+    except FileNotFoundError:
+        data = None
+    try:
+        listed = _read_head(directory).listed
+    except (FileNotFoundError, ValueError) as error:
+        if _has_logs(directory):
+            lost = "missing" if isinstance(error, FileNotFoundError) else f"no head ({error})"
+            bound = "there where logs are: it tells whether the list of withdrawn registrations is whole"
+            raise InputError(directory / HEAD, "HEAD", lost, bound, _RESTORE) from None
+        listed = None
+    if listed is not None and not listed.begins(data or b""):
+        found = "missing" if data is None else f"{Listed.of(data).lines} lines that are not those"
+        bound = f"whole: at least the {listed.lines} lines that stood there before"
+        raise InputError(file, "list of withdrawn registrations", found, bound, _RESTORE)
+    return data or b""
+
+
+def extend_list(directory: Path, line: bytes) -> Listed:
+    """Add a line to the list; it is on the disk, and HEAD says so, when this returns.
+
+    Where the list is not whole any more, the line is added to what is there, and HEAD goes on missing the rest.
+
+    Returns:
+        How the list stands for HEAD.
+
+    Raises:
+        InputError: the list or HEAD is not ours.
+        OSError: it cannot be written.
+    """
+    try:
+        before = read_ours(directory / WITHDRAWN, LIST_MAX)
+    except FileNotFoundError:
+        before = b""
+    replace_durably(directory / WITHDRAWN, before + line)
+    listed = Listed.of(before + line)
+    try:
+        head = _read_head(directory)
+    except (FileNotFoundError, ValueError):
+        return listed
+    if head.listed is not None and not head.listed.begins(before):
+        return head.listed
+    replace_durably(directory / HEAD, replace(head, listed=listed).encode())
+    return listed
+
+
+def _has_logs(directory: Path) -> bool:
+    """Whether a session has written here; one that was cut short before HEAD left only empty files."""
+    return any(file.lstat().st_size > 0 for file in directory.glob("*.mcap"))

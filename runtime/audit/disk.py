@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from cutgate.config.ours import Replacement, create_ours
+
 KEEP_SIZE: Final = 1
 """FALLOC_FL_KEEP_SIZE of Linux: blocks are reserved beyond the end, the file's length stays."""
 
@@ -51,8 +53,12 @@ class Disk(Protocol):
         """Make the directory's entries durable."""
         ...
 
-    def replace(self, path: Path, data: bytes) -> None:
-        """Replace a small file as a whole, durably: afterwards it is the old or the new."""
+    def prepare(self, path: Path) -> Replacement:
+        """What is to take a small file's place, under a fresh name."""
+        ...
+
+    def replace(self, prepared: Replacement, data: bytes) -> None:
+        """Write it and put it in place, durably: afterwards the file is the old or the new."""
         ...
 
 
@@ -61,7 +67,7 @@ class SystemDisk:
 
     def create(self, path: Path) -> int:
         """As ``Disk``; readable by the owner only."""
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        return create_ours(path)
 
     def write(self, descriptor: int, data: memoryview) -> int:
         """As ``Disk``."""
@@ -103,17 +109,13 @@ class SystemDisk:
         finally:
             os.close(descriptor)
 
-    def replace(self, path: Path, data: bytes) -> None:
-        """As ``Disk``: a new file beside it, synced, renamed over it, directory synced."""
-        beside = path.with_name(f"{path.name}.new")
-        descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-        try:
-            write_all(self, descriptor, data)
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        beside.replace(path)
-        self.sync_directory(path.parent)
+    def prepare(self, path: Path) -> Replacement:
+        """As ``Disk``."""
+        return Replacement(path)
+
+    def replace(self, prepared: Replacement, data: bytes) -> None:
+        """As ``Disk``."""
+        prepared.put(data)
 
 
 def write_all(disk: Disk, descriptor: int, data: bytes) -> None:

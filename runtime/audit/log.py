@@ -34,9 +34,18 @@ from cutgate.runtime.audit.commit import (
     Finish,
     Reserve,
 )
-from cutgate.runtime.audit.directory import HEAD, Previous, head_bytes, lock, previous_session
+from cutgate.runtime.audit.directory import (
+    HEAD,
+    LOCK,
+    Head,
+    Listed,
+    Previous,
+    lock,
+    previous_session,
+    sweep,
+    withdrawn_list,
+)
 from cutgate.runtime.audit.disk import Disk, SystemDisk
-from cutgate.runtime.audit.scan import recoverable_head
 from cutgate.runtime.audit.writer import LogWriter
 
 CHUNK_SHARE: Final = 0.8
@@ -93,6 +102,9 @@ class AuditLog:
     Attributes:
         path: the MCAP file.
         candump_path: the raw frames beside it.
+        hand_over_after_s: so long a record waits in memory at most.
+        previous: what the directory says of the session before.
+        listed: how the list of withdrawn registrations stands, for HEAD; whoever adds to it says so here.
     """
 
     def __init__(
@@ -105,14 +117,18 @@ class AuditLog:
         locked: int,
         clock: Clock,
         chunk_period_s: float,
+        previous: Previous,
+        listed: Listed,
     ) -> None:
         self.path = path
+        self.previous = previous
+        self.listed = listed
         self.candump_path = candump_path
         self._writer = writer
         self._committer = committer
         self._locked = locked
         self._clock = clock
-        self._hand_over_after_s = CHUNK_SHARE * chunk_period_s
+        self.hand_over_after_s = CHUNK_SHARE * chunk_period_s
         self._failure = ""
         self._finished = False
         self._closed = False
@@ -146,14 +162,20 @@ class AuditLog:
             chunk_period_s: the longest time a record waits in memory.
 
         Raises:
-            InputError: the directory cannot be used, or another session holds it.
+            InputError: the directory cannot be used, another session holds it, or what decides in it is not ours or
+                not whole.
         """
         disk = disk or SystemDisk()
         clock = clock or Clock()
         locked = lock(directory)
         try:
-            previous = previous_session(directory, recoverable_head)
-            files, candump = _create_files(disk, directory, log_id, clock.utc_ns(), previous)
+            sweep(directory)
+            listed = Listed.of(withdrawn_list(directory))
+            previous = previous_session(directory)
+            files = _create_files(disk, directory, log_id, clock.utc_ns(), previous, listed, locked)
+        except InputError:
+            os.close(locked)
+            raise
         except OSError as error:
             os.close(locked)
             reason = error.strerror or str(error)
@@ -161,15 +183,17 @@ class AuditLog:
                 directory, "log directory", reason, "a directory that can be written", "free the disk"
             ) from None
         log = cls(
-            files.log_path,
-            candump,
+            files.log[1],
+            files.frames[1],
             writer=LogWriter(log_id, {"software": opened.software}),
             committer=Committer(disk, files),
             locked=locked,
             clock=clock,
             chunk_period_s=chunk_period_s,
+            previous=previous,
+            listed=listed,
         )
-        log.write(_open_record(log_id, opened, candump.name, previous))
+        log.write(_open_record(log_id, opened, files.frames[1].name, previous))
         # Some viewers show nothing of a file without attachments; and a replay on another machine needs it.
         log.attach("environment.json", "application/json", _environment())
         log.commit(None)
@@ -256,13 +280,13 @@ class AuditLog:
             now_s: the monotonic clock.
         """
         since_s = self._waiting_since_s
-        if since_s is not None and not (now_s - since_s < self._hand_over_after_s):
+        if since_s is not None and not (now_s - since_s < self.hand_over_after_s):
             self.commit(None)
 
-    def reserve(self, size: int) -> None:
-        """Ask for ``size`` bytes of space for the whole log; a ``Reserved`` event answers."""
+    def reserve(self, log: int, frames: int) -> None:
+        """Ask for space for so many more bytes of log and of raw frames; a ``Reserved`` event answers."""
         if not self._stopped:
-            self._committer.submit(Reserve(size))
+            self._committer.submit(Reserve(log, frames))
 
     # ------------------------------------------------------------ what came of it
 
@@ -347,9 +371,9 @@ class AuditLog:
             )
         )
         self._writer.finish()
-        head = head_bytes(log=self.path.name, head=self._writer.head.hex(), closed=True)
+        head = Head(self.path.name, self._writer.head.hex(), closed=True, listed=self.listed)
         self._finished = True
-        self._committer.submit(Finish(self._writer.take(), b"".join(self._frames), head))
+        self._committer.submit(Finish(self._writer.take(), b"".join(self._frames), head.encode()))
 
     # ------------------------------------------------------------ inside
 
@@ -400,23 +424,31 @@ def cpu_dispatch() -> tuple[str, ...]:
 
 
 def _create_files(
-    disk: Disk, directory: Path, log_id: str, utc_ns: int, previous: Previous
-) -> tuple[Files, Path]:
-    """The two files, HEAD marked open, all three names durable. Raises OSError."""
+    disk: Disk,
+    directory: Path,
+    log_id: str,
+    utc_ns: int,
+    previous: Previous,
+    listed: Listed,
+    locked: int,
+) -> Files:
+    """The two files, HEAD marked open, the next HEAD prepared, all names durable. Raises OSError."""
     moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC)
     name = f"{moment:%Y%m%dT%H%M%SZ}-{log_id[:8]}"
     path, candump = directory / f"{name}.mcap", directory / f"{name}.candump.log"
     made: list[int] = []
     try:
         made.extend(disk.create(file) for file in (path, candump))
-        disk.replace(directory / HEAD, head_bytes(log=path.name, head=previous.head, closed=False))
+        opened = Head(path.name, previous.head, closed=False, listed=listed)
+        disk.replace(disk.prepare(directory / HEAD), opened.encode())
+        head = disk.prepare(directory / HEAD)
         disk.sync_directory(directory)
     except OSError:
         for descriptor in made:
             with contextlib.suppress(OSError):
                 disk.close(descriptor)
         raise
-    return Files(made[0], made[1], path, directory / HEAD), candump
+    return Files((made[0], path), (made[1], candump), (locked, directory / LOCK), head)
 
 
 def _open_record(log_id: str, opened: OpenInfo, candump: str, previous: Previous) -> records.Open:

@@ -17,7 +17,14 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from cutgate.config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
+from cutgate.config.load import (
+    BYTES_PER_MB,
+    DEFAULT_LIMIT,
+    InputError,
+    Loaded,
+    robot_from_bytes,
+    site_from_bytes,
+)
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
@@ -25,6 +32,7 @@ from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.log import cpu_dispatch
+from cutgate.runtime.audit.scan import StoredAttachment
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
@@ -96,6 +104,8 @@ class _Inputs:
     robot: Robot
     site: Site
     registration_sha256: bytes
+    size_max: int
+    """Bytes of the largest attachment that is read: what the site allowed its input files."""
 
 
 def replay(log: Log, verify: Verify, *, verifier: str) -> Replay:
@@ -152,19 +162,22 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
 
 
 def _inputs(log: Log) -> _Inputs:
+    size_max = DEFAULT_LIMIT
+
     def needed(name: str) -> bytes:
-        data = log.scan.attachment(name)
+        data = _attachment(log, name, size_max)
         if data is None:
             raise ReplayError(f"attachment {name} is missing: the verdict cannot be computed again")
         return data
 
     try:
         robot = robot_from_bytes(names.ROBOT, needed(names.ROBOT))
-        settings = log.scan.attachment(names.SITE)
+        settings = _attachment(log, names.SITE, size_max)
         site = Site() if settings is None else site_from_bytes(names.SITE, settings)
     except InputError as error:
         raise ReplayError(f"attachment {error}") from None
-    registration = _by_stem(log, names.REGISTRATION)
+    size_max = max(size_max, site.files.file_size_limit_mb * BYTES_PER_MB)
+    registration = _by_stem(log, names.REGISTRATION, size_max)
     return _Inputs(
         path=needed(names.PATH),
         limits=needed(names.LIMITS),
@@ -173,12 +186,13 @@ def _inputs(log: Log) -> _Inputs:
         robot=robot,
         site=site,
         registration_sha256=sha256(registration[1] if registration else IDENTITY_REGISTRATION).digest(),
+        size_max=size_max,
     )
 
 
 def _derivation(log: Log, inputs: _Inputs, opened: records.Open) -> Iterator[str]:
     """Whether the uploaded path is the one that plan, registration and robot give."""
-    plan, registration = _by_stem(log, names.PLAN), _by_stem(log, names.REGISTRATION)
+    plan, registration = (_by_stem(log, stem, inputs.size_max) for stem in (names.PLAN, names.REGISTRATION))
     if plan is None:
         raise ReplayError(f"attachment {names.PLAN} is missing: the path cannot be made again")
     try:
@@ -355,7 +369,7 @@ def _same(one: Any, other: Any, *, absolute: bool) -> bool:
 
 def _proof(log: Log, inputs: _Inputs) -> Iterator[str]:
     """The recorded certificate proves the recorded path admissible, checked without a search."""
-    body = log.scan.attachment(names.PROOF)
+    body = _attachment(log, names.PROOF, inputs.size_max)
     if body is None:
         yield f"attachment {names.PROOF} is missing: the admissible verdict has no proof"
         return
@@ -435,15 +449,15 @@ def _permits(log: Log, recomputed: list[str], ways: list[str]) -> Iterator[str]:
     """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
     verdicts, approaches = iter(recomputed), iter(ways)
     ledger = _Ledger()
-    for message in log.scan.messages:
-        data = message.link.data
-        if message.topic == records.Verdict.TOPIC:
+    kinds = (records.Verdict, records.Approach, records.Decision, records.Permit)
+    for topic, data in log.each(*(kind.TOPIC for kind in kinds)):
+        if topic == records.Verdict.TOPIC:
             ledger.verdict, ledger.approach = (_model(records.Verdict, data), next(verdicts)), None
-        elif message.topic == records.Approach.TOPIC:
+        elif topic == records.Approach.TOPIC:
             ledger.approach = (_model(records.Approach, data), next(approaches, "not computed again"))
-        elif message.topic == records.Decision.TOPIC:
+        elif topic == records.Decision.TOPIC:
             yield from _decision(_model(records.Decision, data))
-        elif message.topic == records.Permit.TOPIC:
+        elif topic == records.Permit.TOPIC:
             yield from ledger.enter(_model(records.Permit, data))
     if any(kind != "reset" for kind, _ in ledger.authorised):
         yield from _approved(log)
@@ -521,7 +535,7 @@ def _approved(log: Log) -> Iterator[str]:
         names.TOOL: tool_record(inputs.robot).body(),
     }
     for name, body in approved.items():
-        if log.scan.attachment(name) != body:
+        if _attachment(log, name, inputs.size_max) != body:
             yield f"attachment {name} is not what {names.ROBOT} approves"
 
 
@@ -529,7 +543,7 @@ def _approved(log: Log) -> Iterator[str]:
 
 
 def _typed(log: Log, model: type[R]) -> list[R]:
-    return [_model(model, message.link.data) for message in log.scan.messages if message.topic == model.TOPIC]
+    return [_model(model, data) for _, data in log.each(model.TOPIC)]
 
 
 def _model(model: type[R], data: bytes) -> R:
@@ -541,9 +555,23 @@ def _model(model: type[R], data: bytes) -> R:
         raise ReplayError(f"a record of {model.TOPIC} cannot be read: {place}: {what['msg']}") from None
 
 
-def _by_stem(log: Log, stem: str) -> tuple[FilePath, bytes] | None:
+def _attachment(log: Log, name: str, size_max: int) -> bytes | None:
+    """The attachment's bytes, or None where there is none of this name."""
+    entry = log.scan.attachment(name)
+    return None if entry is None else _bytes_of(entry, size_max)
+
+
+def _by_stem(log: Log, stem: str, size_max: int) -> tuple[FilePath, bytes] | None:
     """The attachment of this name whatever its ending, with its name."""
     for entry in log.scan.attachments:
         if FilePath(entry.name).stem == stem:
-            return FilePath(entry.name), entry.data
+            return FilePath(entry.name), _bytes_of(entry, size_max)
     return None
+
+
+def _bytes_of(entry: StoredAttachment, size_max: int) -> bytes:
+    if not entry.size <= size_max:
+        raise ReplayError(
+            f"attachment {entry.name} has {entry.size} bytes, the site reads files of at most {size_max}"
+        )
+    return entry.data

@@ -1,24 +1,24 @@
 """``cutgate audit``: review of session logs."""
 
 import json as json_format
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from cutgate.config.load import InputError, read_bytes
-from cutgate.runtime.audit.inspect import Log, Status, read_log
+from cutgate.config.load import InputError
+from cutgate.runtime.audit.inspect import Log, Status
+from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.screen import output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
-
-SIZE_LIMIT: Final = 1 << 32
-"""Largest log that is read, bytes."""
 
 app = typer.Typer(help="Review session logs: what was decided, and whether it stands.", no_args_is_help=True)
 
@@ -45,7 +45,8 @@ def verify(log: LogFile, *, json: Json = False) -> None:
     Exit code: 0 OK, 1 INCOMPLETE, 2 TAMPERED, 3 UNREADABLE (or no such file).
     """
     try:
-        report = _read(log).report
+        with _reading(log) as read:
+            report = read.report
     except InputError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(Status.UNREADABLE) from None
@@ -67,11 +68,11 @@ def show(log: LogFile, *, json: Json = False) -> None:
 
     Exit code: 0, or 2 for a file that is no log.
     """
-    read = _read(log)
-    if read.report.status is Status.UNREADABLE:
-        raise InputError(log, "", None, read.report.reasons[0], "name a session's .mcap file")
-    candump = _candump(log)
-    document = story(read, log, candump if candump.is_file() else None)
+    with _reading(log) as read:
+        if read.report.status is Status.UNREADABLE:
+            raise InputError(log, "", None, read.report.reasons[0], "name a session's .mcap file")
+        candump = candump_of(log)
+        document = story(read, log, candump if candump.is_file() else None)
     if json:
         typer.echo(_json(document))
     else:
@@ -84,8 +85,7 @@ def replay_command(log: LogFile, *, json: Json = False) -> None:
 
     Exit code: 0 identical, 1 differs, 2 not a log that can be replayed.
     """
-    read = _read(log)
-    with working(f"deciding {log} again"):
+    with _reading(log) as read, working(f"deciding {log} again"):
         result = replay(read, certified.verify, verifier=VERIFIER)
     if json:
         typer.echo(_json({**asdict(result), "outcome": result.outcome.name}))
@@ -104,20 +104,13 @@ def register(root: typer.Typer) -> None:
     root.add_typer(app, name="audit")
 
 
-def _read(log: Path) -> Log:
-    """The log and, where it is there, the file of raw frames beside it.
-
-    Raises:
-        InputError: no such file, or it cannot be read.
-    """
-    with working(f"reading {log}"):
-        data = read_bytes(log, SIZE_LIMIT)
-        candump = _candump(log)
-        return read_log(data, read_bytes(candump, SIZE_LIMIT) if candump.is_file() else None)
-
-
-def _candump(log: Path) -> Path:
-    return log.with_suffix(".candump.log")
+@contextmanager
+def _reading(log: Path) -> Iterator[Log]:
+    """The log, read with a sign of life; errors as ``reading``."""
+    with ExitStack() as files:
+        with working(f"reading {log}"):
+            read = files.enter_context(reading(log))
+        yield read
 
 
 def _json(document: dict[str, Any]) -> str:

@@ -24,7 +24,8 @@ from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_direc
 from cutgate.config.interpreter import program
 from cutgate.config.load import EXAMPLES
 from cutgate.protocol.permit import KEY_BYTES, new_key_file
-from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import messages, output
@@ -269,16 +270,16 @@ def _answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str
 
 def _review(path: Path) -> dict[str, Any]:
     """The log verified, replayed and told."""
-    candump = path.with_suffix(".candump.log")
-    log = read_log(path.read_bytes(), candump.read_bytes())
-    again = replay(log, certified.verify, verifier=VERIFIER)
+    with reading(path) as log:
+        again = replay(log, certified.verify, verifier=VERIFIER)
+        told = story(log, path, candump_of(path))
     return {
         "log": str(path),
         "verify": "OK" if log.report.status is Status.OK else log.report.status.name,
         "headline": log.report.headline,
         "replay": again.outcome.name,
         "why": [*log.report.reasons, *again.differences],
-        "story": story(log, path, candump),
+        "story": told,
     }
 
 

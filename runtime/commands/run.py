@@ -5,9 +5,11 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import Annotated, Any, Final
 
 import can
@@ -21,19 +23,22 @@ from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
+from cutgate.runtime.audit.directory import Listed, Previous
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import working
 from cutgate.runtime.commands.session_view import SessionView, print_outcome, run_document
 from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
-from cutgate.runtime.session.job import VERIFIER, Files, log_bytes, make_job, read_files, utc_now
+from cutgate.runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
 from cutgate.runtime.session.journal import Journal, plain
 from cutgate.runtime.session.loop import Session, wake_pipe
 from cutgate.runtime.session.worker import Request, Worker
 from cutgate.runtime.verification.document import document_text
 
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
+WITHDRAW_S: Final = 5.0
+"""So long is the disk waited for that is to list a withdrawal."""
 
 
 def run(
@@ -59,7 +64,7 @@ def run(
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
 
     Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit.
-    Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped or fault.
+    Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped or fault, or the log could not be closed.
     """
     try:
         with working(f"reading {path}"):
@@ -71,10 +76,11 @@ def run(
     view, fd = SessionView(quiet_output=json), fd or files.settings.bus.fd
     with _signals() as signals:
         directory = log_dir or Path(files.settings.log.directory)
-        withdrawn_in = withdrawn.load(directory).get(job.registration)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
             log = _log(directory, files, job.path, name)
+            _tell(log.previous, view)
+            withdrawn_in = _withdrawn_in(log, job.registration)
             if withdrawn_in is not None:
                 view.note(f"this registration was withdrawn in {withdrawn_in}: register the bone anew")
             state = Interlock(job, registration_withdrawn=withdrawn_in is not None)
@@ -85,7 +91,8 @@ def run(
         typer.echo(document_text(run_document(session.state, session.answer, paths)))
     else:
         print_outcome(session.state, paths)
-    raise typer.Exit(EXIT[session.state.phase])
+    # A cut that nobody can prove is never a success, nor a log that is not whole one of a session that was not admitted.
+    raise typer.Exit(EXIT[session.state.phase if paths.closed else Phase.STOPPED])
 
 
 def _session(
@@ -110,7 +117,6 @@ def _session(
         transfer_timeout_s=timing.reply_timeout_s,
         fd=fd,
     )
-    space = log_bytes(state.job)
     worker = Worker(state.job.path)
     clean = False
     session = Session(
@@ -125,7 +131,6 @@ def _session(
         if sys.stdin is not None and not sys.stdin.closed
         else None,
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
-        log_bytes=space,
     )
     signals.interrupts(session)
     try:
@@ -135,18 +140,51 @@ def _session(
     finally:
         worker.close()
         if session.state.registration_withdrawn and not state.registration_withdrawn:
-            _withdraw(log.path, state.job.registration, view)
+            _withdraw(log, state.job.registration, view)
         verdict = session.answer.document["verdict"] if session.answer else None
         paths = journal.close(session.state, verdict, clean=clean)
     return session, paths
 
 
-def _withdraw(log: Path, registration: bytes, view: SessionView) -> None:
-    """List it for every session to come, whether or not the controller has heard of it."""
+def _withdrawn_in(log: AuditLog, registration: bytes) -> str | None:
+    """The log that tells why this registration was withdrawn, None if it was not; the list is read under the lock."""
     try:
-        withdrawn.add(log.parent, registration, log.name)
-    except OSError as error:
-        view.note(f"the withdrawal could not be listed ({error}): never use this registration again")
+        return withdrawn.load(log.path.parent).get(registration)
+    except InputError as error:
+        log.close(final_state=Phase.REFUSED, outcome=plain(str(error)), clean=True)
+        raise
+
+
+def _withdraw(log: AuditLog, registration: bytes, view: SessionView) -> None:
+    """List it for every session to come, whether or not the controller has heard of it; a silent disk is left behind."""
+    answers: SimpleQueue[Listed | Exception] = SimpleQueue()
+
+    def add() -> None:
+        try:
+            answers.put(withdrawn.add(log.path.parent, registration, log.path.name))
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is told below
+            answers.put(error)
+
+    Thread(target=add, name="withdraw", daemon=True).start()
+    trouble: object = f"the disk did not answer within {WITHDRAW_S:g} s"
+    with suppress(Empty):
+        match answers.get(timeout=WITHDRAW_S):
+            case Listed() as listed:
+                log.listed = listed
+                return
+            case error:
+                trouble = error
+    view.note(f"the withdrawal could not be listed ({trouble}): never use this registration again")
+
+
+def _tell(previous: Previous, view: SessionView) -> None:
+    """What is not as it should be with the session before: it is in record 0, and the operator should know."""
+    if previous.crashed:
+        view.note(
+            f"the session before this one ({previous.log or 'its log is unknown'}) did not end in order"
+        )
+    if previous.note:
+        view.note(f"the log directory: {previous.note}")
 
 
 @dataclass
@@ -219,12 +257,13 @@ def _key(option: Path | None, files: Files) -> bytes:
 
 def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     """A new log with every input file attached: the bytes that were parsed."""
-    log = AuditLog.create(
-        directory,
-        log_id=os.urandom(16).hex(),
-        opened=OpenInfo(VERIFIER, VERIFIER, (("bus", plain(bus)),)),
-        chunk_period_s=files.settings.log.chunk_period_ms / 1000,
-    )
+    with working(f"opening a log in {directory}; what a crash has left there is read first"):
+        log = AuditLog.create(
+            directory,
+            log_id=os.urandom(16).hex(),
+            opened=OpenInfo(VERIFIER, VERIFIER, (("bus", plain(bus)),)),
+            chunk_period_s=files.settings.log.chunk_period_ms / 1000,
+        )
     prepared = files.prepared
     log.attach(f"{names.PLAN}{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
     if prepared.registration is not None:

@@ -53,10 +53,9 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
 
 
 def _previous(opened: Mapping[str, Any]) -> str:
-    if opened.get("previous_crashed") is True:
-        note = _text(opened, "previous_note")
-        return f"{_text(opened, 'previous_log')} CRASHED" + (f" ({note})" if note else "")
-    return _text(opened, "previous_log") or "none in this directory"
+    name, note = _text(opened, "previous_log"), _text(opened, "previous_note")
+    crashed = opened.get("previous_crashed") is True
+    return f"{name}{' CRASHED' * crashed}{f' ({note})' * bool(note)}".strip() or "none in this directory"
 
 
 def _ending(closed: Mapping[str, Any]) -> str:

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
 from cutgate import __version__
 from cutgate.config.load import Loaded, load_robot, load_site
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
 from cutgate.runtime.interlock.state import Job, Timing
-from cutgate.runtime.kinematics.arm import TURN
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified
@@ -21,9 +18,6 @@ from cutgate.runtime.verification.recorded import problem_from_records
 
 VERIFIER = f"cutgate {__version__}"
 """Named in every record 0 and every permit; at most 16 characters."""
-LOG_BYTES_FIXED = 4_000_000
-LOG_BYTES_PER_SECOND = 100_000
-"""Estimate of the log's growth: about 280 frames a second at a 20 ms heartbeat, before compression."""
 
 
 @dataclass(frozen=True)
@@ -86,23 +80,6 @@ def _on_best_branch(
     problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
     branch = certified.verify(problem).branch
     return with_branch(path, branch.q0_turns, branch.roll_turns) if branch else path
-
-
-def log_bytes(job: Job) -> int:
-    """How far the log may grow: the whole cut with approach and retract, and the path itself."""
-    path = records.PathCodes.parse(job.path)
-    lengths = np.linalg.norm(np.diff(path.tips_mm, axis=0), axis=1)
-    seconds = float(np.sum(lengths)) / path.feed_mm_s + _approach_s(job, path)
-    return LOG_BYTES_FIXED + int(LOG_BYTES_PER_SECOND * seconds) + 3 * len(job.path)
-
-
-def _approach_s(job: Job, path: records.PathCodes) -> float:
-    """About how long approach and retract take: joints through their limits, at most a turn; the path's extent."""
-    limits = records.Limits.parse(job.limits)
-    travel = np.minimum(limits.q_max - limits.q_min, [TURN, TURN, np.inf, TURN, TURN])
-    slowest_s = float(np.max(travel / limits.speed)) * 100.0 / job.timing.approach_speed_percent
-    extent_mm = float(np.linalg.norm(np.ptp(path.tips_mm, axis=0))) + job.timing.approach_clearance_mm
-    return 2.0 * (slowest_s + extent_mm / path.feed_mm_s)
 
 
 def configuration_digest(files: Files) -> bytes:

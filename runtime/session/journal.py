@@ -48,10 +48,12 @@ from cutgate.runtime.interlock.state import (
     SendStop,
     SessionOpened,
     Tick,
+    Timing,
     VerdictReady,
     Withheld,
 )
 from cutgate.runtime.session.job import VERIFIER
+from cutgate.runtime.session.space import space, waiting_s
 
 Kind = Literal["permit", "start", "reset"]
 
@@ -263,6 +265,18 @@ class Journal:
     ) -> None:
         """The verdict on approach and retract, and what a permit binds of them."""
         self.log.write(audit.Approach.of(document, start_joints_u=start_joints_u, bound=bound, reason=reason))
+
+    def reserve(self, seconds: float, timing: Timing) -> int:
+        """Ask for twice the space that a session takes from its verdict on; the bytes that it takes once.
+
+        Args:
+            seconds: of the arm's way, on the clock.
+            timing: the session's.
+        """
+        seconds += waiting_s(timing)
+        needed = space(seconds, timing, chunk_period_s=self.log.hand_over_after_s, interface=self._interface)
+        self.log.reserve(2 * needed.log, 2 * needed.frames)
+        return needed.total
 
     def close(self, state: Interlock, verdict: str | None, *, clean: bool) -> Paths:
         """End the log with the session's last state; waits for the disk for a bounded time.

@@ -74,6 +74,7 @@ from cutgate.runtime.interlock.state import (
 from cutgate.runtime.interlock.table import MOVING, step
 from cutgate.runtime.interlock.tracking import Watch
 from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.space import estimated_s
 from cutgate.runtime.session.worker import Answer, Broken, Request, Worker
 
 EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
@@ -119,7 +120,6 @@ class Session:
         worker: the verification process.
         view: shows what happens.
         words: the operator's terminal, None without one.
-        log_bytes: how far the log may grow, for which space is reserved twice over (``session.job.log_bytes``).
         clock: monotonic seconds.
         random: the operating system's generator.
     """
@@ -136,7 +136,6 @@ class Session:
         view: View,
         words: WordReader[Word] | None = None,
         checkpoint_deadline_s: float,
-        log_bytes: int,
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
     ) -> None:
@@ -150,7 +149,6 @@ class Session:
         self._view = view
         self._words = words
         self._checkpoint_deadline_s = checkpoint_deadline_s
-        self._log_bytes = log_bytes
         self._clock = clock
         self._random = random
         self._blocks = records.split(state.job.path)
@@ -186,9 +184,9 @@ class Session:
             self._poller.register(descriptor, select.POLLIN)
         if self._words is not None and self._words.descriptor is not None:
             self._poller.register(self._words.descriptor, select.POLLIN)
-        health = LogHealth(writable=True, reserved_bytes=0, needed_bytes=self._log_bytes)
-        self.state = replace(self.state, log=health)
-        self._journal.log.reserve(2 * self._log_bytes)
+        job = self.state.job
+        needed = self._journal.reserve(estimated_s(job), job.timing)
+        self.state = replace(self.state, log=LogHealth(writable=True, needed_bytes=needed))
         _ = self.state.job.path_digest
 
     def _wait(self, wake: int) -> set[int]:
@@ -339,6 +337,8 @@ class Session:
                     self._view.note(f"audit log: {reason}")
                     self._feed(LogChanged(replace(self.state.log, writable=False)))
                 case Reserved(reservation=reservation):
+                    if not reservation.reserved:
+                        self._view.note(f"space for the audit log: {reservation.how}")
                     self._feed(
                         LogChanged(replace(self.state.log, writable=True, reserved_bytes=reservation.size))
                     )
@@ -350,10 +350,20 @@ class Session:
             case Answer(verdict=verdict) as answer:
                 if verdict.request == self._request.number:
                     self._keep(answer)
+                    self._reserve(answer)
                 self._feed(VerdictReady(verdict))
             case Broken(reason=reason):
                 self._poller.unregister(self._worker.fileno())
                 self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
+
+    def _reserve(self, answer: Answer) -> None:
+        """Space for what an admissible verdict brings from now on; if it is more than was asked for, it is waited for."""
+        course, session, log = answer.course, self.state.session, self.state.log
+        if course is None or session is None:
+            return
+        needed = self._journal.reserve(float(course.times_s[-1]) / session.time_scale, self.state.job.timing)
+        reserved = log.reserved_bytes if needed <= log.needed_bytes else 0
+        self._feed(LogChanged(replace(log, reserved_bytes=reserved, needed_bytes=needed)))
 
     def _keep(self, answer: Answer) -> None:
         """The verdict on what was asked: recorded and shown."""

@@ -2,17 +2,17 @@
 
 The controller keeps a list as well, but a withdrawal that never reached it (a dead bus, a controller without power)
 would be forgotten without this one. One line each: the registration's SHA-256 and the log that tells why. Lines are
-only ever added; a list that cannot be read stops the next session, for nobody knows what it held.
+only ever added, and HEAD says how many there are; a list that cannot be read, or has lost any, stops the next session,
+for nobody knows what it held.
 """
 
-import os
 import re
 from pathlib import Path
 from typing import Final
 
 from cutgate.config.load import InputError
+from cutgate.runtime.audit.directory import WITHDRAWN, Listed, extend_list, withdrawn_list
 
-WITHDRAWN: Final = "WITHDRAWN"
 _ENTRY: Final = re.compile(r"[0-9a-f]{64} \S+")
 
 
@@ -20,14 +20,12 @@ def load(directory: Path) -> dict[bytes, str]:
     """The log that tells why, by the registration's digest; empty where nothing was ever withdrawn.
 
     Raises:
-        InputError: the list cannot be read or a line of it is no entry.
+        InputError: the list is not whole (``audit.directory.withdrawn_list``) or a line of it is no entry.
     """
     file = directory / WITHDRAWN
     try:
-        lines = file.read_bytes().decode("ascii").split("\n")
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
+        lines = withdrawn_list(directory).decode("ascii").split("\n")
+    except UnicodeDecodeError as error:
         raise InputError(file, "list of withdrawn registrations", None, f"cannot be read: {error}") from None
     for number, line in enumerate(lines[:-1], start=1):
         if not _ENTRY.fullmatch(line):
@@ -43,7 +41,7 @@ def _no_entry(file: Path, number: int, line: str) -> InputError:
     return InputError(file, f"line {number}", line, bound, "restore the list from a backup")
 
 
-def add(directory: Path, registration: bytes, log: str) -> None:
+def add(directory: Path, registration: bytes, log: str) -> Listed:
     """List a registration; it is on the disk, directory entry included, when this returns.
 
     Args:
@@ -51,17 +49,11 @@ def add(directory: Path, registration: bytes, log: str) -> None:
         registration: SHA-256 digest.
         log: name of the log that tells why.
 
+    Returns:
+        How the list stands, for HEAD.
+
     Raises:
+        InputError: the list or HEAD is not ours.
         OSError: it cannot be written.
     """
-    descriptor = os.open(directory / WITHDRAWN, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        os.write(descriptor, f"{registration.hex()} {log}\n".encode("ascii"))
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-    folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    return extend_list(directory, f"{registration.hex()} {log}\n".encode("ascii"))

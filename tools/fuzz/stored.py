@@ -11,8 +11,7 @@ from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.states import StopCause
-from cutgate.runtime.audit.directory import HEAD, head_bytes, previous_session
-from cutgate.runtime.audit.scan import recoverable_head
+from cutgate.runtime.audit.directory import HEAD, Head, Listed, previous_session
 from cutgate.runtime.session import withdrawn
 from tools.fuzz.harness import Family, attempt, choose, expect
 
@@ -43,10 +42,13 @@ def _memory(data: bytes) -> None:
 
 def _head(data: bytes) -> None:
     _written(HEAD, data)
-    previous = previous_session(PLACE, recoverable_head)
-    if previous.log is not None:
-        expect(Path(previous.log).name == previous.log, "a log's name leads nowhere else")
-    expect(previous.crashed or previous.note is None, "what could not be read counts as a crash")
+    previous = attempt(InputError, previous_session, PLACE)  # one that is too large is refused
+    if previous is not None:
+        expect(
+            previous.log is None or Path(previous.log).name == previous.log, "a log's name leads nowhere else"
+        )
+        expect(previous.note is not None, "no log is there: that is said, whatever HEAD says")
+    (PLACE / HEAD).unlink()
 
 
 def _key(data: bytes) -> None:
@@ -85,11 +87,12 @@ def _seeds() -> Iterator[bytes]:
     examples = {
         _memory: (_text_of(Memory()), _text_of(withdrawn), '{"schema": ' + "[" * 5000),
         _head: (
-            head_bytes(log="a.mcap", head="ab" * 32, closed=True).decode(),
-            head_bytes(log="a.mcap", head=None, closed=False).decode(),
-            head_bytes(log="a\0b", head=None, closed=False).decode(),
-            head_bytes(log="\ud800", head=None, closed=False).decode(),
-            head_bytes(log="..", head=None, closed=False).decode(),
+            Head("a.mcap", "ab" * 32, closed=True, listed=Listed()).encode().decode(),
+            Head("a.mcap", "ab" * 32, closed=True, listed=Listed(3, "ab" * 32)).encode().decode(),
+            Head("a.mcap", None, closed=False).encode().decode(),
+            Head("a\0b", None, closed=False).encode().decode(),
+            Head("\ud800", None, closed=False).encode().decode(),
+            Head("..", None, closed=False).encode().decode(),
             "[" * 5000,
         ),
         _key: ("ab" * 32 + "\n", "ab" * 31, "zz" * 32),

@@ -15,6 +15,7 @@ from typing import Any
 
 from cutgate.config.load import Loaded, robot_from_bytes
 from cutgate.config.model import Robot
+from cutgate.config.ours import Replacement
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import names, records
@@ -96,9 +97,9 @@ class WatchedDisk(SystemDisk):
         self._before("trim")
         super().trim(descriptor)
 
-    def replace(self, path: Path, data: bytes) -> None:
+    def replace(self, prepared: Replacement, data: bytes) -> None:
         self._before("replace")
-        super().replace(path, data)
+        super().replace(prepared, data)
 
 
 @contextmanager
@@ -134,13 +135,14 @@ def decision(number: int, **changes: Any) -> records.Decision:
     return records.Decision(**(values | changes))
 
 
-def small_log(directory: Path, *, decisions: int = 3, **options: Any) -> Paths:
-    """A short log of made-up records, closed in order."""
+def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **options: Any) -> Paths:
+    """A short log of made-up records, closed in order; with a raw frame for each decision."""
     log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, **({"clock": Ticking().clock()} | options))
     log.attach("plan.csv", "text/csv", b"x,y,z\n" * 20)
     for number in range(decisions):
         log.write(records.Operator(word="start", accepted=True))
-        log.raw_frame(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
+        if frames:
+            log.raw_frame(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
         log.write(decision(number))
     return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
 

@@ -1,12 +1,18 @@
 """``cutgate audit``: exit codes and what is printed."""
 
+import errno
 import json
+import os
 import re
+import resource
 import shutil
+import subprocess
+import tracemalloc
 
 import pytest
 
-from cutgate.runtime.audit import records
+from cutgate.config.interpreter import program
+from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.screen import output
@@ -72,12 +78,82 @@ def test_verify_finds_other_raw_frames(capsys, admitted, tmp_path):
     assert cutgate(capsys, "verify", copy)[0] == 2
 
 
-def test_verify_without_the_raw_frames_says_so(capsys, admitted, tmp_path):
+def test_a_log_without_its_raw_frames_is_never_ok(capsys, admitted, tmp_path):
     copy = tmp_path / "log.mcap"
     copy.write_bytes(admitted.log.read_bytes())
     code, out, _ = cutgate(capsys, "verify", copy)
-    assert code == 0
-    assert "not beside the log" in out
+    assert code == 1
+    assert out.startswith("INCOMPLETE")
+    assert "the file of raw frames, whose SHA-256 the close record names, is not beside the log" in out
+
+
+@pytest.mark.parametrize(
+    ("size", "word"), [(8 << 30, "must be <= 4294967296 bytes"), (3 << 30, "not an audit log")]
+)
+@pytest.mark.parametrize("command", ["verify", "show", "replay"])
+def test_a_huge_file_that_is_no_log_is_refused_unread(capsys, tmp_path, command, size, word):
+    file = tmp_path / "sparse.mcap"
+    file.write_bytes(b"")
+    os.truncate(file, size)
+    tracemalloc.start()
+    code, out, err = cutgate(capsys, command, file)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert code == (3 if command == "verify" else 2)
+    assert word in out + err
+    assert peak < 8 << 20
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("command", ["verify", "show", "replay"])
+def test_a_log_is_read_within_the_memory_that_its_reader_needs_anyhow(admitted, command):
+    """The address space of libraries and threads is most of it; 4 GiB were taken once, whatever the log's size."""
+    limits = (1_500_000 << 10, 1_500_000 << 10)
+    done = subprocess.run(
+        [*program("cutgate.runtime.cli"), "audit", command, str(admitted.log)],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limits),
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert str(admitted.log) in done.stdout
+
+
+def test_a_file_that_cannot_be_read_to_its_end_is_refused(capsys, admitted, tmp_path, monkeypatch):
+    def fail(*_arguments):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("cutgate.runtime.audit.reading.read_log", fail)
+    code, out, err = cutgate(capsys, "verify", admitted.log)
+    assert (code, out) == (3, "")
+    assert "cannot be read (Input/output error)" in err
+
+
+def test_a_file_that_cannot_be_read_again_is_refused(capsys, admitted, monkeypatch):
+    def fail(*_arguments):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.Log.each", fail)
+    code, out, err = cutgate(capsys, "replay", admitted.log)
+    assert (code, out) == (2, "")
+    assert "cannot be read (Input/output error)" in err
+
+
+@pytest.mark.parametrize("name", [names.PLAN + ".csv", names.PATH, names.SITE])
+def test_an_attachment_that_is_larger_than_the_site_reads_files_is_not_replayed(
+    capsys, tmp_path, monkeypatch, name
+):
+    site = b'schema = "cutgate.site/1"\n[files]\nfile_size_limit_mb = 1\n'
+    paths = session_log(tmp_path, site=site)
+    monkeypatch.setattr("cutgate.runtime.audit.replay.DEFAULT_LIMIT", 2_000_000)
+    large = forge(
+        paths.log.read_bytes(), attachments=lambda of, data: data + b" " * 2_000_001 if of == name else data
+    )
+    paths.log.write_bytes(large)
+    code, out, _ = cutgate(capsys, "replay", paths.log)
+    assert code == 2
+    assert f"attachment {name} has" in out
 
 
 @pytest.mark.parametrize("arguments", [[], ["--nothing", "x"], ["a", "b"], ["missing.mcap"], ["."]])

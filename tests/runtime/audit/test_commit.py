@@ -19,7 +19,9 @@ from cutgate.runtime.audit.commit import (
     Reserve,
     Reserved,
 )
-from cutgate.runtime.audit.disk import SystemDisk, write_all
+from cutgate.runtime.audit.directory import HEAD_MAX, LOCK, lock
+from cutgate.runtime.audit.disk import Reservation, SystemDisk, write_all
+from cutgate.runtime.audit.written import Written
 from tests.runtime.audit.build import PATIENCE_S, WatchedDisk, hanging
 
 
@@ -28,8 +30,12 @@ class Thread:
 
     def __init__(self, directory, disk):
         self.log_path, self.frames_path = directory / "a.mcap", directory / "a.candump.log"
+        self.locked = lock(directory)
         self.files = Files(
-            disk.create(self.log_path), disk.create(self.frames_path), self.log_path, directory / "HEAD"
+            (disk.create(self.log_path), self.log_path),
+            (disk.create(self.frames_path), self.frames_path),
+            (self.locked, directory / LOCK),
+            disk.prepare(directory / "HEAD"),
         )
         self.disk = disk
         self.committer = Committer(disk, self.files)
@@ -47,6 +53,7 @@ class Thread:
         assert self.committer.join(PATIENCE_S)
         events = self.committer.events()
         self.committer.release()
+        os.close(self.locked)
         return events
 
 
@@ -63,7 +70,7 @@ def test_a_token_is_durable_only_after_the_sync(tmp_path):
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"abc", b"frame\n", token=7))
     assert thread.wait(Durable) == Durable(7, 3)
-    assert disk.synced[thread.files.log] == 3
+    assert disk.synced[thread.files.log[0]] == 3
     assert thread.log_path.read_bytes() == b"abc"
     assert thread.finish() == [Closed()]
     assert thread.frames_path.read_bytes() == b"frame\n"
@@ -83,7 +90,7 @@ def test_raw_frames_alone_are_not_synced(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"", b"frame\n"))
-    thread.committer.submit(Reserve(4096))
+    thread.committer.submit(Reserve(4096, 0))
     thread.wait(Reserved)
     assert "sync" not in disk.counts
     thread.finish()
@@ -141,9 +148,11 @@ def test_an_error_of_any_kind_is_reported(tmp_path):
 
 def test_no_space_to_reserve_is_an_answer_and_the_log_goes_on(tmp_path):
     thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.ENOSPC)))
-    thread.committer.submit(Reserve(4096))
+    thread.committer.submit(Reserve(4096, 0))
     answer = thread.wait(Reserved)
-    assert (answer.asked, answer.reservation.size, answer.reservation.reserved) == (4096, 0, False)
+    assert (answer.asked, answer.reservation.reserved) == (4096, False)
+    assert 0 < answer.reservation.size < 4096, "an answer, and not enough"
+    assert "No space" in answer.reservation.how
     thread.committer.submit(Append(b"abc", b"", token=1))
     assert thread.wait(Durable).token == 1
     thread.finish()
@@ -151,7 +160,7 @@ def test_no_space_to_reserve_is_an_answer_and_the_log_goes_on(tmp_path):
 
 def test_a_reservation_does_not_change_the_files_length_and_is_given_back(tmp_path):
     thread = Thread(tmp_path, WatchedDisk())
-    thread.committer.submit(Reserve(1 << 22))
+    thread.committer.submit(Reserve(1 << 22, 1 << 20))
     reservation = thread.wait(Reserved).reservation
     assert reservation.size >= 1 << 22
     assert thread.log_path.stat().st_size == 0
@@ -210,7 +219,7 @@ def test_waiting_jobs_share_one_sync(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
     with hanging(disk, "reserve"):
-        thread.committer.submit(Reserve(4096))
+        thread.committer.submit(Reserve(4096, 0))
         assert disk.entered.wait(PATIENCE_S)
         for token in range(5):
             thread.committer.submit(Append(b"x", b"", token))
@@ -244,3 +253,165 @@ def test_the_wake_pipe_may_be_full(tmp_path):
     thread.committer.submit(Append(b"abc", b"", token=1))
     assert thread.wait(Durable).token == 1
     thread.finish()
+
+
+# ---------------------------------------------------------------- what was written must be found again
+
+
+LOSSES = {
+    "the log deleted": lambda thread: thread.log_path.unlink(),
+    "the log cut": lambda thread: os.truncate(thread.log_path, 1),
+    "the log overwritten": lambda thread: overwritten(thread.log_path),
+    "the raw frames deleted": lambda thread: thread.frames_path.unlink(),
+    "the raw frames cut": lambda thread: os.truncate(thread.frames_path, 1),
+    "the raw frames overwritten": lambda thread: overwritten(thread.frames_path),
+    "the lock deleted": lambda thread: (thread.log_path.parent / LOCK).unlink(),
+    "the lock replaced": lambda thread: replaced(thread.log_path.parent / LOCK),
+}
+
+
+def overwritten(path):
+    with path.open("r+b") as file:
+        file.write(b"X")
+    os.utime(path, ns=(1, 1))  # it shows that somebody was there, even within one tick of the clock
+
+
+def replaced(path):
+    path.unlink()
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("token", [None, 2])
+@pytest.mark.parametrize("loss", LOSSES)
+def test_nothing_is_durable_once_what_was_written_is_lost(tmp_path, loss, token):
+    thread = Thread(tmp_path, WatchedDisk())
+    thread.committer.submit(Append(b"abc", b"frame\n", token=1))
+    thread.wait(Durable)
+    thread.committer.submit(Reserve(4096, 4096))  # answered after the raw frames are written
+    thread.wait(Reserved)
+    LOSSES[loss](thread)
+    thread.committer.submit(Append(b"def", b"frame\n", token=token))
+    reason = thread.wait(Failed).reason
+    name = {"the log": "a.mcap", "the raw": "a.candump.log", "the loc": LOCK}[loss[:7]]
+    assert name in reason
+    assert thread.finish() == []
+    assert not (tmp_path / "HEAD").exists()
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_log_is_not_closed_once_what_was_written_is_lost(tmp_path, loss):
+    thread = Thread(tmp_path, WatchedDisk())
+    thread.committer.submit(Append(b"abc", b"frame\n", token=1))
+    thread.committer.submit(Reserve(4096, 4096))
+    thread.wait(Reserved)
+    LOSSES[loss](thread)
+    assert [type(event) for event in thread.finish() if not isinstance(event, Durable)] == [Failed]
+    assert not (tmp_path / "HEAD").exists()
+
+
+def test_what_is_lost_between_write_and_sync_is_not_durable(tmp_path):
+    disk = WatchedDisk()
+    thread = Thread(tmp_path, disk)
+
+    def trouble(operation, _count):
+        if operation == "sync":
+            thread.log_path.unlink()
+
+    disk.trouble = trouble
+    thread.committer.submit(Append(b"abc", b"", token=1))
+    assert "was deleted" in thread.wait(Failed).reason
+    assert thread.finish() == []
+
+
+def test_closing_needs_no_space_but_what_was_reserved(tmp_path):
+    """HEAD, the summary, the raw frames: nothing new is made, no block is taken that was not reserved."""
+    thread = Thread(tmp_path, WatchedDisk())
+    thread.committer.submit(Reserve(1 << 20, 1 << 20))
+    reservation = thread.wait(Reserved).reservation
+    if not reservation.reserved:
+        pytest.skip("this file system cannot reserve")
+    (prepared,) = tmp_path.glob(".HEAD.*.new")
+    blocks = {path: path.stat().st_blocks for path in (thread.log_path, thread.frames_path, prepared)}
+    assert all(blocks.values())
+    inode = prepared.stat().st_ino
+    thread.committer.submit(Append(bytes(1 << 19), bytes(1 << 19)))
+    assert thread.finish()[-1] == Closed()
+    assert (tmp_path / "HEAD").stat().st_ino == inode
+    assert (tmp_path / "HEAD").stat().st_blocks <= blocks[prepared]
+    assert thread.log_path.stat().st_blocks <= blocks[thread.log_path]
+    assert thread.frames_path.stat().st_blocks <= blocks[thread.frames_path]
+
+
+def test_both_files_are_reserved_and_so_is_what_closing_writes(tmp_path):
+    asked = []
+
+    class Asked(WatchedDisk):
+        def reserve(self, descriptor, path, size):
+            asked.append(size)
+            return super().reserve(descriptor, path, size)
+
+    thread = Thread(tmp_path, Asked())
+    thread.committer.submit(Append(b"abc", b"frame\n"))
+    thread.committer.submit(Reserve(5000, 600))
+    thread.wait(Reserved)
+    assert asked == [5003, 606, HEAD_MAX], "so many more bytes than are written"
+    thread.finish()
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_no_space_for_any_of_them_is_no_space(tmp_path, which):
+    thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.ENOSPC, after=which)))
+    thread.committer.submit(Reserve(4096, 4096))
+    answer = thread.wait(Reserved)
+    assert answer.reservation.size < answer.asked
+    thread.finish()
+
+
+def test_what_is_only_seen_free_is_counted_once_for_all(tmp_path):
+    class Unable(WatchedDisk):
+        def reserve(self, _descriptor, _path, _size):
+            return Reservation(1000, reserved=False, how="seen free")
+
+    thread = Thread(tmp_path, Unable())
+    thread.committer.submit(Reserve(600, 600))
+    assert thread.wait(Reserved).reservation == Reservation(1000, reserved=False, how="seen free")
+    thread.finish()
+
+
+def test_a_disk_that_does_not_even_say_what_is_free_has_answered(tmp_path, monkeypatch):
+    def fail(_path):
+        raise OSError(errno.EIO, "no")
+
+    monkeypatch.setattr("cutgate.runtime.audit.commit.os.statvfs", fail)
+    thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.EIO)))
+    thread.committer.submit(Reserve(4096, 0))
+    assert thread.wait(Reserved).reservation.size == 1
+    thread.finish()
+
+
+class Alike:
+    """Times that tell nothing, as within one tick of the clock."""
+
+    def __eq__(self, _other):
+        return True
+
+    __hash__ = None
+
+
+@pytest.fixture
+def within_one_tick(monkeypatch):
+    monkeypatch.setattr(Written, "_remember", lambda written, _status: setattr(written, "_times", Alike()))
+
+
+@pytest.mark.parametrize("which", ["log_path", "frames_path"])
+@pytest.mark.parametrize("token", [None, 2])
+def test_content_is_read_back_with_every_record_that_enables(tmp_path, within_one_tick, which, token):
+    thread = Thread(tmp_path, WatchedDisk())
+    thread.committer.submit(Append(b"abc", b"frame\n", token=1))
+    thread.committer.submit(Reserve(4096, 4096))
+    thread.wait(Reserved)
+    overwritten(getattr(thread, which))
+    thread.committer.submit(Append(b"def", b"", token=token))
+    assert "was overwritten" in thread.wait(Failed).reason if token else thread.wait(Durable).token is None
+    assert Closed() not in thread.finish(), "and when the log is closed"
+    assert not (tmp_path / "HEAD").exists()

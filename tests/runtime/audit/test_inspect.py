@@ -2,22 +2,42 @@
 
 import io
 import struct
+import tracemalloc
 import zlib
 from dataclasses import replace
+from hashlib import sha256
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Message, MessageIndex, Schema, Statistics
+from mcap.reader import SeekingReader
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Header,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from cutgate.runtime.audit import records
+from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.scan import MAGIC, recoverable_head, scan
+from cutgate.runtime.audit.log import candump_line
+from cutgate.runtime.audit.scan import MAGIC, scan
 from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import decision, forge, small_log
+
+FRAMES = 3 * candump_line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
+"""What ``small_log`` writes beside the log."""
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +50,13 @@ def data(paths):
     return paths.log.read_bytes()
 
 
+def verified(data):
+    """The judgement with the raw frames of the small log beside it."""
+    return verify_log(data, FRAMES)
+
+
 def judged(data, word="", status=Status.TAMPERED):
-    report = verify_log(data)
+    report = verified(data)
     assert report.status is status, report
     assert word in report.reasons[0]
     return report
@@ -41,9 +66,9 @@ def judged(data, word="", status=Status.TAMPERED):
 
 
 def test_the_log_is_ok_and_no_signature_is_claimed(data):
-    report = verify_log(data)
+    report = verified(data)
     assert (report.status, report.headline) == (Status.OK, "OK (unsigned)")
-    assert verify_log(data[:-1]).headline == "INCOMPLETE"
+    assert verified(data[:-1]).headline == "INCOMPLETE"
 
 
 def test_a_flipped_bit_is_never_ok(data):
@@ -52,7 +77,7 @@ def test_a_flipped_bit_is_never_ok(data):
     for place in range(0, len(data), 11):
         changed = bytearray(data)
         changed[place] ^= 1 << (place % 8)
-        status = verify_log(bytes(changed)).status
+        status = verified(bytes(changed)).status
         found.add(status)
         assert status in (Status.TAMPERED, Status.UNREADABLE), f"byte {place}"
     assert Status.TAMPERED in found
@@ -64,7 +89,7 @@ def test_every_byte_of_the_frame_of_the_file_counts(data):
     for place in (*range(64), *range(summary, len(data), 17), *range(len(data) - 64, len(data))):
         changed = bytearray(data)
         changed[place] ^= 0xFF
-        assert verify_log(bytes(changed)).status is not Status.OK, f"byte {place}"
+        assert verified(bytes(changed)).status is not Status.OK, f"byte {place}"
 
 
 @given(st.data())
@@ -73,15 +98,15 @@ def test_changed_stretches_are_never_ok(data, draws):
     start = draws.draw(st.integers(0, len(data) - 1))
     new = draws.draw(st.binary(min_size=1, max_size=40))
     changed = data[:start] + new + data[start + len(new) :]
-    assert (verify_log(changed).status is Status.OK) == (changed == data)
+    assert (verified(changed).status is Status.OK) == (changed == data)
 
 
 def test_a_log_cut_anywhere_is_incomplete(data):
     for end in range(len(MAGIC), len(data), 13):
-        report = verify_log(data[:end])
+        report = verified(data[:end])
         assert report.status is Status.INCOMPLETE, (end, report)
     for end in range(len(data) - 200, len(data)):
-        assert verify_log(data[:end]).status is Status.INCOMPLETE
+        assert verified(data[:end]).status is Status.INCOMPLETE
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"hello", b"\x00" * 100, MAGIC[:-1]])
@@ -103,12 +128,12 @@ def test_the_first_magic_alone_is_incomplete():
 
 def test_a_cut_log_says_what_is_left(data):
     end = data.rindex(struct.pack("<B", Opcode.CHUNK), 0, data.index(b'"final_state"')) + 20
-    report = verify_log(data[:end])
+    report = verified(data[:end])
     whole = read_log(data)
-    assert report.messages == len(whole.records) - 1
+    assert report.messages == whole.report.messages - 1
     assert report.dropped_bytes > 0
     assert "record" in report.reasons[0]
-    assert report.head == recoverable_head(data[:end]) != whole.report.head
+    assert report.head == recoverable_head(io.BytesIO(data[:end])) != whole.report.head
 
 
 def test_a_wrong_length_in_a_finished_file_is_tampered(data):
@@ -199,7 +224,7 @@ def test_a_file_without_header_is_tampered(data):
 
 @pytest.mark.parametrize("tail", [b"x", MAGIC])
 def test_bytes_after_the_end_are_tampered(data, tail):
-    assert verify_log(data + tail).status is Status.TAMPERED
+    assert verified(data + tail).status is Status.TAMPERED
 
 
 @pytest.mark.parametrize(
@@ -237,6 +262,52 @@ def test_a_chunk_that_holds_something_else_is_tampered(data, change, word):
 )
 def test_a_chunk_that_says_something_else_of_itself_is_tampered(data, fields, word):
     judged(rechunked(data, lambda content: content, **fields), word)
+
+
+def raw(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+@pytest.mark.parametrize(
+    ("record", "word"),
+    [
+        (raw(Opcode.CHUNK, bytes(39)), "it is too short to be one"),
+        (raw(Opcode.ATTACHMENT, bytes(16) + struct.pack("<I", 99) + bytes(40)), "longer than its record"),
+        (raw(Opcode.ATTACHMENT, bytes(16) + b"\1\0\0\0\xff" + bytes(16)), "no UTF-8"),
+        (raw(Opcode.ATTACHMENT, bytes(32) + b"more than it says" + bytes(4)), "not in its canonical form"),
+        (raw(Opcode.ATTACHMENT, bytes(32) + b"\1\2\3\4"), "not in its canonical form"),
+    ],
+)
+def test_a_record_that_is_not_what_it_says_of_itself_is_tampered(data, record, word):
+    judged(inserted(data, Opcode.CHUNK, record), word)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (raw(Opcode.MESSAGE, bytes(21)), "a message that is too short"),
+        (raw(Opcode.MESSAGE, bytes(22))[:-1], "runs over the end, 0 bytes in"),
+        (raw(Opcode.CHUNK, b""), "is a chunk where none belongs"),
+        (raw(Opcode.ATTACHMENT, b""), "is an attachment where none belongs"),
+        (packed(Message(9, 0, b"", 0, 7)), "message 7 names no channel"),
+    ],
+)
+def test_a_chunk_whose_parts_are_not_what_they_say_of_themselves_is_tampered(data, content, word):
+    judged(rechunked(data, lambda _content: content), word)
+
+
+def test_what_stands_behind_the_summarys_offsets_is_tampered(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.FOOTER)
+    judged(joined([*entries[:place], entries[place - 20], entries[place]]), "the summary's offsets are not")
+
+
+def test_a_summary_of_endless_groups_is_not_read_to_its_end(data):
+    entries = raws(data)
+    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.SCHEMA)
+    kinds = dict(entries[place:])
+    two = [(opcode, kinds[opcode]) for opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]
+    judged(joined([*entries[:place], *two * 4, *entries[place:]]), "the summary is not that")
 
 
 def test_a_chunk_without_messages_is_tampered(data):
@@ -323,7 +394,7 @@ def unlinked(data, change):
 
 
 def test_rewriting_a_log_as_it_is_leaves_it_ok(data):
-    assert verify_log(unlinked(data, lambda links: links)).status is Status.OK
+    assert verified(unlinked(data, lambda links: links)).status is Status.OK
 
 
 def changed_link(number, **changes):
@@ -354,7 +425,7 @@ CHANGES = {
 
 @pytest.mark.parametrize(("change", "word"), CHANGES.values(), ids=CHANGES)
 def test_the_first_record_that_does_not_follow_is_named(data, change, word):
-    report = verify_log(unlinked(data, change))
+    report = verified(unlinked(data, change))
     assert report.status is Status.TAMPERED
     assert word in report.reasons[0]
 
@@ -395,6 +466,11 @@ def test_a_log_is_opened_once(data):
     judged(appended(data, first), "/audit/open is there 2 times")
 
 
+def test_a_log_is_closed_once(data):
+    last = records.Close.model_validate_json(scan(data).messages[-1].link.data)
+    judged(appended(data, last), "/audit/close is there 2 times")
+
+
 def test_the_close_record_counts(data):
     judged(appended(data, close={"message_count": 3}), "counts 3 messages")
 
@@ -411,8 +487,8 @@ def test_the_metadata_are_those_of_record_0(data):
     other = unlinked(changed, lambda links: links).replace(
         b"log_id\x20\x00\x00\x000", b"log_id\x20\x00\x00\x001"
     )
-    assert verify_log(other).status is Status.TAMPERED
-    assert any("metadata" in reason for reason in verify_log(other).reasons)
+    assert verified(other).status is Status.TAMPERED
+    assert any("metadata" in reason for reason in verified(other).reasons)
 
 
 # ---------------------------------------------------------------- attachments and raw frames
@@ -442,16 +518,45 @@ def with_attachments(data, change):
     ],
 )
 def test_attachments_are_those_of_their_records(data, change, word):
-    assert verify_log(with_attachments(data, lambda entries: entries)).status is Status.OK
+    assert verified(with_attachments(data, lambda entries: entries)).status is Status.OK
     judged(with_attachments(data, change), word)
 
 
 def test_the_raw_frames_beside_the_log_are_those_of_the_close_record(paths, data):
     frames = paths.candump.read_bytes()
     assert verify_log(data, frames).status is Status.OK
-    assert verify_log(data, frames + b"x").status is Status.TAMPERED
-    assert verify_log(data, b"").status is Status.TAMPERED
-    assert "not beside the log" in verify_log(data).notes[0]
+    for other in (frames + b"x", b"", frames[:-1], b"x" * len(frames)):
+        report = verify_log(data, other)
+        assert report.status is Status.TAMPERED
+        assert "raw frames beside the log" in report.reasons[0]
+
+
+def test_raw_frames_of_another_size_are_not_read(data):
+    class Huge(io.BytesIO):
+        def seek(self, offset, whence=0):
+            return 1 << 43 if whence == io.SEEK_END else super().seek(offset, whence)
+
+        def read(self, size=-1):
+            pytest.fail("read")
+
+    assert verify_log(data, Huge()).status is Status.TAMPERED
+
+
+def test_a_log_without_its_raw_frames_is_incomplete(data):
+    report = verify_log(data)
+    assert report.status is Status.INCOMPLETE
+    assert "raw frames" in report.reasons[0]
+    assert "is not beside the log" in report.reasons[0]
+
+
+def test_a_log_that_was_not_closed_names_no_raw_frames(data):
+    unclosed = data[: data.index(b'"final_state"') - 300]
+    assert not any("raw frames" in reason for reason in verify_log(unclosed).reasons)
+
+
+def test_a_changed_log_without_its_raw_frames_is_tampered_first(data):
+    changed = data.replace(b"time scale", b"time skale")
+    assert verify_log(changed).status is Status.TAMPERED
 
 
 # ---------------------------------------------------------------- two ways of reading
@@ -463,23 +568,189 @@ class Failing:
 
 
 def test_an_error_of_the_stock_reader_is_a_failure(data, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.NonSeekingReader", Failing)
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.StreamReader", Failing)
     judged(data, "read linearly, the file gives an error: ValueError")
 
 
-def test_another_content_by_index_is_a_failure(data, monkeypatch):
-    class Hiding:
-        def __init__(self, *_arguments, **_options):
-            pass
+def hiding(kind):
+    """A stock reader from which one record of a kind is hidden."""
 
-        def iter_messages(self, **_options):
-            return iter(())
+    class Hiding(StreamReader):
+        @property
+        def records(self):
+            hidden = 0
+            for record in super().records:
+                if isinstance(record, kind) and not hidden:
+                    hidden += 1
+                else:
+                    yield record
 
-        def iter_attachments(self):
-            return iter(())
+    return Hiding
+
+
+@pytest.mark.parametrize("kind", [Chunk, Attachment])
+def test_another_content_read_linearly_is_a_failure(data, monkeypatch, kind):
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.StreamReader", hiding(kind))
+    judged(data, "read linearly, the file gives")
+
+
+@pytest.mark.parametrize("part", ["chunk_indexes", "attachment_indexes"])
+def test_another_content_by_index_is_a_failure(data, monkeypatch, part):
+    class Hiding(SeekingReader):
+        def get_summary(self):
+            summary = super().get_summary()
+            setattr(summary, part, getattr(summary, part)[1:])
+            return summary
 
     monkeypatch.setattr("cutgate.runtime.audit.inspect.make_reader", Hiding)
     judged(data, "read by index, the file gives other records")
+
+
+def test_an_attachment_that_is_too_large_for_a_second_reading_is_said(data, monkeypatch):
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.READ_TWICE_MAX", 119)
+    report = verified(data)
+    assert report.status is Status.OK
+    assert "attachment environment.json has" in report.notes[0]
+
+
+# ---------------------------------------------------------------- memory
+
+
+def cut_log(megabytes):
+    """A log as a long cut leaves it: mostly frames; and its raw frames."""
+    writer = LogWriter("ab" * 16, {"software": "x"})
+    names = {"software": "x", "verifier": "x", "numpy": "2", "candump": "x", "cpu_dispatch": ()}
+    writer.attach("x", "text/plain", b"x", log_time_ns=0)
+    attached = {"name": "x", "media_type": "text/plain", "size": 1, "sha256": sha256(b"x").hexdigest()}
+    for record in (
+        records.Open(log_id="ab" * 16, previous_crashed=False, **names),
+        records.Attachment(**attached),
+    ):
+        writer.add(record, log_time_ns=0, monotonic_ns=0)
+    stream = io.BytesIO()
+    while stream.tell() < megabytes * 1e6:
+        for number in range(240):
+            frame = {"is_rtr": False, "is_extended": False, "is_error": False, "dlc": 8, "data": "00" * 8}
+            stamp = records.Time.of(writer.count)
+            record = records.CanFrame(stamp=stamp, direction="received", id=number, **frame)
+            writer.add(record, log_time_ns=writer.count, monotonic_ns=0)
+        writer.close_chunk()
+        stream.write(writer.take())
+    ending = {"message_count": writer.count + 1, "candump_sha256": sha256(b"").hexdigest()}
+    writer.add(
+        records.Close(final_state="done", clean=True, candump_bytes=0, **ending),
+        log_time_ns=writer.count,
+        monotonic_ns=0,
+    )
+    writer.finish()
+    stream.write(writer.take())
+    return stream
+
+
+def peak_bytes(act):
+    """What an act takes of memory beside what there was."""
+    tracemalloc.start()
+    try:
+        act()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def ok(file):
+    assert verify_log(file, b"").status is Status.OK
+
+
+@pytest.mark.parametrize("judge", [ok, recoverable_head, closing_head])
+def test_memory_is_bounded_by_a_chunk_and_the_index_not_by_the_log(judge):
+    small, large = cut_log(0.5), cut_log(4.0)
+    judge(cut_log(0.1))  # whatever is made once
+    few, many = (peak_bytes(lambda file=file: judge(file)) for file in (small, large))
+    assert many < 1_500_000
+    assert many - few < 150_000, "3.5 MB of frames more, in 75 chunks more"
+
+
+def test_frames_are_found_though_no_place_of_them_is_kept():
+    log = read_log(cut_log(0.1), b"")
+    assert log.report.status is Status.OK
+    assert len(log.places) == 3
+    assert len(log.of(records.CanFrame.TOPIC)) == log.report.messages - 3
+
+
+class Sparse(io.BytesIO):
+    """A file of terabytes that holds these bytes and zeros after them; what is read of it is counted."""
+
+    def __init__(self, data, size=1 << 42):
+        super().__init__(data)
+        self.size, self.begin, self.place, self.read_bytes = size, data, 0, 0
+
+    def seek(self, offset, whence=0):
+        self.place = self.size + offset if whence == io.SEEK_END else offset
+        return self.place
+
+    def read(self, size=-1):
+        assert 0 <= size <= 32 << 20, "asked for more than any record has"
+        self.read_bytes += size
+        found = self.begin[self.place : self.place + size].ljust(min(size, self.size - self.place), b"\0")
+        self.place += len(found)
+        return found
+
+
+HEAD = MAGIC + packed(Header("cutgate.audit/1", "x"))
+
+
+@pytest.mark.parametrize(
+    ("begin", "status"),
+    [
+        (b"", Status.UNREADABLE),
+        (MAGIC, Status.TAMPERED),
+        (HEAD, Status.TAMPERED),
+        (MAGIC + struct.pack("<BQ", Opcode.HEADER, 1 << 41), Status.TAMPERED),
+        (HEAD + struct.pack("<BQ", Opcode.CHUNK, 1 << 41), Status.TAMPERED),
+        (HEAD + struct.pack("<BQ", Opcode.METADATA, 1 << 41), Status.TAMPERED),
+        (HEAD + struct.pack("<BQ", Opcode.CHUNK, 1 << 43), Status.INCOMPLETE),
+        (HEAD + struct.pack("<BQQQI", Opcode.ATTACHMENT, 1 << 41, 0, 0, 1 << 30), Status.TAMPERED),
+        (
+            HEAD + packed(DataEnd(zlib.crc32(HEAD))) + struct.pack("<BQ", Opcode.SCHEMA, 1 << 41),
+            Status.TAMPERED,
+        ),
+    ],
+)
+def test_a_huge_file_is_judged_by_its_first_bytes(begin, status):
+    file = Sparse(begin)
+    assert verify_log(file).status is status
+    assert file.read_bytes < 4096 or "attachment" in str(begin)
+
+
+def test_what_a_file_says_of_itself_is_bounded():
+    many = b"".join(packed(Metadata(str(number), {"x": "y" * 1000})) for number in range(20_000))
+    judged(HEAD + many, "it holds more schemas, channels, metadata and attachments")
+
+
+def test_a_file_with_more_records_than_any_session_is_tampered(data, monkeypatch):
+    monkeypatch.setattr("cutgate.runtime.audit.inspect.KEPT_MAX", 5)
+    judged(data, "it holds over 5 records beside frames")
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_torn(data):
+    class Shrinking(io.BytesIO):
+        def read(self, size=-1):
+            if self.tell() > len(data) // 2:
+                self.truncate(len(data) // 2)
+            return super().read(size)
+
+    assert verify_log(Shrinking(data), FRAMES).status is Status.INCOMPLETE
+
+
+def test_a_disk_that_gives_an_error_is_no_judgement(data):
+    class Broken(io.BytesIO):
+        def read(self, size=-1):
+            if self.tell() > 1000:
+                raise OSError(5, "no")
+            return super().read(size)
+
+    with pytest.raises(OSError, match="no"):
+        verify_log(Broken(data))
 
 
 def test_records_of_one_topic_come_in_file_order(data):

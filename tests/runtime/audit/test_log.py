@@ -4,15 +4,16 @@ import errno
 import json
 import os
 from hashlib import sha256
+from io import BytesIO
 
 import pytest
 
 from cutgate.config.load import InputError
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.commit import Append, Closed, Durable, Failed, Reserved
+from cutgate.runtime.audit.heads import recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
 from cutgate.runtime.audit.log import AuditLog, Clock, candump_line
-from cutgate.runtime.audit.scan import recoverable_head
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -51,7 +52,7 @@ def failed(event):
 def test_a_committed_record_stands_in_the_file_cut_at_the_last_synced_offset(tmp_path):
     disk = WatchedDisk()
     log = make(tmp_path, disk)
-    descriptor = log._committer._files.log
+    descriptor = log._committer._log.descriptor
     for token, kind in enumerate(["reset", "permit", "start"], start=1):
         log.write(permit_record(500.0, kind, "authorised", token=token))
         log.commit(token)
@@ -124,7 +125,7 @@ def test_after_a_failure_nothing_is_kept(tmp_path):
     log.attach("x", "text/plain", b"x")
     log.raw_frame(0, "vcan0", 1, b"")
     log.commit(3)
-    log.reserve(1)
+    log.reserve(1, 1)
     log.tick(1e9)
     assert log.size == size
     assert close(log).closed is False
@@ -140,7 +141,7 @@ def test_a_disk_that_never_answers_blocks_no_call(tmp_path):
     log.commit(1)
     wait_for(log, durable(1))
     with hanging(disk, "write", "sync", "reserve", "trim", "replace"):
-        log.reserve(1 << 20)
+        log.reserve(1 << 20, 1 << 18)
         for number in range(200):
             log.write(decision(number))
             log.raw_frame(0, "vcan0", 0x80, b"12345678")
@@ -186,7 +187,7 @@ def test_records_wait_in_memory_for_less_than_the_chunk_period(tmp_path):
 
 def test_space_is_asked_for_and_answered(tmp_path):
     log = make(tmp_path)
-    log.reserve(1 << 20)
+    log.reserve(1 << 20, 1 << 18)
     answer = wait_for(log, lambda event: isinstance(event, Reserved))
     assert answer.reservation.size >= 1 << 20
     close(log)
@@ -208,7 +209,7 @@ def test_the_close_record_counts_messages_and_names_the_raw_frames(tmp_path):
     log = read_log(paths.log.read_bytes())
     (entry,) = log.of("/audit/close")
     candump = paths.candump.read_bytes()
-    assert entry["message_count"] == len(log.records)
+    assert entry["message_count"] == log.report.messages
     assert (entry["candump_sha256"], entry["candump_bytes"]) == (sha256(candump).hexdigest(), len(candump))
     assert candump.splitlines()[0] == b"(1790000000.123456) vcan0 080#0001020304050607"
 
@@ -283,7 +284,7 @@ def test_a_log_that_cannot_be_created_is_refused_and_the_lock_given_back(tmp_pat
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return super().create(path)
 
-        def replace(self, path, data):
+        def replace(self, prepared, data):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with pytest.raises(InputError, match="log directory"):
@@ -336,7 +337,7 @@ def test_after_a_crash_the_last_recoverable_head_is_carried_and_marked(tmp_path)
     second = opened_of(close(make(tmp_path, clock=Later().clock())))
     assert second["previous_crashed"] is True
     assert second["previous_log"] == path.name
-    assert second["previous_head"] == recoverable_head(path.read_bytes()) != "0" * 64
+    assert second["previous_head"] == recoverable_head(BytesIO(path.read_bytes())) != "0" * 64
 
 
 def test_a_crashed_log_that_is_gone_is_marked(tmp_path):
@@ -360,7 +361,7 @@ def test_a_head_that_cannot_be_read_is_marked(tmp_path, content):
 def test_closing_says_closed_once_it_is_durable(tmp_path):
     disk = WatchedDisk()
     log = make(tmp_path, disk)
-    descriptor = log._committer._files.log
+    descriptor = log._committer._log.descriptor
     paths = close(log)
     assert paths.closed
     assert disk.synced[descriptor] == paths.log.stat().st_size

@@ -25,6 +25,8 @@ from tests.runtime.audit.build import (
 )
 
 ADMITTED, REFUSED = 500.0, 850.0
+NO_FRAMES = b""
+"""A session that was made up has passed no bus."""
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +40,12 @@ def refused(tmp_path_factory):
 
 
 def replayed(data, verify=certified.verify, verifier=VERIFIER):
-    return replay(read_log(data), verify, verifier=verifier)
+    return replay(read_log(data, NO_FRAMES), verify, verifier=verifier)
 
 
 def differs(data, word):
     """The forged log verifies, and only the replay finds it."""
-    assert verify_log(data).status is Status.OK
+    assert verify_log(data, NO_FRAMES).status is Status.OK
     result = replayed(data)
     assert result.outcome is Outcome.DIFFERS
     assert any(word in line for line in result.differences), result.differences
@@ -102,7 +104,7 @@ def test_a_rewritten_log_replays(admitted):
 
 
 def test_a_session_without_a_verdict_has_nothing_to_compute(tmp_path):
-    result = replayed(small_log(tmp_path).log.read_bytes())
+    result = replayed(small_log(tmp_path, frames=False).log.read_bytes())
     assert result.outcome is Outcome.IDENTICAL
     assert "before a verdict" in result.notes[0]
     assert result.verdict is None
@@ -357,7 +359,7 @@ def test_limits_that_robot_toml_does_not_approve_differ(admitted):
 
 def records_limits(data, joint):
     """The recorded limits with one joint's upper limit a degree wider."""
-    found = Limits.parse(read_log(data).scan.attachment(names.LIMITS))
+    found = Limits.parse(read_log(data).scan.attachment(names.LIMITS).data)
     upper = tuple(value + 1_000_000 * (number == joint) for number, value in enumerate(found.q_max_u))
     return replace(found, q_max_u=upper).body()
 
@@ -486,9 +488,8 @@ def test_a_permit_on_a_refused_path_is_named(admitted, refused):
     """The refused session, given the permit that left in the admitted one."""
     sent = next(
         record
-        for message in read_log(admitted).scan.messages
-        if message.topic == records.Permit.TOPIC
-        and stage("permit", "sent")(record := records.Permit.model_validate_json(message.link.data))
+        for _, data in read_log(admitted).each(records.Permit.TOPIC)
+        if stage("permit", "sent")(record := records.Permit.model_validate_json(data))
     )
     forged = forge(refused, lambda record: sent if isinstance(record, records.Decision) else record)
     differs(forged, "a permit left; the verdict is recorded as inadmissible and recomputed as inadmissible")
@@ -568,7 +569,7 @@ def test_nothing_leaves_while_a_permissive_fails(admitted):
 
 
 def test_a_reset_needs_its_authorisation_and_no_verdict(tmp_path):
-    log = small_log(tmp_path).log.read_bytes()
+    log = small_log(tmp_path, frames=False).log.read_bytes()
 
     def resets(*stages):
         queue = [records.Permit(kind="reset", stage=name, token=9) for name in stages]

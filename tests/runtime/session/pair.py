@@ -38,9 +38,10 @@ from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
 from cutgate.runtime.audit.replay import Replay, replay
+from cutgate.runtime.audit.written import LostError
 from cutgate.runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
 from cutgate.runtime.interlock.state import Job as SessionJob
-from cutgate.runtime.session.job import VERIFIER, log_bytes, make_job, read_files
+from cutgate.runtime.session.job import VERIFIER, make_job, read_files
 from cutgate.runtime.session.job import Files as InputFiles
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session, wake_pipe
@@ -114,12 +115,13 @@ class TurnByTurn(Committer):
             _, job = self._waiting.popleft()
             try:
                 self._ended = self._work([job])
-            except OSError as error:
-                self._report(Failed(os.strerror(error.errno)))
+            except (OSError, LostError) as error:
+                self._report(Failed(str(error) if isinstance(error, LostError) else os.strerror(error.errno)))
+                self._head.discard()
                 self._ended = True
             if self._ended:
-                for descriptor in (self._files.log, self._files.frames):
-                    os.close(descriptor)
+                for file in (self._log, self._frames):
+                    os.close(file.descriptor)
 
     def events(self) -> list[Any]:
         self.work()
@@ -370,7 +372,6 @@ class Pair:
             view=self.notes,
             words=self.terminal.reader,
             checkpoint_deadline_s=5.0,
-            log_bytes=log_bytes(self.job),
             clock=self.clock,
             random=Generator(f"runtime {self.sessions}"),
         )

@@ -1,7 +1,10 @@
 """A disk that is slow, full or silent: nothing is enabled without it, and nothing that stops waits for it."""
 
 import errno
-from dataclasses import replace
+import os
+import shutil
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +13,8 @@ from cutgate.protocol.frames import RuntimeHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.interlock.state import Phase, Withheld
+from tests.runtime.audit.test_written import later
+from tests.runtime.session.pair import Disk
 from tests.runtime.session.test_session import first_frames
 
 
@@ -134,3 +139,137 @@ def test_the_enabling_device_released_before_the_start_is_durable_takes_the_star
     assert not first_frames(pair, records.Start)
     pair.disk.delay_s = 0.0
     assert pair.end() is Phase.DONE  # pressed again, said again
+
+
+# ---------------------------------------------------------------- a log that is lost
+
+
+def overwrite(path):
+    later(path)
+    with path.open("r+b") as file:
+        file.write(b"\x89mcap")
+
+
+def readable_for_all(path):
+    path.chmod(0o644)
+
+
+LOSSES = {
+    "the folder is deleted": (lambda log: shutil.rmtree(log.path.parent), "LOCK was deleted"),
+    "the folder is renamed": (lambda log: log.path.parent.rename(log.path.parent.with_name("x")), "LOCK was ren"),
+    "the log is deleted": (lambda log: log.path.unlink(), "mcap was deleted"),
+    "the log is renamed": (lambda log: log.path.rename(log.path.with_name("x")), "mcap was renamed or moved"),
+    "the log is cut": (lambda log: os.truncate(log.path, 100), "mcap was cut to 100 bytes"),
+    "the log is replaced": (
+        lambda log: shutil.copy(log.path, log.path.with_name("x")).replace(log.path),
+        "another file was put in its place",
+    ),
+    "the log is overwritten": (lambda log: overwrite(log.path), "mcap was overwritten"),
+    "the raw frames are deleted": (lambda log: log.candump_path.unlink(), "candump.log was deleted"),
+    "the raw frames are cut": (lambda log: os.truncate(log.candump_path, 0), "candump.log was cut to 0 bytes"),
+}  # fmt: skip
+"""What others do to a log, and how the operator is told."""
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_no_start_leaves_once_the_log_is_lost(pair, loss):
+    act, told = LOSSES[loss]
+    pair.to(Phase.PERMITTED)
+    act(pair.log)
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.AUDIT_FAILED
+    assert not first_frames(pair, records.Start)
+    assert any(told in note for note in pair.notes.notes), pair.notes.notes
+    pair.run(0.2)
+    assert pair.controller.cause is StopCause.AUDIT_FAILED
+    assert not pair.close().closed
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_cut_that_nobody_can_prove_is_stopped_with_the_next_chunk(pair, loss):
+    act, told = LOSSES[loss]
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING).run(2.0)
+    act(pair.log)
+    assert pair.end(limit_s=1.0 + 2 * pair.turn_s) is Phase.STOPPED
+    assert pair.state.cause is StopCause.AUDIT_FAILED
+    assert any(told in note for note in pair.notes.notes), pair.notes.notes
+    assert (pair.controller.state, pair.controller.cause) == (ControllerState.FAULT, StopCause.AUDIT_FAILED)
+    assert not pair.close().closed
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_log_that_is_lost_at_the_very_end_is_not_closed(pair, loss):
+    act, told = LOSSES[loss]
+    assert pair.end() is Phase.DONE
+    act(pair.log)
+    paths = pair.close()
+    assert not paths.closed
+    assert told in paths.reason
+
+
+@pytest.mark.parametrize(
+    "look", [Path.touch, Path.read_bytes, readable_for_all], ids=lambda look: look.__name__
+)
+def test_whoever_only_looks_at_the_log_stops_nothing(pair, look):
+    pair.to(Phase.CUTTING)
+    later(pair.log.path)
+    look(pair.log.path)
+    assert pair.end() is Phase.DONE
+    assert pair.close().closed
+    assert pair.read().report.status is Status.OK
+
+
+# ---------------------------------------------------------------- a disk that somebody else fills
+
+
+@dataclass
+class Crowded(Disk):
+    """Once it is ``full``, nothing finds room on it but what was reserved before."""
+
+    full: bool = False
+    room: dict[int, int] = field(default_factory=dict)
+
+    def _no_room_without(self, reserved, needed):
+        if self.full and not needed <= reserved:
+            raise OSError(errno.ENOSPC, "no room")
+
+    def create(self, path):
+        self._no_room_without(0, 1)
+        return super().create(path)
+
+    def prepare(self, path):
+        self._no_room_without(0, 1)
+        return super().prepare(path)
+
+    def reserve(self, descriptor, path, size):
+        self._no_room_without(self.room.get(descriptor, 0), size)
+        self.room[descriptor] = max(size, self.room.get(descriptor, 0))
+        return super().reserve(descriptor, path, size)
+
+    def write(self, descriptor, data):
+        self._no_room_without(self.room.get(descriptor, 0), os.fstat(descriptor).st_size + len(data))
+        return super().write(descriptor, data)
+
+    def replace(self, prepared, data):
+        self._no_room_without(self.room.get(prepared.descriptor, 0), len(data))
+        super().replace(prepared, data)
+
+
+@pytest.mark.parametrize("since", [Phase.PERMITTED, Phase.CUTTING, Phase.DONE])
+def test_a_cut_that_was_permitted_is_not_stopped_by_a_disk_that_others_fill(pair, since):
+    pair.disk = Crowded(clock=pair.clock)
+    pair.to(since)
+    pair.disk.full = True
+    assert pair.end() is Phase.DONE
+    assert pair.close().closed
+    assert pair.read().report.status is Status.OK
+
+
+def test_a_disk_that_is_full_before_the_permit_lets_none_leave(pair):
+    pair.disk = Crowded(clock=pair.clock)
+    pair.begin()
+    pair.disk.room.clear()
+    pair.disk.full = True
+    assert pair.end() is Phase.STOPPED
+    assert not first_frames(pair, records.Permit)

@@ -11,6 +11,7 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, FaultCode, StopCause
 from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.reading import candump_of
 from cutgate.runtime.commands.app import INTERNAL, execute
 from cutgate.runtime.interlock.state import Phase, Send
 from cutgate.runtime.session.journal import Journal
@@ -160,7 +161,7 @@ def command(pair, monkeypatch, tmp_path):
             ]
         )
         (path,) = (tmp_path / "command").glob("*.mcap")
-        return code, read_log(path.read_bytes())
+        return code, read_log(path.read_bytes(), candump_of(path).read_bytes())
 
     return run
 

@@ -38,9 +38,8 @@ def log(pair):
 
 
 def written(pair, topic):
-    pair.log.close(final_state="x", clean=True)
-    (path,) = (pair.directory / "logs").glob("*.mcap")
-    found = read_log(path.read_bytes())
+    paths = pair.log.close(final_state="x", clean=True)
+    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
     assert found.report.status.name == "OK"
     return found.of(topic)
 

@@ -32,7 +32,7 @@ def reach(pair, phase):
     if phase is Phase.VERIFYING:
         pair.prover.answer = lambda _request: None
     if phase is Phase.AUTHORISING_PERMIT:
-        pair.to(Phase.COLLECTING).disk.answers = False
+        pair.to(Phase.NONCE_PERMIT).disk.answers = False
     if phase is Phase.AUTHORISING_START:
         pair.to(Phase.PERMITTED).disk.answers = False
     pair.to(phase)

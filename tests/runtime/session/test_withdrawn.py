@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from cutgate.config.load import InputError
 from cutgate.runtime.session import withdrawn
+from tests.runtime.audit.build import small_log
 
 DIGESTS = st.binary(min_size=32, max_size=32)
 
@@ -36,9 +37,28 @@ def test_a_line_that_is_no_entry_is_named(tmp_path, line):
 
 def test_a_list_that_cannot_be_read_stops(tmp_path):
     (tmp_path / withdrawn.WITHDRAWN).mkdir()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not a regular file"):
         withdrawn.load(tmp_path)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / withdrawn.WITHDRAWN).write_bytes(b"\xff\n")
     with pytest.raises(InputError, match="cannot be read"):
         withdrawn.load(tmp_path / "b")
+
+
+def test_a_list_that_has_lost_a_line_stops(tmp_path):
+    small_log(tmp_path)
+    for number in range(2):
+        withdrawn.add(tmp_path, bytes([number]) * 32, "a.mcap")
+    file = tmp_path / withdrawn.WITHDRAWN
+    file.write_bytes(file.read_bytes().splitlines(keepends=True)[0])
+    with pytest.raises(InputError, match="at least the 2 lines"):
+        withdrawn.load(tmp_path)
+
+
+def test_a_list_that_others_can_write_stops(tmp_path):
+    withdrawn.add(tmp_path, bytes(32), "a.mcap")
+    (tmp_path / withdrawn.WITHDRAWN).chmod(0o666)
+    with pytest.raises(InputError, match="mode is 0666"):
+        withdrawn.load(tmp_path)
+    with pytest.raises(InputError, match="mode is 0666"):
+        withdrawn.add(tmp_path, bytes(32), "b.mcap")

@@ -1,0 +1,43 @@
+"""A log's files, opened, read and judged: what commands and reviews begin with."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from io import SEEK_END
+from pathlib import Path
+from typing import Final
+
+from cutgate.config.load import check_size, open_input, unreadable
+from cutgate.runtime.audit.inspect import Log, read_log
+
+SIZE_MAX: Final = 1 << 32
+"""Bytes of the largest log that is read: four hours of cutting at the shortest heartbeat, nineteen at the usual one."""
+_REMEDY: Final = "it is no session's log; name another file"
+
+
+def candump_of(log: Path) -> Path:
+    """Where the raw frames of a log stand: beside it."""
+    return log.with_suffix(".candump.log")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[Log]:
+    """The log and its judgement, with the raw frames beside it where they are; its files are open meanwhile.
+
+    An error of the disk in the block is one of reading: what writes, to a terminal or a file, stands behind the block.
+
+    Raises:
+        InputError: no such file, larger than any log, or it cannot be read.
+    """
+    with ExitStack() as files:
+        log = files.enter_context(open_input(path))
+        check_size(path, log.seek(0, SEEK_END), SIZE_MAX, _REMEDY)
+        candump = candump_of(path)
+        frames = files.enter_context(open_input(candump)) if candump.is_file() else None
+        try:
+            found = read_log(log, frames)
+        except OSError as error:
+            raise unreadable(path, error) from None
+        try:
+            yield found
+        except OSError as error:  # records and attachments are read when they are asked for
+            raise unreadable(path, error) from None

@@ -1,0 +1,97 @@
+"""How much space a session takes on the disk until its end: the log, and the raw frames beside it. Pure.
+
+Each heartbeat brings the same frames, and each frame one line and one record, which are taken here at their widest.
+How long it lasts is estimated from the path before the session opens, so that a disk that is too full is known at
+once; and known with the verdict, from the verified trajectory. The interlock asks for twice what is told here
+(``permissives.log_space``): frames of others on the bus come out of the second half.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cutgate.protocol import records
+from cutgate.runtime.audit.log import candump_line
+from cutgate.runtime.audit.records import CanFrame, Time
+from cutgate.runtime.interlock.state import Job, Timing
+from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.kinematics.pose import turn_angles
+
+FRAMES_PER_HEARTBEAT: Final = 6
+"""Both heartbeats, three frames of a joint sample, one of progress; the two sides have one period."""
+MESSAGE_BYTES: Final = 9 + 22 + 16
+"""What a message has beside its data: length, head, and its entry in the chunk's index."""
+CHUNK_BYTES: Final = 1000
+"""What a chunk has beside its messages: its head, an index for each of its topics, and its entry in the summary."""
+FIXED_BYTES: Final = 1_000_000
+"""Decisions with their permissives, changes of state, control records, the close record, summary and schemas."""
+_LATEST_NS: Final = 9_999_999_999_999_999_999
+
+
+@dataclass(frozen=True)
+class Space:
+    """Bytes of log and of raw frames."""
+
+    log: int
+    frames: int
+
+    @property
+    def total(self) -> int:
+        """Of both."""
+        return self.log + self.frames
+
+
+def estimated_s(job: Job) -> float:
+    """About how long the arm moves: the cut at its feed, the ways in and out, and the joint lines at their speed.
+
+    The joint lines from limit to limit, at most a turn; the ways in and out through the path's whole extent.
+    """
+    path, limits = records.PathCodes.parse(job.path), records.Limits.parse(job.limits)
+    tips, axes = path.decoded(0, len(path))
+    lengths_mm = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    turned_mm = path.tool_length_mm * turn_angles(axes[:-1], axes[1:])
+    cut_s = float(np.sum(np.maximum(lengths_mm, turned_mm))) / path.feed_mm_s
+    travel = np.minimum(limits.q_max - limits.q_min, [TURN, TURN, np.inf, TURN, TURN])
+    line_s = float(np.max(travel / limits.speed)) * 100.0 / job.timing.approach_speed_percent
+    way_mm = float(np.linalg.norm(np.ptp(tips, axis=0))) + job.timing.approach_clearance_mm
+    return cut_s + 2.0 * (line_s + way_mm / path.feed_mm_s)
+
+
+def waiting_s(timing: Timing) -> float:
+    """The longest time from the verdict to START, and from the end of the trajectory to the session's."""
+    until_start_s = timing.operator_wait_s + timing.permit_lifetime_s
+    answers_s = 4 * timing.reply_timeout_s + 2 * timing.commit_deadline_s
+    return until_start_s + answers_s + timing.stop_confirm_s + 2 * timing.timeout_ms / 1000
+
+
+def space(seconds: float, timing: Timing, *, chunk_period_s: float, interface: str) -> Space:
+    """What so many seconds take.
+
+    Args:
+        seconds: of the session.
+        timing: its heartbeat.
+        chunk_period_s: so often a chunk of the log is closed, at least.
+        interface: the bus's name in the raw frames.
+    """
+    frames = math.ceil(seconds * 1000.0 / timing.heartbeat_ms) * FRAMES_PER_HEARTBEAT
+    line = len(candump_line(_LATEST_NS, interface, 0x7FF, bytes(8)))
+    record = len(_widest().encode()) + MESSAGE_BYTES
+    chunks = math.ceil(seconds / chunk_period_s)
+    log = FIXED_BYTES + frames * record + chunks * CHUNK_BYTES
+    return Space(log, FIXED_BYTES // 4 + frames * line)
+
+
+def _widest() -> CanFrame:
+    """The longest record of a frame."""
+    return CanFrame(
+        stamp=Time.of(_LATEST_NS),
+        direction="received",
+        id=0x7FF,
+        is_rtr=False,
+        is_extended=False,
+        is_error=False,
+        dlc=8,
+        data=bytes(8).hex(),
+    )

@@ -1,15 +1,42 @@
-"""Words typed on a terminal or sent through a pipe, read without ever blocking a control loop."""
+"""Words from a keyboard or a pipe, for a loop that must never wait for them."""
 
 import os
+import sys
+import time
+from contextlib import suppress
 from enum import StrEnum
-from typing import Generic, TypeVar
+from threading import Thread
+from typing import Final, Generic, TypeVar
 
-READ_BYTES = 4096
-LINE_BYTES_MAX = 256
-CUT = b"..."
+from cutgate.config.signals import none_here
+
+STDIN: Final = 0
+READ_BYTES: Final = 64
+"""In one turn of a loop, a dozen words: each may become a record, and somebody may paste thousands."""
+PASSED_ON_BYTES: Final = 4096
+LINE_BYTES_MAX: Final = 256
+CUT: Final = b"..."
 """Stands for what a line is too long by."""
+AGAIN_S: Final = 0.2
+"""How often a terminal that belongs to another job is asked again."""
 
 W = TypeVar("W", bound=StrEnum)
+
+
+def open_standard_streams() -> None:
+    """Whichever of the three standard streams is closed leads nowhere from now on: at the start of every program.
+
+    Else the next file or socket takes its number, and what is said to a person is written into that.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+            os.set_inheritable(opened, True)
+        if getattr(sys, name) is None:
+            stream = open(descriptor, "w" if descriptor else "r", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
 
 
 class WordReader(Generic[W]):
@@ -57,3 +84,44 @@ def _text(line: bytes) -> str:
     """No word is so long, padding included, however the line arrived: what is cut off must not make one of it."""
     whole = line if len(line) <= LINE_BYTES_MAX else line[:LINE_BYTES_MAX] + CUT
     return whole.decode("ascii", "replace").strip().lower()
+
+
+def typed(words: type[W], descriptor: int = STDIN) -> WordReader[W]:
+    """The words that arrive on a descriptor which others may share: a thread of its own reads it, through a pipe.
+
+    Between the news that something has arrived and the reading of it, another program may take it away, and the
+    reader waits; and a terminal that belongs to another job suspends whoever reads it. Neither may happen to a loop.
+    """
+    reading, writing = os.pipe2(os.O_CLOEXEC)
+    os.set_blocking(reading, False)
+    Thread(target=_pass_on, args=(descriptor, writing), name="words", daemon=True).start()
+    return WordReader(reading, words)
+
+
+def _pass_on(source: int, sink: int) -> None:
+    """Everything from the one to the other, until either ends."""
+    none_here()  # a terminal of another job then fails, instead of suspending the whole program
+    with suppress(BrokenPipeError):
+        while data := _read(source):
+            os.write(sink, data)
+    os.close(sink)
+
+
+def _read(source: int) -> bytes:
+    """What arrives next; empty at the end of the file, or when it cannot be read any more."""
+    while True:
+        try:
+            return os.read(source, PASSED_ON_BYTES)
+        except OSError as error:
+            # Somebody who shares it may have made it fail instead of wait; and a terminal may be ours again.
+            if not (isinstance(error, BlockingIOError) or _in_background(source)):
+                return b""
+        time.sleep(AGAIN_S)
+
+
+def _in_background(terminal: int) -> bool:
+    """Whether it is a terminal that belongs to another job."""
+    try:
+        return os.tcgetpgrp(terminal) != os.getpgrp()
+    except OSError:
+        return False

@@ -17,4 +17,7 @@ def main(arguments: list[str]) -> int:
 
 if __name__ == "__main__":
     own_code_only()
+    from cutgate.config.terminal import open_standard_streams  # not before it is known where from
+
+    open_standard_streams()
     sys.exit(main(sys.argv[1:]))

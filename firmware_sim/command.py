@@ -4,12 +4,10 @@ import argparse
 import hashlib
 import math
 import os
-import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import can
 
@@ -18,7 +16,9 @@ from cutgate.config.constants import CONSTANTS
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
-from cutgate.config.terminal import WordReader
+from cutgate.config.screen import STDOUT, diverted, last_words, screens
+from cutgate.config.signals import ENDING, handled, wake
+from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
@@ -45,7 +45,7 @@ class RefusedError(Exception):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the simulated controller until SIGINT or SIGTERM.
+    """Run the simulated controller until Ctrl-C or another signal that ends programs.
 
     Returns:
         0 after a clean end, 2 on bad input, key or bus, 70 on an internal error.
@@ -60,14 +60,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         RuntimeDirectoryError,
         memory.ControllerMemoryError,
     ) as error:
-        print(f"cutgate sim: {error}", file=sys.stderr)  # noqa: T201 - the command's output
+        last_words(f"cutgate sim: {error}")
         return EXIT_BAD_INPUT
     except (can.CanInitializationError, can.CanError) as error:
-        print(f"cutgate sim: bus: {error}", file=sys.stderr)  # noqa: T201 - the command's output
+        last_words(f"cutgate sim: bus: {error}")
         return EXIT_BAD_INPUT
     except Exception as error:  # noqa: BLE001 - the arm stands already; one line and a code, never a traceback
         text = f"{type(error).__name__}: {error}".replace("\n", " ")
-        print(f"cutgate sim: internal error: {text}", file=sys.stderr)  # noqa: T201 - the command's output
+        last_words(f"cutgate sim: internal error: {text}")
         return EXIT_INTERNAL
     return EXIT_OK
 
@@ -83,20 +83,20 @@ def _run(options: argparse.Namespace) -> None:
     controller = _controller(robot, key, remembered, options.serial)
     interface, channel = _bus_of(options)
     reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-
-    def wake(_number: int, _frame: Any) -> None:
-        os.write(writing, b"\0")
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, wake)
-    with open_bus(interface, channel, fd=options.fd) as bus:
+    with (
+        handled(ENDING, lambda _number: wake(writing)),
+        screens(STDOUT) as (screen,),
+        diverted(screen),
+        open_bus(interface, channel, fd=options.fd) as bus,
+    ):
         _refuse_a_used_bus(bus)
-        _say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
-        _say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
+        say = screen.say
+        say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
+        say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
         if settings.time_scale != 1.0:
-            _say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")
+            say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")
         if remembered.latched is not StopCause.NONE:
-            _say(
+            say(
                 f"a fault was latched before power-up ({remembered.latched.name}): acknowledge it, then reset"
             )
         process = Process(
@@ -104,8 +104,8 @@ def _run(options: argparse.Namespace) -> None:
             Port(bus, _endpoint(fd=options.fd)),
             memory_file,
             options=settings,
-            words=WordReader(sys.stdin.fileno(), Word) if sys.stdin and not sys.stdin.closed else None,
-            say=_say,
+            words=typed(Word),
+            say=say,
         )
         process.run(reading)
 
@@ -191,10 +191,6 @@ def _refuse_a_used_bus(bus: can.BusABC) -> None:
             raise RefusedError(
                 f"the bus already carries cutgate frames (0x{message.arbitration_id:03X}); end the other controller"
             )
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)  # noqa: T201 - the command's output
 
 
 def _parser() -> argparse.ArgumentParser:

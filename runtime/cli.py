@@ -15,6 +15,9 @@ def main() -> None:
     own_code_only()
     import signal  # noqa: PLC0415 - not before it is known where from
 
+    from cutgate.config.terminal import open_standard_streams  # noqa: PLC0415
+
+    open_standard_streams()
     code = STOPPED if sys.argv[1:2] == ["run"] else INTERRUPTED
 
     def leave(_number: int, _frame: object) -> None:

@@ -6,3 +6,5 @@ STOPPED = 3
 """``run``: stopped, by a person or a fault."""
 INTERNAL = 70
 INTERRUPTED = 130
+READER_GONE = 141
+"""Whoever was to read the result has gone: no verdict's code may be given, as by a program that SIGPIPE ends."""

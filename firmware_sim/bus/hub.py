@@ -60,7 +60,7 @@ class Hub:
     Args:
         path: where the socket is made; its directory must exist.
         queue_frames: frames that wait for one client before it loses some.
-        report: told about overruns and refused clients, one line each.
+        report: told about overruns and refused clients, one line each; it must not wait for anybody.
 
     Raises:
         HubError: a living hub serves there, something else stands there, or the path cannot be a socket's.
@@ -79,7 +79,7 @@ class Hub:
         self._log: TextIO | None = None
         self._log_name = "_".join(path.stem.split()) or "cutgate"
         self._queue_frames = queue_frames
-        self._report = report or _to_stderr
+        self._report = report or (lambda _line: None)
         self._clients: dict[int, _Client] = {}
         self._lost_clients: set[int] = set()
         self._last_ns = 0
@@ -370,7 +370,3 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 def _peer_process(sock: socket.socket) -> int:
     return int.from_bytes(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 4), sys.byteorder)
-
-
-def _to_stderr(line: str) -> None:
-    print(f"bus: {line}", file=sys.stderr, flush=True)  # noqa: T201 - the hub's terminal

@@ -1,14 +1,15 @@
 """``cutgate bus serve``: the hub as a process of its own."""
 
 import argparse
-import signal
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, TextIO
 
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
+from cutgate.config.screen import STDERR, STDOUT, diverted, last_words, screens
+from cutgate.config.signals import ENDING, handled
+from cutgate.config.terminal import STDIN
 from cutgate.firmware_sim.bus.hub import Hub, HubError
 
 EXIT_OK: Final = 0
@@ -16,7 +17,7 @@ EXIT_BAD_INPUT: Final = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve until SIGINT or SIGTERM.
+    """Serve until Ctrl-C or another signal that ends programs.
 
     Returns:
         0 after a clean end, 2 when the socket or the log cannot be had (one line on stderr).
@@ -25,13 +26,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         serve(options.socket, options.log, until_stdin_closes=options.until_stdin_closes)
     except (HubError, RuntimeDirectoryError, ValueError) as error:
-        print(f"cutgate bus: {error}", file=sys.stderr)  # noqa: T201 - the command's output
+        last_words(f"cutgate bus: {error}")
         return EXIT_BAD_INPUT
     return EXIT_OK
 
 
 def serve(channel: str = LOCAL_CHANNEL, log: str | None = None, *, until_stdin_closes: bool = False) -> None:
-    """Run a hub in this process's main thread until SIGINT or SIGTERM.
+    """Run a hub in this process's main thread until Ctrl-C or another signal that ends programs.
 
     Prints `serving on PATH` once clients can connect.
 
@@ -46,14 +47,15 @@ def serve(channel: str = LOCAL_CHANNEL, log: str | None = None, *, until_stdin_c
         ValueError: `channel` is neither a path nor a name.
     """
     with ExitStack() as stack:
-        hub = stack.enter_context(Hub(socket_path(channel)))
-        for number in (signal.SIGINT, signal.SIGTERM):
-            stack.callback(signal.signal, number, signal.signal(number, lambda *_: hub.stop()))
+        output, messages = stack.enter_context(screens(STDOUT, STDERR))
+        stack.enter_context(diverted(messages))
+        hub = stack.enter_context(Hub(socket_path(channel), report=lambda line: messages.say(f"bus: {line}")))
+        stack.enter_context(handled(ENDING, lambda _number: hub.stop()))
         if log is not None:
             hub.log_to(stack.enter_context(_new_log(log)))
         if until_stdin_closes:
-            hub.stop_when_closed(sys.stdin.fileno())
-        print(f"serving on {hub.path}", flush=True)  # noqa: T201 - the command's output
+            hub.stop_when_closed(STDIN)
+        output.say(f"serving on {hub.path}")
         hub.serve()
 
 
@@ -69,7 +71,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="cutgate bus", description="The local virtual CAN bus.", allow_abbrev=False
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    serve_ = commands.add_parser("serve", help="run the hub until SIGINT or SIGTERM", allow_abbrev=False)
+    serve_ = commands.add_parser(
+        "serve", help="run the hub until Ctrl-C or another signal that ends programs", allow_abbrev=False
+    )
     serve_.add_argument(
         "--socket", default=LOCAL_CHANNEL, metavar="S", help="socket path, or a name in the runtime directory"
     )

@@ -19,6 +19,7 @@ from cutgate.runtime.commands import (
     run,
     verify,
 )
+from cutgate.runtime.commands.screen import delivered
 from cutgate.runtime.exits import INTERNAL, INTERRUPTED, REFUSED
 
 app = typer.Typer(
@@ -58,7 +59,7 @@ def execute(arguments: list[str] | None = None) -> int:
     try:
         code = app(arguments, prog_name="cutgate", standalone_mode=False)
     except InputError as error:
-        typer.echo(str(error), err=True)
+        delivered(str(error), err=True)
         return REFUSED
     except TyperException as error:
         show = getattr(error, "show", None)
@@ -72,6 +73,6 @@ def execute(arguments: list[str] | None = None) -> int:
             place = place.tb_next
         where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
         text = str(error).replace("\n", " ")
-        typer.echo(f"cutgate: internal error: {type(error).__name__}: {text} ({where})", err=True)
+        delivered(f"cutgate: internal error: {type(error).__name__}: {text} ({where})", err=True)
         return INTERNAL
     return code if isinstance(code, int) else 0

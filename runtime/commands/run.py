@@ -3,21 +3,22 @@
 import importlib.resources
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import can
 import typer
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
 from cutgate.config.load import InputError
-from cutgate.config.terminal import WordReader
+from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
+from cutgate.config.signals import wake as write_wake
+from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.port import Port
@@ -25,9 +26,10 @@ from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import Listed, Previous
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
-from cutgate.runtime.commands.screen import working
-from cutgate.runtime.commands.session_view import SessionView, print_outcome, run_document
+from cutgate.runtime.commands.screen import delivered, working
+from cutgate.runtime.commands.session_view import SessionView, run_document
 from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
+from cutgate.runtime.exits import READER_GONE
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
@@ -39,6 +41,12 @@ from cutgate.runtime.verification.document import document_text
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
+TOLD: Final[dict[int, str]] = {
+    signal.SIGINT: "",
+    signal.SIGHUP: "SIGHUP: the terminal hung up, and nobody can say stop any more",
+    signal.SIGTSTP: "SIGTSTP (Ctrl-Z): a suspended runtime could not watch the arm",
+}
+"""What is said of a signal that ends the session, where its name is not enough; Ctrl-C needs no telling."""
 
 
 def run(
@@ -63,8 +71,10 @@ def run(
 ) -> None:
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
 
-    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit.
-    Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped or fault, or the log could not be closed.
+    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit. Ctrl-C, Ctrl-Z and a
+    terminal that hangs up stop as well; a screen that nobody reads does not.
+    Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped, fault, or a log that could not be closed;
+    141 --json without a reader.
     """
     try:
         with working(f"reading {path}"):
@@ -73,8 +83,8 @@ def run(
             job = make_job(files, now=utc_now())
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
-    view, fd = SessionView(quiet_output=json), fd or files.settings.bus.fd
-    with _signals() as signals:
+    fd = fd or files.settings.bus.fd
+    with SessionView(quiet_output=json) as view, _signals(view) as signals:
         directory = log_dir or Path(files.settings.log.directory)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
@@ -87,10 +97,11 @@ def run(
             session, paths = _session(files, state, secret, bus, name, log, view, signals, fd=fd)
         finally:
             bus.shutdown()
-    if json:
-        typer.echo(document_text(run_document(session.state, session.answer, paths)))
-    else:
-        print_outcome(session.state, paths)
+        if not json:
+            view.outcome(session.state, paths)
+        view.close()
+    if json and not delivered(document_text(run_document(session.state, session.answer, paths))):
+        raise typer.Exit(READER_GONE)
     # A cut that nobody can prove is never a success, nor a log that is not whole one of a session that was not admitted.
     raise typer.Exit(EXIT[session.state.phase if paths.closed else Phase.STOPPED])
 
@@ -127,9 +138,7 @@ def _session(
         journal=journal,
         worker=worker,
         view=view,
-        words=WordReader(sys.stdin.fileno(), Word)
-        if sys.stdin is not None and not sys.stdin.closed
-        else None,
+        words=typed(Word),
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
     )
     signals.interrupts(session)
@@ -189,7 +198,7 @@ def _tell(previous: Previous, view: SessionView) -> None:
 
 @dataclass
 class Signals:
-    """What SIGINT and SIGTERM do: they interrupt the session, now or as soon as there is one, and wake its loop."""
+    """What a signal does: it interrupts the session, now or as soon as there is one, and wakes its loop."""
 
     wake: int
     arrived: bool = False
@@ -203,26 +212,25 @@ class Signals:
 
 
 @contextmanager
-def _signals() -> Iterator[Signals]:
-    """SIGINT and SIGTERM only wake the loop; the table decides what they mean.
+def _signals(view: SessionView) -> Iterator[Signals]:
+    """Signals that would end or suspend the program only wake the loop; the table decides what they mean.
 
     From before the log is made until after it is closed: no Ctrl-C leaves it open.
     """
     reading, writing = wake_pipe()
     signals = Signals(reading)
 
-    def wake(_number: int, _frame: Any) -> None:
+    def interrupt(number: int) -> None:
         signals.arrived = True
+        view.interrupted_by = TOLD.get(number, name_of(number))
         if signals.session is not None:
             signals.session.interrupt()
-        os.write(writing, b"\0")
+        write_wake(writing)
 
-    previous = {number: signal.signal(number, wake) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield signals
+        with handled(ENDING | SUSPENDING, interrupt):
+            yield signals
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
         os.close(reading)
         os.close(writing)
 

@@ -1,13 +1,16 @@
 """A session for people as it goes: one line per step that matters, what to do next, and the outcome."""
 
 import time
-from typing import Any, Final
+from contextlib import ExitStack
+from typing import Any, Final, Self
 
+from rich.console import Group, RenderableType
 from rich.text import Text
 
+from cutgate.config.screen import SAID_MAX, STDERR, STDOUT, diverted, printable, screens
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
-from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.commands.screen import LiveConsole
 from cutgate.runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
 from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
 from cutgate.runtime.interlock.state import (
@@ -17,6 +20,8 @@ from cutgate.runtime.interlock.state import (
     Interlock,
     Phase,
     Refused,
+    Said,
+    Word,
 )
 from cutgate.runtime.session.journal import simulation
 from cutgate.runtime.session.worker import Answer
@@ -51,29 +56,54 @@ OUTCOME: Final = {
 
 
 class SessionView:
-    """Writes to standard error; the verdict goes to standard output unless that is kept for JSON.
+    """Writes to standard error; verdict and outcome go to standard output unless that is kept for JSON.
+
+    The loop calls it, and never waits for whoever looks on: lines are handed over to a screen. Leaving the block waits
+    for the screens, for a bounded time.
 
     Args:
         quiet_output: keep standard output free.
+
+    Attributes:
+        interrupted_by: the signal that interrupts the session, for its reason to be told.
     """
 
     def __init__(self, *, quiet_output: bool) -> None:
-        self._console = messages()
-        self._output = messages() if quiet_output else output()
+        self._stack = ExitStack()
+        output, messages = self._stack.enter_context(screens(STDOUT, STDERR))
+        self._stack.enter_context(diverted(messages))
+        self._messages = LiveConsole(messages)
+        self._output = self._messages if quiet_output else LiveConsole(output)
+        self.interrupted_by = ""
         self._began_s = time.monotonic()
         self._percent = 0
         self._prompt = ""
         self._hold = ""
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Nothing more is shown; waits for the screens, for a bounded time."""
+        self._stack.close()
+
     def note(self, text: str, style: str = "") -> None:
         """One line with the time since the beginning."""
         elapsed = f"{time.monotonic() - self._began_s:8.2f} s  "
-        self._console.print(Text.assemble((elapsed, "dim"), (text, style)), soft_wrap=True)
+        text = text[:SAID_MAX]
+        self._messages.print(
+            lambda: Text.assemble((elapsed, "dim"), (printable(text), style)), soft_wrap=True
+        )
 
     def step(
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
     ) -> None:
         """One step of the interlock."""
+        if self.interrupted_by and event == Said(Word.QUIT):
+            self.note(f"{self.interrupted_by}: the session ends")
         for effect in effects:
             if isinstance(effect, Refused):
                 self.note(f"{effect.word} refused: {effect.reason}", "yellow")
@@ -122,13 +152,11 @@ class SessionView:
 
     def verdict(self, answer: Answer) -> None:
         """The worker's verdict, with every boundary and, if it is no, where to move the bone."""
-        self._output.print(headline(answer.proved))
-        self._output.print(boundaries_table(answer.proved))
-        if answer.approach is not None:
-            self._output.print(approach_line(answer.approach), soft_wrap=True)
-        if answer.guidance is not None:
-            self._output.print()
-            self._output.print(guidance_lines(answer.guidance))
+        self._output.print(lambda: Group(headline(answer.proved), boundaries_table(answer.proved)))
+        if (approach := answer.approach) is not None:
+            self._output.print(lambda: approach_line(approach), soft_wrap=True)
+        if (guidance := answer.guidance) is not None:
+            self._output.print(lambda: Group("", guidance_lines(guidance)))
 
     def progress(self, segment: int, segments: int) -> None:
         """A line every ten percent."""
@@ -136,6 +164,10 @@ class SessionView:
         if percent >= self._percent + PERCENT_STEP:
             self._percent = percent - percent % PERCENT_STEP
             self.note(f"cutting: {self._percent} %, segment {segment} of {segments}")
+
+    def outcome(self, state: Interlock, paths: Paths) -> None:
+        """The last lines: what came of it, why, and where the log is."""
+        self._output.print(lambda: outcome_lines(state, paths), soft_wrap=True)
 
 
 def approach_line(approach: Approach) -> Text:
@@ -145,17 +177,18 @@ def approach_line(approach: Approach) -> Text:
     return Text.assemble("approach and retract ", (word, style), f"{lengths}: {summary(approach)}")
 
 
-def print_outcome(state: Interlock, paths: Paths) -> None:
-    """The last lines: what came of it, why, and where the log is."""
+def outcome_lines(state: Interlock, paths: Paths) -> Group:
+    """What came of it, why, and where the log is."""
     word, style = OUTCOME[state.phase]
-    console = output()
-    console.print()
-    console.print(Text.assemble((word, style), f": {state.reason}" if state.reason else ""), soft_wrap=True)
+    reason = f": {printable(state.reason)}" if state.reason else ""
+    lines: list[RenderableType] = ["", Text.assemble((word, style), reason)]
     if state.controller is not None:
         seen = _controller(state.controller.state, state.controller.cause)
-        console.print(f"controller: last seen {seen}, before the session ended")
-    console.print(f"audit log:  {paths.log}" + ("" if paths.closed else f"  NOT CLOSED: {paths.reason}"))
-    console.print(f"raw frames: {paths.candump}")
+        lines.append(Text(f"controller: last seen {seen}, before the session ended"))
+    not_closed = "" if paths.closed else f"  NOT CLOSED: {paths.reason}"
+    lines.append(Text(f"audit log:  {printable(str(paths.log))}{printable(not_closed)}"))
+    lines.append(Text(f"raw frames: {printable(str(paths.candump))}"))
+    return Group(*lines)
 
 
 def _controller(state: ControllerState, cause: StopCause) -> str:

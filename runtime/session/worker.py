@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from cutgate.config.model import Robot
+from cutgate.config.signals import ENDING, SUSPENDING
 from cutgate.protocol import records
 from cutgate.runtime.interlock.state import Timing, Verdict
 from cutgate.runtime.interlock.tracking import Course
@@ -31,6 +32,7 @@ from cutgate.runtime.verification.problem import Floats, Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.summary import summary
 
+RUNTIMES_BUSINESS = ENDING | SUSPENDING
 JOIN_S = 2.0
 LENGTH_BYTES = 4
 READ_BYTES = 1 << 20
@@ -167,8 +169,8 @@ def _quantiser(path: records.Path) -> Quantise:
 
 def _serve(requests: Connection, path: bytes) -> None:
     """The worker's process: answer until the pipe ends. Signals are the runtime's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for number in RUNTIMES_BUSINESS:
+        signal.signal(number, signal.SIG_IGN)
     while True:
         try:
             request: Request = requests.recv()
@@ -186,11 +188,14 @@ def _serve(requests: Connection, path: bytes) -> None:
 
 @contextmanager
 def _signals_wait() -> Iterator[None]:
-    """A process started in here never sees SIGINT and SIGTERM, nor does its interpreter while it starts."""
-    mine = {signal.SIGINT, signal.SIGTERM}
-    resource_tracker.ensure_running()  # started on the way otherwise, and it lets both signals through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, mine)
+    """A process started in here sees no signal of the runtime's, nor does its interpreter while it starts.
+
+    Ctrl-C, Ctrl-Z and a terminal that hangs up reach everything that was started from it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, RUNTIMES_BUSINESS)
     try:
+        resource_tracker.ensure_running()  # on the way otherwise; it lets SIGINT and SIGTERM through again, here too
+        signal.pthread_sigmask(signal.SIG_BLOCK, RUNTIMES_BUSINESS)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

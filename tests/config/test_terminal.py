@@ -1,13 +1,23 @@
 """Words from a terminal: whole lines of one vocabulary, read without waiting."""
 
+import fcntl
 import os
+import select
+import subprocess
+import sys
+import threading
+from contextlib import suppress
 from enum import StrEnum
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, WordReader
+from cutgate.config import terminal
+from cutgate.config.interpreter import program
+from cutgate.config.terminal import LINE_BYTES_MAX, PASSED_ON_BYTES, READ_BYTES, WordReader, typed
+
+WAIT_S = 20.0
 
 
 class Word(StrEnum):
@@ -25,11 +35,19 @@ class Typing:
 
     def words(self, data):
         os.write(self.writing, data)
-        return self.reader.read()
+        return all_words(self.reader)
 
     def close(self):
         for descriptor in (self.descriptor, self.writing):
             os.close(descriptor)
+
+
+def all_words(reader):
+    """Everything that has arrived, turn by turn, as a loop reads it."""
+    found = []
+    while reader.descriptor is not None and select.select([reader.descriptor], [], [], 0)[0]:
+        found += reader.read()
+    return found
 
 
 @pytest.fixture
@@ -84,7 +102,7 @@ def test_the_end_of_the_file_ends_the_reading(typing):
 def test_the_end_of_the_file_ends_its_last_line(typing, left, words):
     typing.words(left)
     os.close(typing.writing)
-    found = typing.reader.read()
+    found = all_words(typing.reader)
     assert found == words if words is not None else not isinstance(found[0], Word)
     assert typing.reader.descriptor is None
     assert typing.reader.read() == []
@@ -100,13 +118,10 @@ def test_a_descriptor_that_fails_ends_the_reading():
     os.close(writing)
 
 
-@pytest.mark.parametrize("junk", [b"x" * LINE_BYTES_MAX, b" " * (2 * READ_BYTES), b"start" + b" " * 300])
+@pytest.mark.parametrize("junk", [b"x" * LINE_BYTES_MAX, b" " * (2 * PASSED_ON_BYTES), b"start" + b" " * 300])
 def test_the_tail_of_a_line_that_is_too_long_makes_no_word(typing, junk):
     """Blanks before or behind must not turn a pasted line into an order."""
-    os.write(typing.writing, junk)
-    while len(junk) > 0:
-        assert typing.reader.read() == []
-        junk = junk[READ_BYTES:]
+    assert typing.words(junk) == []
     (word,) = typing.words(b" start\n")
     assert not isinstance(word, Word)
     assert len(word) <= LINE_BYTES_MAX
@@ -140,7 +155,7 @@ def _read(parts):
     typing = Typing()
     found = [word for part in parts for word in typing.words(part)]
     os.close(typing.writing)
-    found += typing.reader.read()
+    found += all_words(typing.reader)
     os.close(typing.descriptor)
     return [(type(word), word) for word in found]
 
@@ -164,3 +179,174 @@ def test_a_word_is_judged_alike_wherever_its_padded_line_is_cut(padded, before):
     assert [kind for kind, _ in found] == [Word if padded <= LINE_BYTES_MAX else str, Word]
     for cut in range(1, len(line)):
         assert _read([line[:cut], line[cut:]]) == found, cut
+
+
+def test_a_turn_reads_a_dozen_words_however_many_are_typed(typing):
+    os.write(typing.writing, b"stop\n" * 800)
+    assert 1 <= len(typing.reader.read()) <= 13
+    assert len(all_words(typing.reader)) >= 787
+
+
+# ---------------------------------------------------------------- a descriptor that others share
+
+
+class Shared:
+    """A pipe whose reading end others may hold as well, and the words that are read from it."""
+
+    def __init__(self):
+        self.source, self.writing = os.pipe2(os.O_CLOEXEC)
+        self.reader = typed(Word, self.source)
+        self._reading = self.reader.descriptor
+
+    def word(self):
+        """The next words; waits for them."""
+        assert select.select([self.reader.descriptor], [], [], WAIT_S)[0]
+        return self.reader.read()
+
+    def end(self):
+        """The last writer goes; what is left until the reader has noticed."""
+        os.close(self.writing)
+        found = []
+        while self.reader.descriptor is not None:
+            found += self.word()
+        os.close(self._reading)
+        os.close(self.source)
+        return found
+
+
+@pytest.fixture
+def shared():
+    return Shared()
+
+
+def test_words_come_through_in_order_and_so_does_the_end_of_the_file(shared):
+    os.write(shared.writing, b"start\n")
+    assert shared.word() == [Word.START]
+    os.write(shared.writing, b"stop\nsto")
+    assert shared.end() == [Word.STOP, "sto"]
+
+
+def test_a_loop_never_reads_what_others_may_take_away(shared):
+    """Its descriptor is its own: nobody can empty it between a poll and a read, and a read of nothing returns."""
+    assert shared.reader.descriptor != shared.source
+    assert shared.reader.read() == []
+    assert shared.reader.descriptor is not None
+    assert not fcntl.fcntl(shared.source, fcntl.F_GETFL) & os.O_NONBLOCK  # the flag is everybody's
+    assert shared.end() == []
+
+
+def test_input_that_others_have_made_fail_instead_of_wait_is_asked_again(monkeypatch):
+    monkeypatch.setattr(terminal, "AGAIN_S", 0.001)
+    reading, writing = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
+    refused, read = threading.Event(), os.read
+
+    def watched(descriptor, size):
+        try:
+            return read(descriptor, size)
+        except BlockingIOError:
+            refused.set()
+            raise
+
+    monkeypatch.setattr(terminal.os, "read", watched)
+    reader = typed(Word, reading)
+    own = reader.descriptor
+    assert refused.wait(WAIT_S)
+    os.write(writing, b"stop\n")
+    assert select.select([own], [], [], WAIT_S)[0]
+    assert reader.read() == [Word.STOP]
+    os.close(writing)
+    assert select.select([own], [], [], WAIT_S)[0]
+    assert reader.read() == []
+    assert reader.descriptor is None
+    os.close(own)
+    os.close(reading)
+
+
+def test_a_flood_of_input_waits_where_it_comes_from(shared):
+    """What is read ahead is what two pipes hold, whatever is typed."""
+    os.set_blocking(shared.writing, False)
+    written = 0
+    with suppress(BlockingIOError):
+        while written < 1 << 20:
+            written += os.write(shared.writing, b"stop\n" * (PASSED_ON_BYTES // 5))
+    assert written < 1 << 20
+    assert set(shared.end()[:-1]) == {Word.STOP}
+
+
+def test_a_reader_that_goes_ends_the_reading(shared):
+    (thread,) = (one for one in threading.enumerate() if one.name == "words")
+    os.close(shared.reader.descriptor)
+    os.write(shared.writing, b"stop\n")
+    thread.join(WAIT_S)
+    assert not thread.is_alive()
+    for descriptor in (shared.source, shared.writing):
+        os.close(descriptor)
+
+
+def test_input_that_cannot_be_read_is_at_its_end():
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    reader = typed(Word, nowhere)
+    own = reader.descriptor
+    assert select.select([own], [], [], WAIT_S)[0]
+    assert reader.read() == []
+    assert reader.descriptor is None
+    os.close(own)
+    os.close(nowhere)
+
+
+# ---------------------------------------------------------------- streams that are closed
+
+TELL = """
+import os, sys
+from cutgate.config.terminal import open_standard_streams
+open_standard_streams()
+print("out")
+print("err", file=sys.stderr)
+sys.stdin.read()
+made = os.open(os.devnull, os.O_RDONLY)
+assert made > 2, made
+assert all(os.get_inheritable(descriptor) for descriptor in range(3))
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("closed", ["", "<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_file_never_takes_the_number_of_a_stream_that_was_closed(closed):
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", sys.executable, "-c", TELL],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ("" if ">&- " in f"{closed} ".replace("2>&-", "") else "out\n")
+    assert done.stderr == ("" if "2>&-" in closed else "err\n")
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+@pytest.mark.parametrize("module", ["cutgate.runtime.cli", "cutgate.firmware_sim"])
+def test_a_program_works_whatever_is_closed_when_it_is_started(module, closed, tmp_path):
+    """Refused for the file it is given, as with everything open."""
+    words = {
+        "cutgate.runtime.cli": ["verify"],
+        "cutgate.firmware_sim": ["sim", "--robot", "example", "--key"],
+    }
+    command = program(module, *words[module], "missing.csv")
+    if module == "cutgate.runtime.cli":
+        command += ["--robot", "example"]
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *command],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert ("missing.csv" in done.stderr) == (closed != "2>&-")

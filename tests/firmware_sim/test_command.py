@@ -45,12 +45,17 @@ def given(tmp_path, monkeypatch):
     shutil.copy(ROBOT, tmp_path / "robot.toml")
     monkeypatch.setattr(command, "LISTEN_S", 0.0)
     monkeypatch.setattr(command, "open_bus", lambda *_, **_fd: Bus())
-    monkeypatch.setattr(command.sys, "stdin", None)
+    monkeypatch.setattr(command, "typed", lambda words: ("what is typed", words))
     processes = []
-    monkeypatch.setattr(command.Process, "run", lambda self, wake: processes.append((self, wake)))
+
+    def run(self, wake):
+        processes.append((self, wake))
+        os.kill(os.getpid(), signal.SIGHUP)  # only wakes the loop
+
+    monkeypatch.setattr(command.Process, "run", run)
+    before = signal.getsignal(signal.SIGHUP)
     pipes, pipe2 = [], os.pipe2
     monkeypatch.setattr(command.os, "pipe2", lambda flags: pipes.append(pipe2(flags)) or pipes[-1])
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     arguments = [
         "--robot",
         str(tmp_path / "robot.toml"),
@@ -62,30 +67,28 @@ def given(tmp_path, monkeypatch):
         "y",
     ]
     yield arguments, processes
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
+    signal.signal(signal.SIGHUP, before)
     for descriptor in (end for pipe in pipes for end in pipe):
         os.close(descriptor)
 
 
-def refused(capsys, arguments, *texts):
+def refused(capfd, arguments, *texts):
     assert command.main(arguments) == command.EXIT_BAD_INPUT
-    error = capsys.readouterr().err
+    error = capfd.readouterr().err
     assert error.startswith("cutgate sim: ")
     assert error.count("\n") == 1
     assert all(text in error for text in texts), error
 
 
-def test_the_controller_starts_with_what_the_robot_file_says(given, capsys):
+def test_the_controller_starts_with_what_the_robot_file_says(given, capfd):
     arguments, processes = given
     assert command.main([*arguments, "--time-scale", "5", "--fault", "hang@cutting"]) == command.EXIT_OK
     ((process, wake),) = processes
     assert process.controller.identity.serial.startswith("SIM-")
     assert process._options.time_scale == 5.0
     assert [fault.name for fault in process._options.faults] == ["hang"]
-    out = capsys.readouterr().out
+    out = capfd.readouterr().out
     assert "state INHIBITED; enabling device released" in out
-    os.kill(os.getpid(), signal.SIGTERM)  # only wakes the loop
     assert os.read(wake, 10) == b"\0"
 
 
@@ -119,7 +122,7 @@ def test_every_boot_has_a_nonce_of_its_own(given):
     assert first != second
 
 
-def test_the_memory_beside_the_key_is_read(given, capsys):
+def test_the_memory_beside_the_key_is_read(given, capfd):
     arguments, processes = given
     file = memory.beside(Path(arguments[3]))
     remembered = Memory(named=frozenset({b"n" * 32}), withdrawn=frozenset({b"r" * 32}))
@@ -127,17 +130,17 @@ def test_the_memory_beside_the_key_is_read(given, capsys):
     command.main(arguments)
     assert processes[0][0].controller.memory == remembered
     file.write_text("{")
-    refused(capsys, arguments, file.name)
+    refused(capfd, arguments, file.name)
 
 
-def test_a_memory_that_cannot_be_written_stops_the_start(given, capsys, monkeypatch):
+def test_a_memory_that_cannot_be_written_stops_the_start(given, capfd, monkeypatch):
     arguments, processes = given
 
     def fail(_descriptor):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", fail)
-    refused(capsys, arguments, "sim-memory.json: the memory cannot be written: ", "No space left")
+    refused(capfd, arguments, "sim-memory.json: the memory cannot be written: ", "No space left")
     assert processes == []
 
 
@@ -147,22 +150,22 @@ def test_a_memory_is_written_at_the_first_start(given):
     assert memory.beside(Path(arguments[3])).exists()
 
 
-def test_a_fault_that_was_latched_is_said_at_the_start(given, capsys):
+def test_a_fault_that_was_latched_is_said_at_the_start(given, capfd):
     arguments, processes = given
     memory.save(memory.beside(Path(arguments[3])), Memory(latched=StopCause.SECOND_NODE))
     command.main(arguments)
-    out = capsys.readouterr().out
+    out = capfd.readouterr().out
     assert "state FAULT; " in out
     assert "a fault was latched before power-up (SECOND_NODE): acknowledge it, then reset" in out
     assert processes[0][0].controller.cause is StopCause.SECOND_NODE
 
 
-def test_a_time_scale_is_said_to_be_for_simulation_only(given, capsys):
+def test_a_time_scale_is_said_to_be_for_simulation_only(given, capfd):
     arguments, _ = given
     command.main([*arguments, "--time-scale", "5"])
-    assert "simulation only: the plant runs 5 times as fast as the clock" in capsys.readouterr().out
+    assert "simulation only: the plant runs 5 times as fast as the clock" in capfd.readouterr().out
     command.main(arguments)
-    assert "simulation only" not in capsys.readouterr().out
+    assert "simulation only" not in capfd.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -188,16 +191,16 @@ def test_a_time_scale_is_said_to_be_for_simulation_only(given, capsys):
         (["--key", "nowhere.key"], ["nowhere.key"]),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(given, capsys, more, texts):
-    refused(capsys, [*given[0], *more], *texts)
+def test_bad_input_is_one_line_and_exit_code_2(given, capfd, more, texts):
+    refused(capfd, [*given[0], *more], *texts)
 
 
-def test_there_is_no_key_built_in(given, capsys):
-    refused(capsys, given[0][:2], "no key file is given (--key)")
+def test_there_is_no_key_built_in(given, capfd):
+    refused(capfd, given[0][:2], "no key file is given (--key)")
 
 
-def test_an_interface_needs_its_channel(given, capsys):
-    refused(capsys, given[0][:-2], "--interface needs --channel")
+def test_an_interface_needs_its_channel(given, capfd):
+    refused(capfd, given[0][:-2], "--interface needs --channel")
 
 
 @pytest.mark.parametrize(
@@ -218,12 +221,12 @@ def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, cha
     "error",
     [can.CanInitializationError("no bus"), can.CanOperationError("gone"), RuntimeDirectoryError("mode")],
 )
-def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capsys, monkeypatch, error):
+def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capfd, monkeypatch, error):
     def fail(*_, **_fd):
         raise error
 
     monkeypatch.setattr(command, "open_bus", fail)
-    refused(capsys, given[0], str(error))
+    refused(capfd, given[0], str(error))
 
 
 @pytest.mark.parametrize(
@@ -236,29 +239,25 @@ def test_a_bus_that_cannot_be_used_is_exit_code_2(given, capsys, monkeypatch, er
         (None, False),
     ],
 )
-def test_a_bus_that_carries_our_frames_already_is_refused(given, capsys, monkeypatch, message, used):
+def test_a_bus_that_carries_our_frames_already_is_refused(given, capfd, monkeypatch, message, used):
     monkeypatch.setattr(command, "LISTEN_S", 0.01)
     monkeypatch.setattr(command, "open_bus", lambda *_, **_fd: Bus(message))
     if used:
-        refused(capsys, given[0], "already carries cutgate frames", f"0x{message.arbitration_id:03X}")
+        refused(capfd, given[0], "already carries cutgate frames", f"0x{message.arbitration_id:03X}")
     else:
         assert command.main(given[0]) == command.EXIT_OK
 
 
-def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capsys, monkeypatch):
+def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capfd, monkeypatch):
     def fail(*_):
         raise ValueError("one\ntwo")
 
     monkeypatch.setattr(command.Process, "run", fail)
     assert command.main(given[0]) == command.EXIT_INTERNAL
-    assert capsys.readouterr().err == "cutgate sim: internal error: ValueError: one two\n"
+    assert capfd.readouterr().err == "cutgate sim: internal error: ValueError: one two\n"
 
 
-def test_the_terminal_is_read_where_there_is_one(given, monkeypatch):
+def test_words_are_read_without_sharing_the_terminal(given):
     arguments, processes = given
-    reading, writing = os.pipe()
-    with os.fdopen(reading) as stdin:
-        monkeypatch.setattr(command.sys, "stdin", stdin)
-        command.main(arguments)
-    os.close(writing)
-    assert processes[0][0]._words.descriptor == reading
+    command.main(arguments)
+    assert processes[0][0]._words == ("what is typed", command.Word)

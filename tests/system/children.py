@@ -4,13 +4,15 @@ A program starts either in a fresh interpreter, as a user starts it, or in a pro
 imported it already: the same program, 1.5 s earlier. Only a forked runtime can be bent by a :class:`Script`.
 """
 
+import fcntl
 import multiprocessing
 import os
 import signal
 import sys
+import termios
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -80,6 +82,44 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
         sys.exit(app.execute(arguments))
     command.LISTEN_S = LISTEN_S  # type: ignore[misc]
     sys.exit(controller_side(arguments))
+
+
+FOREGROUND, BACKGROUND = signal.SIGUSR1, signal.SIGUSR2
+"""What a shell is told to do with its job."""
+
+
+def serve_a_job(
+    streams: Sequence[Connection], program: str, arguments: list[str], script: Script | None
+) -> None:
+    """The body of a shell whose one job is ``program``, in the foreground of the terminal on the first stream.
+
+    It ends with its job's exit code. A hang-up it passes on, as shells do.
+    """
+    terminal = streams[0].fileno()
+    os.setsid()
+    fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+    mine = (FOREGROUND, BACKGROUND, signal.SIGHUP)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {*mine, signal.SIGCHLD, signal.SIGTTOU})
+    job = os.fork()
+    os.setpgid(job, job)  # by both: whoever comes first
+    if job == 0:
+        os.tcsetpgrp(terminal, os.getpid())
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())
+        serve(streams, program, arguments, script)
+    code = None
+    while code is None:
+        match signal.sigwait({*mine, signal.SIGCHLD}):
+            case signal.SIGHUP:
+                os.killpg(job, signal.SIGHUP)
+            case signal.SIGCHLD:
+                ended, status = os.waitpid(job, os.WNOHANG)
+                code = os.waitstatus_to_exitcode(status) if ended else None
+            case number:  # as Ctrl-Z and fg or bg: what waits for the terminal begins to wait anew
+                os.killpg(job, signal.SIGSTOP)
+                os.waitpid(job, os.WUNTRACED)
+                os.tcsetpgrp(terminal, job if number == FOREGROUND else os.getpgrp())
+                os.killpg(job, signal.SIGCONT)
+    os._exit(code if code >= 0 else 128 - code)
 
 
 def worker_by_fork() -> None:
@@ -212,7 +252,11 @@ def synced_bytes(note: Path) -> int:
 
 
 def fork(
-    streams: tuple[int, int, int], program: str, arguments: list[str], script: Script | None
+    streams: tuple[int, int, int],
+    program: str,
+    arguments: list[str],
+    script: Script | None,
+    body: Callable[..., None] = serve,
 ) -> BaseProcess:
     """Start a program with these as its standard input, output and error; the streams stay the caller's."""
     context = multiprocessing.get_context("forkserver")
@@ -221,7 +265,7 @@ def fork(
         Connection(os.dup(stream), writable=number > 0, readable=number == 0)
         for number, stream in enumerate(streams)
     ]
-    process = context.Process(target=serve, args=(ends, program, arguments, script))
+    process = context.Process(target=body, args=(ends, program, arguments, script))
     with _one_at_a_time:
         process.start()
     for end in ends:

@@ -97,8 +97,12 @@ class Child:
 
     def say(self, word: str) -> None:
         """Type one word."""
+        self.type(f"{word}\n".encode())
+
+    def type(self, keys: bytes) -> None:
+        """Press keys."""
         with suppress(BrokenPipeError):  # it has ended meanwhile: its exit code tells
-            os.write(self._words, f"{word}\n".encode())
+            os.write(self._words, keys)
 
     def signal(self, number: int) -> None:
         """Send it a signal."""
@@ -112,6 +116,44 @@ class Child:
     def ctrl_c(self) -> None:
         """What a terminal does: SIGINT to it and everything it has started. Only for a fresh interpreter."""
         os.killpg(self.pid, signal.SIGINT)
+
+    @property
+    def job(self) -> int:
+        """The process number of its one child: of a shell's job."""
+        return int(Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii"))
+
+    @property
+    def in_background(self) -> bool:
+        """Whether the terminal of a shell's job belongs to the shell."""
+        stat = Path(f"/proc/{self.job}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        group, foreground = stat[2], stat[5]
+        return group != foreground
+
+    def fill(self) -> None:
+        """Nobody reads any more what it says, and what lies between is full: its next word waits for ever."""
+        for descriptor in (1, 2):
+            # Opened anew, for its own O_NONBLOCK: the flag of an open file is everybody's who shares it.
+            name = f"/proc/{self.pid}/fd/{descriptor}"
+            stream = os.open(name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(stream, b"." * 4096)
+            os.close(stream)
+
+    def deaf(self) -> int:
+        """Its exit code, with nobody reading what it says."""
+        code = self._exit_code(WAIT_S)
+        if code is None:
+            raise HungError(f"{self.name} did not end; before, it said\n{self.told}")
+        return code
+
+    def hang_up(self) -> None:
+        """Whoever reads what it says goes away; of a terminal, both ways."""
+        for stream in self._rest:
+            os.close(stream)
+        if self._words in self._rest:
+            self._words = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)
+        self._rest = {}
 
     def line(self, pattern: str) -> str:
         """The next line that matches; lines before it are passed over."""
@@ -162,7 +204,10 @@ class Child:
             poller.register(stream, select.POLLIN)
         ready = [stream for stream, _ in poller.poll(left_s * 1000.0)]
         for stream in ready:
-            data = os.read(stream, 65536)
+            try:
+                data = os.read(stream, 65536)
+            except OSError:  # of a terminal that nobody holds open any more
+                data = b""
             if stream == self._apart:
                 self.document += data.decode()
             else:
@@ -170,7 +215,8 @@ class Child:
                 self.lines += [line.decode().rstrip() for line in lines]
             if not data:
                 del self._rest[stream]
-                os.close(stream)
+                if stream != self._words:
+                    os.close(stream)
         return bool(ready)
 
     def _exit_code(self, timeout_s: float) -> int | None:
@@ -181,25 +227,49 @@ class Child:
         return None
 
     def end(self) -> None:
-        """Make sure that it is gone."""
+        """Make sure that it is gone, and the job of a shell with it."""
         if self._exit_code(0) is None:
             with suppress(ProcessLookupError):  # it has just ended
+                if self._words in self._rest:
+                    os.killpg(self.job, signal.SIGKILL)
                 self.signal(signal.SIGKILL)
         self._exit_code(END_S)
-        for stream in (self._words, *self._rest):
+        for stream in {self._words, *self._rest}:
             os.close(stream)
         self._rest = {}
 
 
 def start(
-    name: str, program: str, arguments: list[str], *, apart: bool, fresh: bool, script: Script | None
+    name: str,
+    program: str,
+    arguments: list[str],
+    *,
+    apart: bool,
+    fresh: bool,
+    script: Script | None,
+    terminal: bool = False,
 ) -> Child:
-    """Start a program, in a fresh interpreter or forked; ``apart`` keeps its standard output from its lines."""
+    """Start a program, in a fresh interpreter or forked.
+
+    Args:
+        name: in messages.
+        program: a module.
+        arguments: its arguments.
+        apart: keep its standard output from its lines.
+        fresh: in a fresh interpreter, as a user starts it.
+        script: how it is bent.
+        terminal: as the one job of a shell on a terminal of its own.
+    """
+    process: subprocess.Popen[bytes] | BaseProcess
+    if terminal:
+        mine, slave = os.openpty()
+        process = children.fork((slave,) * 3, program, arguments, script, children.serve_a_job)
+        os.close(slave)
+        return Child(name, process, mine, (mine,), None)
     words_read, words = os.pipe2(os.O_CLOEXEC)
     output, output_write = os.pipe2(os.O_CLOEXEC)
     messages, messages_write = os.pipe2(os.O_CLOEXEC)
     theirs = (words_read, output_write, messages_write)
-    process: subprocess.Popen[bytes] | BaseProcess
     if fresh:
         assert script is None, "a fresh interpreter runs the program as it is"
         command = [sys.executable, "-m", program, *arguments]
@@ -404,6 +474,7 @@ class Rig:
         json: bool = False,
         fd: bool = False,
         fresh: bool = False,
+        terminal: bool = False,
         script: Script | None = None,
     ) -> Child:
         """The runtime."""
@@ -424,6 +495,7 @@ class Rig:
             ["run", str(plan or here / "plan.json"), *options],
             apart=True,
             fresh=fresh,
+            terminal=terminal,
             script=script,
         )
 

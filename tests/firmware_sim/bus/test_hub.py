@@ -378,7 +378,7 @@ def test_records_survive_packing():
     assert wire.parse(record.pack()) == record
 
 
-def test_overruns_are_reported_on_stderr_by_default(path, capsys):
+def test_a_hub_that_has_nobody_to_report_to_says_nothing(path, capfd):
     with Hub(path) as hub:
         hub._report("client 1 lost 3 frames")
-    assert capsys.readouterr().err == "bus: client 1 lost 3 frames\n"
+    assert capfd.readouterr() == ("", "")

@@ -40,7 +40,7 @@ def test_a_hub_that_does_not_come_up_is_an_error(place, capfd):
     assert "make it first" in capfd.readouterr().err
 
 
-def test_bad_input_is_one_line_and_exit_2(place, capsys):
+def test_bad_input_is_one_line_and_exit_2(place, capfd):
     (place / "old.log").write_text("precious")
     for arguments in (
         ["--socket", str(place / "missing" / "bus.sock")],
@@ -48,7 +48,7 @@ def test_bad_input_is_one_line_and_exit_2(place, capsys):
         ["--socket", str(place / "bus.sock"), "--log", str(place / "old.log")],
     ):
         assert main(["serve", *arguments]) == 2
-        said = capsys.readouterr()
+        said = capfd.readouterr()
         assert said.out == ""
         assert said.err.startswith("cutgate bus: ")
         assert said.err.count("\n") == 1
@@ -71,11 +71,11 @@ def test_the_default_socket_lies_in_the_users_runtime_directory_and_frames_are_l
     assert log.read_text().endswith(" bus0 042#01\n")
 
 
-def test_serve_gives_the_signals_back(place, monkeypatch, capsys):
+def test_serve_gives_the_signals_back(place, monkeypatch, capfd):
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(
         "cutgate.firmware_sim.bus.serve.Hub.serve", lambda hub: os.kill(os.getpid(), signal.SIGTERM)
     )
     serve(str(place / "bus.sock"))
     assert signal.getsignal(signal.SIGTERM) is before
-    assert capsys.readouterr().out == f"serving on {place / 'bus.sock'}\n"
+    assert capfd.readouterr().out == f"serving on {place / 'bus.sock'}\n"

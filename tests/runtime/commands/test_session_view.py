@@ -1,19 +1,23 @@
 """What a person is told while a session goes on."""
 
+from pathlib import Path
+
 import numpy as np
 
+from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
-from cutgate.runtime.interlock.state import Phase, VerdictReady
+from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
 from cutgate.runtime.verification.approach import Start, verify
 from tests.runtime.interlock.builders import NOW, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.test_approach import MIDDLE, cut
 
 
-def test_what_an_admitted_session_waits_for_is_named(capsys):
+def test_what_an_admitted_session_waits_for_is_named(capfd):
     moved = (*START_JOINTS[:2], START_JOINTS[2] + 3_000_000, *START_JOINTS[3:])
     before, after = in_phase(Phase.VERIFYING), in_phase(Phase.ADMITTED, joints_u=moved)
-    SessionView(quiet_output=True).step(before, VerdictReady(VERDICT), after, (), NOW)
-    told = capsys.readouterr().err
+    with SessionView(quiet_output=True) as view:
+        view.step(before, VerdictReady(VERDICT), after, (), NOW)
+    told = capfd.readouterr().err
     assert "waiting for the permissives" in told
     assert "measured wrist centre to the verified start: 3 (required: <= 0.5 mm)" in told
     assert "move the arm back" in told
@@ -29,3 +33,36 @@ def test_an_approach_is_told_in_a_line_with_what_decided_it():
     assert (
         "bottom: clearance 3.000000 mm, needs 5 mm at fraction 0.000000 of the line; let the arm start" in bad
     )
+
+
+def test_the_signal_that_ends_a_session_is_told_once_it_is_obeyed(capfd):
+    before, after = in_phase(Phase.CUTTING), in_phase(Phase.STOPPING)
+    with SessionView(quiet_output=True) as view:
+        view.interrupted_by = "SIGHUP"
+        view.step(before, Said(Word.STOP), before, (), NOW)
+        view.step(before, Said(Word.QUIT), after, (), NOW)
+    told = capfd.readouterr().err.splitlines()
+    assert "SIGHUP: the session ends" in told[0]
+    assert "STOP sent" in told[1]
+
+
+def test_an_outcome_is_data_whatever_its_reason_and_its_files_are_called(capfd):
+    state = in_phase(Phase.STOPPED, reason="bus\x1b[2J[/]")
+    paths = Paths(
+        Path("logs/[bold]\u202e.mcap"), Path("logs/x.candump.log"), closed=False, reason="no\r space"
+    )
+    with SessionView(quiet_output=False) as view:
+        view.outcome(state, paths)
+    told = capfd.readouterr().out
+    assert r"STOPPED: bus\x1b[2J[/]" in told
+    assert r"audit log:  logs/[bold]\u202e.mcap  NOT CLOSED: no\r space" in told
+    assert "raw frames: logs/x.candump.log" in told
+
+
+def test_verdict_and_outcome_leave_standard_output_to_a_document(capfd):
+    state = in_phase(Phase.DONE)
+    with SessionView(quiet_output=True) as view:
+        view.outcome(state, Paths(Path("a.mcap"), Path("a.log"), closed=True, reason=""))
+    told = capfd.readouterr()
+    assert told.out == ""
+    assert "CUT COMPLETED" in told.err

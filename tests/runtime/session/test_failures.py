@@ -148,8 +148,8 @@ def command(pair, monkeypatch, tmp_path):
     node = pair.wire.nodes[RUNTIME]
     monkeypatch.setattr("cutgate.runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
     monkeypatch.setattr("cutgate.runtime.commands.run.Worker", Prover)
-    monkeypatch.setattr("cutgate.runtime.commands.run.sys.stdin", None)
-    monkeypatch.setattr("cutgate.runtime.commands.run.sys.argv", ["cutgate", "run", "pl\udcffan"])
+    monkeypatch.setattr("cutgate.runtime.commands.run.typed", lambda _words: None)
+    monkeypatch.setattr("sys.argv", ["cutgate", "run", "pl\udcffan"])
     monkeypatch.setattr(node, "shutdown", lambda: None)
 
     def run():

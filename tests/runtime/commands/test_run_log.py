@@ -33,7 +33,7 @@ def log(tmp_path):
 
 
 @pytest.mark.parametrize("closed", [True, False])
-@pytest.mark.parametrize("phase", ENDED)
+@pytest.mark.parametrize("phase", sorted(ENDED))
 def test_a_session_whose_log_was_not_closed_exits_3_however_it_ended(
     tmp_path, tmp_path_factory, monkeypatch, phase, closed
 ):

@@ -31,9 +31,11 @@ _running: pytest.Item | None = None
 
 
 def pytest_configure() -> None:
-    # Where whoever starts the tests ignores Ctrl-C (nohup, a job in the background), every program inherits that, and
-    # the tests of it would wait in vain. A handler is not inherited: what is started from here has the default again.
+    # Where whoever starts the tests ignores Ctrl-C or a hang-up (nohup, a job in the background), every program inherits
+    # that, and the tests of it would wait in vain. A handler is not inherited: children have the default again.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_DFL)
     sys.addaudithook(_audit)
     # multiprocessing starts its helpers without an audit event of their own.
     start = multiprocessing.util.spawnv_passfds

@@ -46,8 +46,8 @@ def hang_up():
 def test_a_handled_signal_does_what_it_is_told_and_is_given_back(number):
     before, arrived = signal.getsignal(number), []
     with handled(ENDING | SUSPENDING, arrived.append):
-        os.kill(os.getpid(), number)
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
+        signal.raise_signal(number)
     assert arrived == [number, number]
     assert signal.getsignal(number) == (signal.SIG_IGN if number == signal.SIGHUP else before)
 
@@ -56,16 +56,16 @@ def test_a_hang_up_that_is_ignored_stays_ignored():
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     arrived = []
     with handled(ENDING, arrived.append):
-        os.kill(os.getpid(), signal.SIGHUP)
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGTERM)
     assert arrived == [signal.SIGTERM]
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 def test_the_second_hang_up_comes_too_late_to_do_harm():
     with handled(frozenset({signal.SIGHUP}), lambda _number: None):
-        os.kill(os.getpid(), signal.SIGHUP)
-    os.kill(os.getpid(), signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+    signal.raise_signal(signal.SIGHUP)
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 

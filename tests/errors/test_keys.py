@@ -236,21 +236,21 @@ def command(pair, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run", "sim"])
-def test_without_a_key_nothing_begins(command, name, capsys, tmp_path):
+def test_without_a_key_nothing_begins(command, name, capfd, tmp_path):
     assert command(name) == 2
-    assert "no key file is given" in capsys.readouterr().err
+    assert "no key file is given" in capfd.readouterr().err
     assert command(name, "--key", str(tmp_path / "absent")) == 2
-    assert "cutgate key new" in capsys.readouterr().err
+    assert "cutgate key new" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o700])
 @pytest.mark.parametrize("name", ["run", "sim"])
-def test_a_key_that_others_can_read_is_refused(command, name, mode, capsys, tmp_path):
+def test_a_key_that_others_can_read_is_refused(command, name, mode, capfd, tmp_path):
     file = tmp_path / "key"
     file.write_text(KEY.hex())
     file.chmod(mode)
     assert command(name, "--key", str(file)) == 2
-    said = capsys.readouterr().err
+    said = capfd.readouterr().err
     assert str(file.name) in said.replace("\n", "")
     assert "600" in said
 

@@ -50,7 +50,7 @@ def given(tmp_path, monkeypatch):
 
     def run(self, wake):
         processes.append((self, wake))
-        os.kill(os.getpid(), signal.SIGHUP)  # only wakes the loop
+        signal.raise_signal(signal.SIGHUP)  # only wakes the loop
 
     monkeypatch.setattr(command.Process, "run", run)
     before = signal.getsignal(signal.SIGHUP)

@@ -74,7 +74,7 @@ def test_the_default_socket_lies_in_the_users_runtime_directory_and_frames_are_l
 def test_serve_gives_the_signals_back(place, monkeypatch, capfd):
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(
-        "cutgate.firmware_sim.bus.serve.Hub.serve", lambda hub: os.kill(os.getpid(), signal.SIGTERM)
+        "cutgate.firmware_sim.bus.serve.Hub.serve", lambda hub: signal.raise_signal(signal.SIGTERM)
     )
     serve(str(place / "bus.sock"))
     assert signal.getsignal(signal.SIGTERM) is before

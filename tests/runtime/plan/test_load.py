@@ -302,7 +302,7 @@ def test_a_file_over_the_size_limit_is_refused(tmp_path):
     for name, load in (("p.json", load_plan), ("p.csv", load_plan), ("r.json", load_registration)):
         (tmp_path / name).write_text(" " * 100, encoding="utf-8")
         message = message_of(lambda name=name, load=load: load(tmp_path / name, size_limit=99))
-        assert "over 99 bytes" in message
+        assert "size is 100 bytes, must be <= 99 bytes" in message
 
 
 def error_of(act) -> InputError | None:

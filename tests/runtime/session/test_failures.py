@@ -1,6 +1,5 @@
 """A bus that fails and a program that fails: the gate closes, the log is closed, and nobody believes it was clean."""
 
-import os
 import signal
 
 import can
@@ -181,10 +180,10 @@ def test_a_second_interrupt_while_the_log_is_closed_leaves_it_whole(command, mon
 
     def begin_and_quit(session, wake):
         begin(session, wake)
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     def close_under_a_signal(*arguments, **options):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         return close(*arguments, **options)
 
     monkeypatch.setattr(Session, "begin", begin_and_quit)

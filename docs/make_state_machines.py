@@ -21,18 +21,27 @@ from typing import Any, Final
 from cutgate.firmware_sim import rules
 from cutgate.firmware_sim import state as controller_state
 from cutgate.firmware_sim import table as controller_table
-from cutgate.protocol.records import Permit, Reply
+from cutgate.protocol.records import Permit, Reply, joints_to_memory
 from cutgate.protocol.states import LATCHING, WITHDRAWING, ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import permissives
 from cutgate.runtime.interlock import state as interlock_state
 from cutgate.runtime.interlock import table as interlock_table
 from cutgate.runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase, Timing
+from cutgate.runtime.interlock.table import MOVING
+from cutgate.runtime.interlock.tracking import Deviation, Seen
 from tests.firmware_sim import controllers
 from tests.runtime.interlock import builders
 
 PAGE: Final = Path(__file__).parent / "state-machines.md"
 LATE_S: Final = 1e6
 """Longer than every deadline and every lifetime."""
+ARRIVED_S: Final = 0.05
+"""So long after its start an arm can be back."""
+JUST_IN_TIME_S: Final = 1.95
+SOON_S: Final = 0.1
+"""A sample breaks the silence just in time; the phase's own deadline has passed soon after."""
+OLD: Final = 0.0
+"""When a sample was measured that is too old to tell anything."""
 C: Final = ControllerState
 HELD: Final = frozenset({Phase.HELD, Phase.NONCE_RESET, Phase.AUTHORISING_RESET, Phase.RESETTING})
 STOPS: Final = frozenset({Phase.STOPPING, Phase.REFUSED, Phase.STOPPED})
@@ -101,11 +110,18 @@ def runtime_edges() -> tuple[Edge, ...]:
             interlock_state.Announced(replace(builders.ANNOUNCE, protocol_version=0), builders.RUNTIME_NONCE),
             interlock_state.ParameterReceived(replace(builders.TOOL, length_u=1)),
             interlock_state.VerdictReady(inadmissible),
+            interlock_state.ProgressReported(0, 0),
         ]
         late = [
             (interlock_state.Tick(), LATE_S),
             (interlock_state.Announced(builders.ANNOUNCE, b"n" * 16), 1.5),
         ]
+        if state.phase in MOVING:
+            late += [
+                (builders.beat(C.DONE, epoch=state.epoch), ARRIVED_S),
+                (builders.measured(builders.START_JOINTS, OLD), JUST_IN_TIME_S),
+                (interlock_state.Tick(), SOON_S),
+            ]
         return [*((event, 0.0) for event in (*builders.events(state), *extra)), *late]
 
     def alike(state: Any) -> tuple[Any, ...]:
@@ -127,13 +143,14 @@ def runtime_edges() -> tuple[Edge, ...]:
             state.block == 0,
         )
         cycle = state.device if state.permit else None  # what came before the permit does not count
-        return state.phase, seen, cycle, healthy, *got
+        tracked = state.tracking and (state.tracking.progress, state.measured_s == OLD)
+        return state.phase, seen, cycle, healthy, tracked, *got
 
     began, _ = interlock_table.step(builders.FRESH, interlock_state.Tick(), builders.NOW)
 
     def edges() -> Iterator[Edge]:
         for before, event, after_s, after, effects in explore(
-            [(began, builders.NOW)], interlock_table.step, events, alike
+            [(began, builders.NOW)], builders.step, events, alike
         ):
             if before.phase in ENDED:
                 continue
@@ -142,7 +159,7 @@ def runtime_edges() -> tuple[Edge, ...]:
             yield Edge(
                 before.phase.name,
                 type(event).__name__,
-                runtime_case(before, event, after_s),
+                runtime_case(before, event, after_s, effects),
                 handler_name(handler),
                 after.phase.name,
                 tuple(map(effect_name, effects)),
@@ -221,7 +238,9 @@ def effect_name(effect: Any) -> str:
     return type(effect).__name__
 
 
-def runtime_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C901, PLR0911, PLR0912 - one line each
+def runtime_case(  # noqa: C901, PLR0911, PLR0912 - one line each
+    state: Any, event: Any, after_s: float, effects: tuple[Any, ...]
+) -> str:
     """What distinguishes this event from others of its kind, where the table looks at it."""
     match event:
         case interlock_state.Announced(announce, _):
@@ -249,9 +268,20 @@ def runtime_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C901, 
                 else "refused"
             )
         case interlock_state.HeartbeatReceived(view, _):
-            return _beat_case(state, view)
-        case interlock_state.JointsMeasured(joints_u) if state.phase is Phase.FINISHING:
-            return "at the start joints" if joints_u == builders.START_JOINTS else "elsewhere"
+            return _beat_case(state, view, effects)
+        case interlock_state.JointsMeasured(joints_u, measured_s) if state.phase in MOVING:
+            if joints_u == builders.ELSEWHERE:
+                return "off the path"
+            if state.phase is not Phase.FINISHING:
+                return "on the path, too early or too late" if _deviates(effects) else "on the path"
+            back = "at the start joints" if joints_u == builders.START_JOINTS else "elsewhere on the path"
+            return "too old to tell" if measured_s == OLD else back
+        case interlock_state.ProgressReported(segment) if state.phase in MOVING:
+            if not _deviates(effects):
+                return "onward"
+            if segment > 1:
+                return "no such segment"
+            return "too far" if event == builders.BEYOND else "backward"
         case interlock_state.RecordDurable(token):
             return "pending token" if token == state.token else "another token"
         case interlock_state.LogChanged(log):
@@ -259,8 +289,18 @@ def runtime_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C901, 
         case interlock_state.Said(word):
             return str(word)
         case interlock_state.Tick():
-            return "deadline missed" if after_s else "in time"
+            return (
+                "silence"
+                if _deviates(effects)
+                else "deadline missed"
+                if effects or after_s == LATE_S
+                else "in time"
+            )
     return ""
+
+
+def _deviates(effects: tuple[Any, ...]) -> bool:
+    return any(isinstance(effect, Deviation) for effect in effects)
 
 
 ANSWERED: Final = {
@@ -273,7 +313,7 @@ ANSWERED: Final = {
 """The request each phase awaits an answer to."""
 
 
-def _beat_case(state: Any, view: Any) -> str:  # noqa: PLR0911 - one line each
+def _beat_case(state: Any, view: Any, effects: tuple[Any, ...]) -> str:  # noqa: PLR0911 - one line each
     """The heartbeat as the phase sees it: first what stops, then what it says."""
     expected = interlock_table.EXPECTED.get(state.phase)
     if view.cause is not StopCause.NONE:
@@ -287,7 +327,7 @@ def _beat_case(state: Any, view: Any) -> str:  # noqa: PLR0911 - one line each
     if not view.emergency_stop_clear:
         return "emergency stop"
     if view.state is C.DONE:
-        return "DONE"
+        return "DONE too early" if _deviates(effects) else "DONE"
     return "expected state" if view.device_pressed else "device released"
 
 
@@ -504,6 +544,37 @@ def permissive_table() -> str:
     return table(("permissive", "bound", "remedy", *(f"`{name}`" for name in LISTS)), rows)
 
 
+def tracking_table() -> str:
+    """Every rule of the tracking monitor, from steps that break it in each phase in which it does."""
+    begun, seen = builders.monitor(builders.NOW), builders.monitor(builders.NOW - 10.0, builders.NOW)
+    half_way = builders.measured(builders.HALF_WAY.joints_u, builders.NOW)
+    ahead, _ = seen.sample(joints_to_memory(half_way.joints_u), builders.NOW, builders.NOW)
+    silent = replace(seen, progressed=Seen(0.0, builders.NOW - 9.0))
+    breaking = (
+        (seen, builders.measured(builders.ELSEWHERE, builders.NOW), 0.0),
+        (begun, half_way, -1.0),
+        (seen, interlock_state.ProgressReported(2, 0), 0.0),
+        (replace(seen, progress=(1, 1)), builders.ON, 0.0),
+        (begun, builders.BEYOND, 0.0),
+        (ahead, interlock_state.ProgressReported(0, 0), 0.2),
+        (begun, builders.beat(C.DONE), 0.0),
+        (begun, interlock_state.Tick(), 0.201),
+        (silent, interlock_state.Tick(), 0.16),
+        (seen, half_way, 0.0),
+    )
+    rows: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for monitor, event, after_s in breaking:
+        for phase in (phase for phase in Phase if phase in MOVING):
+            state = builders.in_phase(phase, tracking=monitor, since_s=builders.NOW - 0.05)
+            _, effects = interlock_table.step(state, event, builders.NOW + after_s)
+            for deviation in (effect for effect in effects if isinstance(effect, Deviation)):
+                for rule in deviation.judged:
+                    row = (rule.name, type(event).__name__, rule.bound, deviation.reason)
+                    rows[row].append(phase.name)
+    head = ("rule", "asked on", "in", "bound, in an example", "what the stop says then")
+    return table(head, ((rule, on, _names(where), *said) for (rule, on, *said), where in rows.items()))
+
+
 @cache
 def _rule_lambdas() -> dict[int, str]:
     """The conditions of the lambdas in the rules' module, by line."""
@@ -575,6 +646,9 @@ def page() -> str:
         "### Permissives\n",
         PERMISSIVES,
         permissive_table(),
+        "### The tracking monitor\n",
+        TRACKING,
+        tracking_table(),
         "## The controller\n",
         "### The way to the cut and out of a latched fault\n",
         CONTROLLER_WAY,
@@ -629,6 +703,13 @@ PERMISSIVES: Final = """All of a list are judged each time, in this order, so th
 a controller announces itself, `COLLECTED` when its records are complete, `FOR_RESET`, `FOR_PERMIT` and `FOR_START` when
 the word or the nonce is due and again when the record is durable, `AT_START` once more when the controller reports the
 end. What fails of `FINAL` can no longer come true, and ends the session at once.
+"""
+TRACKING: Final = """From the start on the table asks the tracking monitor (`runtime/interlock/tracking.py`) in every step with joints,
+progress, DONE or the time. It begins with the reference trajectory of the very verdict that was permitted, and
+remembers where the arm was at the earliest at the last sample and the last progress, and how far it can have come. A
+sample is dated by when it was measured, whenever it came. What deviates stops in that step, and the decision in the
+log holds the rules below with value and bound. What is tolerated, and why a sound arm never deviates:
+[protocol.md](protocol.md#tracking). The path of the examples has two segments and takes 0.12 s.
 """
 CONTROLLER_WAY: Final = """Requests that are refused change nothing and are not drawn. A start moves nothing yet: the arm moves while the last
 fresh heartbeat says CUT with this epoch.

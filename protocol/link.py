@@ -5,7 +5,8 @@ session tag), counter and content; what is not says why, and whether motion must
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,24 @@ NO_SESSION = 0
 
 STOP_ID = IDS[RuntimeStop]
 PERIODS_MIN = 3
+ROUNDED = 1.0 + 1e-9
+"""Three times 0.1 s are more than 0.3 s in binary."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSample:
+    """Measured joints of one counter value, (rad, rad, mm, rad, rad), and when the last part came.
+
+    Attributes:
+        measured_s: the joints are no older than this, by the receiver's own clock: what the heartbeat of their counter
+            echoes was sent then, so that the peer's turn in which both were made came later. Where that heartbeat was
+            lost or proved nothing, one before it says so; minus infinity where none does.
+    """
+
+    joints: NDArray[np.float64]
+    counter: int
+    received_s: float
+    measured_s: float = -math.inf
 
 
 @dataclass(frozen=True)
@@ -49,12 +68,14 @@ class Accepted:
         counter: its counter.
         lost: how many frames are missing before it.
         fresh: False for a heartbeat that answers nothing we sent within the time-out: it enables nothing.
+        sample: the joint sample whose last part this frame is; each one comes once, in order.
     """
 
     frame: Frame
     counter: int
     lost: int = 0
     fresh: bool = True
+    sample: JointSample | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -99,15 +120,6 @@ class Statistics:
     stale_heartbeats: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class JointSample:
-    """Measured joints of one counter value, (rad, rad, mm, rad, rad), and when the last part came."""
-
-    joints: NDArray[np.float64]
-    counter: int
-    received_s: float
-
-
 class Link:
     """The single-frame traffic of one side.
 
@@ -116,12 +128,14 @@ class Link:
     - While the link is closed everything else is discarded.
     - Anything on the stop identifier that is not a sound stop or end is a stop.
     - A heartbeat refreshes only if it echoes one of ours that was sent no longer than the time-out ago.
+    - A joint sample is as old as the heartbeat of its counter, whenever it arrives.
     - Never seen is stale.
     - An FD frame is unsound, but for the bulk channel where ``fd`` says so; there a classic one is.
     """
 
     def __init__(self, side: Side, timeout_s: float, heartbeat_s: float, *, fd: bool = False) -> None:
-        if not PERIODS_MIN * heartbeat_s <= timeout_s < COUNTER_MODULUS * heartbeat_s:
+        enough = PERIODS_MIN * heartbeat_s <= timeout_s * ROUNDED
+        if not (enough and timeout_s < COUNTER_MODULUS * heartbeat_s):
             raise ValueError(
                 f"time-out {timeout_s} s must be {PERIODS_MIN} to {COUNTER_MODULUS - 1} heartbeats of {heartbeat_s} s"
             )
@@ -144,6 +158,8 @@ class Link:
         self._sequences: dict[int, Sequence] = {}
         self._corruption = CorruptionWatch()
         self._parts: dict[int, tuple[int, Frame]] = {}
+        self._turns: dict[int, int] = {}
+        self._proved: deque[tuple[int, float]] = deque(maxlen=COUNTER_MODULUS)
 
     def open(self, tag: int, now_s: float) -> None:
         """Begin a session: counters from 0, nothing seen, nothing fresh. Raises ValueError for tag 0."""
@@ -262,7 +278,17 @@ class Link:
         except FrameError as error:
             return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
         self._count(accepted=1, losses=lost)
-        return Accepted(frame, data[2], lost, fresh=self._note(can_id, frame, data[2], now_s))
+        fresh, sample = True, None
+        match frame:
+            case RuntimeHeartbeat() | ControllerHeartbeat():
+                self._peer_counter = data[2]
+                turn, fresh = self._turn_of(can_id, data[2], lost), self._refresh(frame.echo, now_s)
+                if fresh:
+                    self._proved.append((turn, self._sent_s.get(frame.echo, -math.inf)))
+            case Joints01() | Joints23() | Joint4():
+                self._parts[can_id] = (self._turn_of(can_id, data[2], lost), frame)
+                sample = self._complete(now_s)
+        return Accepted(frame, data[2], lost, fresh, sample)
 
     def _corrupt(self, can_id: int, now_s: float) -> Outcome:
         self._count(crc_failures=1)
@@ -271,16 +297,6 @@ class Link:
         return Violation(
             StopCause.CORRUPTION, f"{can_id:#05x} corrupted, more than the tolerated number in a second"
         )
-
-    def _note(self, can_id: int, frame: Frame, counter: int, now_s: float) -> bool:
-        """Remember what an accepted frame says about age and joints; whether it is fresh."""
-        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
-            self._peer_counter = counter
-            return self._refresh(frame.echo, now_s)
-        if isinstance(frame, Joints01 | Joints23 | Joint4):
-            self._parts[can_id] = (counter, frame)
-            self._complete(counter, now_s)
-        return True
 
     def _refresh(self, echo: int, now_s: float) -> bool:
         """Refresh only for an echo of a heartbeat that we sent no longer than the time-out ago."""
@@ -293,13 +309,27 @@ class Link:
         self._count(stale_heartbeats=1)
         return False
 
-    def _complete(self, counter: int, now_s: float) -> None:
-        """Keep the sample once all three parts of one counter are here."""
+    def _turn_of(self, can_id: int, counter: int, lost: int) -> int:
+        """The sender's turn since the session was opened: its counter, counted on where that rolls over."""
+        before = self._turns.get(can_id, counter - 1)
+        self._turns[can_id] = before + 1 + lost
+        return self._turns[can_id]
+
+    def _complete(self, now_s: float) -> JointSample | None:
+        """The sample, once all three parts of one turn are here."""
         parts = [self._parts.get(IDS[kind]) for kind in (Joints01, Joints23, Joint4)]
-        frames = [frame for at, frame in (part for part in parts if part) if at == counter]
+        turns, frames = {part[0] for part in parts if part}, [part[1] for part in parts if part]
         match frames:
-            case [Joints01() as first, Joints23() as second, Joint4() as third]:
-                self.sample = JointSample(joint_values(first, second, third), counter, now_s)
+            case [Joints01() as first, Joints23() as second, Joint4() as third] if len(turns) == 1:
+                (turn,) = turns
+                joints, measured_s = joint_values(first, second, third), self._no_older_than(turn)
+                self.sample = JointSample(joints, turn % COUNTER_MODULUS, now_s, measured_s)
+                return self.sample
+        return None
+
+    def _no_older_than(self, turn: int) -> float:
+        """The last moment that is proved to lie before this turn of the peer."""
+        return next((sent_s for proved, sent_s in reversed(self._proved) if proved <= turn), -math.inf)
 
     def _count(self, **more: int) -> None:
         self.statistics = replace(

@@ -48,6 +48,11 @@ NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance")
 BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "reasons")
 """Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
 
+MOVING: Final = ("starting", "cutting", "finishing")
+STOPPED: Final = ("stopping", "stopped")
+WATCHED: Final = ("joints measured", "progress reported", "heartbeat", "time passed")
+"""On these the moving arm is held against the verified path, and what the decision names is what it showed."""
+
 ABSOLUTE: Final = ("boundaries", "legs")
 """Clearances are compared absolutely, whatever their size."""
 
@@ -498,6 +503,10 @@ def _decision(decision: records.Decision) -> Iterator[str]:
         for permissive in decision.permissives:
             if not permissive.holds:
                 yield f"decision {decision.sequence} sent although this did not hold: {permissive.name}"
+    if decision.from_state in MOVING and decision.event in WATCHED and decision.to_state not in STOPPED:
+        for rule in decision.permissives:
+            if not rule.holds:
+                yield f"decision {decision.sequence} let the arm go on although this did not hold: {rule.name}"
 
 
 def _enabled(permit: records.Permit, current: tuple[records.Verdict, str] | None) -> Iterator[str]:

@@ -19,7 +19,6 @@ from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
     Frame,
-    Joint4,
     Progress,
     RuntimeHeartbeat,
     RuntimeStop,
@@ -278,8 +277,8 @@ class Bench:
                     self.abnormal.append(f"cutting mode {beat.cutting_mode} in {beat.state.name}")
             case Accepted(frame=Progress()):
                 self.abnormal.append("a Progress frame")
-            case Accepted(frame=Joint4()) if self.endpoint.link.sample is not None:
-                self._watch_joints(self.endpoint.link.sample)
+            case Accepted(sample=JointSample() as measured):
+                self._watch_joints(measured)
             case _:
                 pass
 

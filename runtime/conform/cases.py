@@ -189,6 +189,17 @@ def cyclic(bench: Bench) -> str:
     least = min(len(counters[kind]) for kind in kinds[1:])
     if any(counters[kind][:least] != counters[Joints01][:least] for kind in kinds[2:]):
         raise DeviationError("the three joint frames of a sample do not share their counter")
+    turns = [
+        heard.item
+        for heard in bench.heard[begun:]
+        if isinstance(heard.item, Accepted) and isinstance(heard.item.frame, ControllerHeartbeat | Joints01)
+    ]
+    for before, after in pairwise(turns):
+        if isinstance(after.frame, Joints01) and after.counter != before.counter:
+            raise DeviationError(
+                f"joints with the counter {after.counter} follow the heartbeat {before.counter}: a sample carries the "
+                "counter of its turn's heartbeat, by which its age is told"
+            )
     return f"{len(times[ControllerHeartbeat])} heartbeats in {WATCHED_PERIODS} periods, no counter missing"
 
 

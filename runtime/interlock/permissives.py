@@ -6,30 +6,11 @@ reason at once. Comparisons ask "inside?": anything unknown or undefined does no
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.state import DeviceCycle, Interlock
-
-
-@dataclass(frozen=True)
-class Permissive:
-    """One named precondition as it stands now."""
-
-    name: str
-    holds: bool
-    value: float | None
-    text: str | None
-    bound: str
-    remedy: str
-
-    def __str__(self) -> str:
-        """Name, value, bound and, if it fails, the remedy, on one line."""
-        shown = self.text if self.value is None else f"{self.value:g}"
-        tail = "" if self.holds else f": {self.remedy}"
-        return f"{self.name}: {shown} (required: {self.bound}){tail}"
-
 
 Evaluate = Callable[[Interlock, float], Permissive]
 
@@ -186,6 +167,17 @@ def approach_admissible(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
+def trajectory_known(state: Interlock, _now_s: float) -> Permissive:
+    known = state.verdict is not None and state.verdict.trajectory is not None
+    return _fact(
+        "reference trajectory",
+        known,
+        "known" if known else "none",
+        "known: the moving arm is held against it",
+        "as for approach and retract; without it nothing can be watched",
+    )
+
+
 # ---------------------------------------------------------------- registration
 
 
@@ -304,32 +296,42 @@ def start_offset(
 
 
 def measured_now(state: Interlock, now_s: float) -> tuple[int, ...] | None:
-    """The measured joints, unless they are older than the heartbeat's time-out."""
+    """The measured joints, unless they may be older than the heartbeat's time-out, whenever they came."""
     young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_ms / 1000
     return state.joints_u if young else None
 
 
-def _off_start(state: Interlock, now_s: float) -> tuple[float, float] | tuple[None, None]:
-    joints_u, calibration = measured_now(state, now_s), state.collected.calibration
-    if joints_u is None or calibration is None or state.verdict is None:
+def joints_age(state: Interlock, now_s: float) -> Permissive:
+    return _at_most(
+        "age of the measured joints",
+        None if state.joints_u is None else now_s - state.measured_s,
+        state.job.timing.timeout_ms / 1000,
+        "s",
+        "check bus and controller: its joints are missing, or come late",
+    )
+
+
+def _off_start(state: Interlock) -> tuple[float, float] | tuple[None, None]:
+    calibration = state.collected.calibration
+    if state.joints_u is None or calibration is None or state.verdict is None:
         return None, None
-    return start_offset(records.Calibration.parse(calibration), joints_u, state.verdict.start_joints_u)
+    return start_offset(records.Calibration.parse(calibration), state.joints_u, state.verdict.start_joints_u)
 
 
-def start_distance(state: Interlock, now_s: float) -> Permissive:
+def start_distance(state: Interlock, _now_s: float) -> Permissive:
     return _at_most(
         "measured wrist centre to the verified start",
-        _off_start(state, now_s)[0],
+        _off_start(state)[0],
         state.job.timing.start_tolerance_mm,
         "mm",
         "move the arm back to where it stood at verification, or start a new session",
     )
 
 
-def start_angle(state: Interlock, now_s: float) -> Permissive:
+def start_angle(state: Interlock, _now_s: float) -> Permissive:
     return _at_most(
         "measured joints to the verified start",
-        _off_start(state, now_s)[1],
+        _off_start(state)[1],
         state.job.timing.start_tolerance_deg,
         "deg",
         "move the arm back to where it stood at verification, or start a new session",
@@ -406,6 +408,7 @@ FINAL: tuple[Evaluate, ...] = (
     verdict_admissible,
     verdict_current,
     approach_admissible,
+    trajectory_known,
     registration_age,
     log_writable,
     log_space,
@@ -413,7 +416,7 @@ FINAL: tuple[Evaluate, ...] = (
 """No operator act can cure these within the session."""
 
 AT_START: tuple[Evaluate, ...] = (start_distance, start_angle)
-"""Where the arm begins, and where it must be back at the end."""
+"""Where the arm begins, and where it must be back at the end; how old the joints may be is judged beside it."""
 
 FOR_PERMIT: tuple[Evaluate, ...] = (
     *FINAL,
@@ -422,6 +425,7 @@ FOR_PERMIT: tuple[Evaluate, ...] = (
     not_latched,
     emergency_stop,
     epoch_current,
+    joints_age,
     *AT_START,
 )
 

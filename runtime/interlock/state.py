@@ -14,6 +14,7 @@ from cutgate.protocol.states import (
     StopCause,
     StopCode,
 )
+from cutgate.runtime.interlock.tracking import Deviation, ReferenceTrajectory, TrackingMonitor
 
 
 class Phase(StrEnum):
@@ -201,6 +202,8 @@ class Verdict:
     approach: records.Approach | None
     """What the permit binds; None unless approach and retract are admissible."""
     approach_reason: str
+    trajectory: ReferenceTrajectory | None = None
+    """Where the arm is when, by what was verified; without it nothing is permitted."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,9 @@ class Interlock:
     joints_u: tuple[int, ...] | None = None
     """Measured joints, 1e-6 deg | mm."""
     measured_s: float = 0.0
-    """When they were measured."""
+    """They are no older than this."""
+    tracking: TrackingMonitor | None = None
+    """Holds the arm against the verified path from the start on, as long as it may move."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     """In this session, or in one before."""
@@ -349,9 +354,18 @@ class FaultReceived:
 
 @dataclass(frozen=True)
 class JointsMeasured:
-    """Where the arm stands: reported joints, 1e-6 deg | mm."""
+    """Where the arm stands: reported joints, 1e-6 deg | mm, measured at ``measured_s`` at the earliest."""
 
     joints_u: tuple[int, ...]
+    measured_s: float
+
+
+@dataclass(frozen=True)
+class ProgressReported:
+    """How far the cut is, as the controller says; ``fraction`` of the segment in counts of 1/65535."""
+
+    segment: int
+    fraction: int
 
 
 @dataclass(frozen=True)
@@ -371,6 +385,14 @@ class LogChanged:
 @dataclass(frozen=True)
 class Failed:
     """Something the shell found; the session stops with this cause."""
+
+    cause: StopCause
+    reason: str
+
+
+@dataclass(frozen=True)
+class Gone:
+    """Nothing can be waited for any more: the bus or the program itself has failed. The session is over."""
 
     cause: StopCause
     reason: str
@@ -401,9 +423,11 @@ Event = (
     | HeartbeatLost
     | FaultReceived
     | JointsMeasured
+    | ProgressReported
     | RecordDurable
     | LogChanged
     | Failed
+    | Gone
     | Said
     | Tick
 )
@@ -487,4 +511,17 @@ class Dropped:
     what: str
 
 
-Effect = Send | SendBlock | SendStop | UseSession | OpenLink | Verify | Commit | Withheld | Refused | Dropped
+Effect = (
+    Send
+    | SendBlock
+    | SendStop
+    | UseSession
+    | OpenLink
+    | Verify
+    | Commit
+    | Withheld
+    | Refused
+    | Dropped
+    | Deviation
+)
+"""What the table orders; Withheld, Refused, Dropped and Deviation are for the log and for people."""

@@ -13,7 +13,9 @@ from dataclasses import replace
 from typing import Any
 
 from cutgate.protocol import records
+from cutgate.protocol.records import joints_to_memory
 from cutgate.protocol.states import WITHDRAWING, ControllerState, Purpose, Refusal, StopCause, StopCode
+from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.permissives import (
     AT_START,
     COLLECTED,
@@ -22,7 +24,6 @@ from cutgate.runtime.interlock.permissives import (
     FOR_START,
     IDENTITY,
     Evaluate,
-    Permissive,
     all_hold,
     failing,
     hopeless,
@@ -40,6 +41,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
@@ -51,6 +53,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -68,6 +71,7 @@ from cutgate.runtime.interlock.state import (
     Withheld,
     Word,
 )
+from cutgate.runtime.interlock.tracking import Deviation, TrackingMonitor
 
 Outcome = tuple[Interlock, tuple[Effect, ...]]
 
@@ -115,6 +119,7 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
         reason=reason,
         permit=None,
         nonce=None,
+        tracking=None,
         stops_sent=sent,
         answer_due=cause is StopCause.AUTHENTICATION_FAILED and state.phase in SIGNED,
     )
@@ -134,6 +139,12 @@ def refuse(state: Interlock, reason: str, now_s: float) -> Outcome:
 
 def failed(state: Interlock, event: Failed, now_s: float) -> Outcome:
     return stop(state, event.cause, event.reason, now_s)
+
+
+def gone(state: Interlock, event: Gone, now_s: float) -> Outcome:
+    """The stop leaves if it still can. Nobody waits for its confirmation: without heartbeats the controller stops."""
+    stopped, effects = stop(state, event.cause, event.reason, now_s)
+    return _enter(stopped, Phase.STOPPED, now_s), effects
 
 
 def heartbeat_lost(state: Interlock, _event: HeartbeatLost, now_s: float) -> Outcome:
@@ -498,8 +509,11 @@ def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
     nothing_leaves = _withhold(state, event, FOR_START, Phase.PERMITTED, now_s)
     if nothing_leaves:
         return nothing_leaves
-    assert state.nonce is not None  # noqa: S101 - set by start_nonce
-    return _enter(state, Phase.STARTING, now_s), (Send(_start(state, state.nonce)),)
+    assert state.nonce is not None and state.session is not None  # noqa: S101, PT018 - AUTHORISING_START has both
+    assert state.verdict is not None and state.verdict.trajectory is not None  # noqa: S101, PT018 - permissives
+    scale, trajectory = state.session.time_scale, state.verdict.trajectory
+    monitor = TrackingMonitor.begin(trajectory, state.job.timing, scale, now_s)
+    return _enter(state, Phase.STARTING, now_s, tracking=monitor), (Send(_start(state, state.nonce)),)
 
 
 def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -518,7 +532,7 @@ def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outc
         return _drop_reply(state)
     if event.refusal is Refusal.ACCEPTED:
         return _enter(state, Phase.CUTTING, now_s), ()
-    refused = _enter(state, Phase.PERMITTED, now_s, nonce=None)
+    refused = _enter(state, Phase.PERMITTED, now_s, nonce=None, tracking=None)
     return refused, (Refused(Word.START, f"the controller refused the start: {event.refusal.name}"),)
 
 
@@ -547,19 +561,53 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
 def heartbeat_while_cutting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
     """The controller's word for the end is not enough: the joints it measures from then on decide."""
     seen, effects = heartbeat(state, event, now_s)
-    if seen.phase is state.phase and event.view.state is ControllerState.DONE:
-        return _enter(seen, Phase.FINISHING, now_s), ()
-    return seen, effects
+    if seen.phase is not state.phase or event.view.state is not ControllerState.DONE:
+        return seen, effects
+    too_early = _monitor(state).finished(now_s)
+    return _deviates(seen, too_early, now_s) if too_early else (_enter(seen, Phase.FINISHING, now_s), ())
+
+
+def measured_while_moving(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
+    """Every sample must lie where the verified path allows; one that does not stops in this step."""
+    seen, _ = measured(state, event, now_s)
+    joints = joints_to_memory(event.joints_u)
+    monitor, deviation = _monitor(state).sample(joints, event.measured_s, now_s)
+    return _deviates(seen, deviation, now_s) if deviation else (replace(seen, tracking=monitor), ())
+
+
+def progress_while_moving(state: Interlock, event: ProgressReported, now_s: float) -> Outcome:
+    monitor, deviation = _monitor(state).report(event.segment, event.fraction, now_s)
+    return _deviates(state, deviation, now_s) if deviation else (replace(state, tracking=monitor), ())
+
+
+def tick_while_moving(state: Interlock, event: Tick, now_s: float) -> Outcome:
+    """Joints that do not come any more stop; so does progress, which is due once the controller has started."""
+    cutting_since_s = state.since_s if state.phase is Phase.CUTTING else None
+    missing = _monitor(state).overdue(now_s, cutting_since_s)
+    return _deviates(state, missing, now_s) if missing else tick(state, event, now_s)
+
+
+def _monitor(state: Interlock) -> TrackingMonitor:
+    assert state.tracking is not None  # noqa: S101 - begun with the start
+    return state.tracking
+
+
+def _deviates(state: Interlock, deviation: Deviation, now_s: float) -> Outcome:
+    stopped, effects = stop(state, StopCause.TRACKING_DEVIATION, deviation.reason, now_s)
+    return stopped, (*effects, deviation)
 
 
 def measured_while_finishing(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
-    """The cut is completed where the arm began, within the start tolerance."""
-    seen, _ = measured(state, event, now_s)
+    """The cut is completed where the arm began, within the start tolerance; a sample too old to say so is passed over."""
+    seen, effects = measured_while_moving(state, event, now_s)
+    if seen.phase is not state.phase or measured_now(seen, now_s) is None:
+        return seen, effects
     off = failing(AT_START, seen, now_s)
     if off:
         reason = f"the controller reports the end, but the arm is not back: {_reasons(off)}"
-        return stop(seen, StopCause.TRACKING_DEVIATION, reason, now_s)
-    return _enter(seen, Phase.DONE, now_s), (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
+        return _deviates(seen, Deviation(reason, off), now_s)
+    done = _enter(seen, Phase.DONE, now_s, tracking=None)
+    return done, (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
 
 
 def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -599,8 +647,8 @@ def said_while_stopping(state: Interlock, event: Said, now_s: float) -> Outcome:
     return state, (Refused(event.word, "the session is being stopped"),)
 
 
-def measured(state: Interlock, event: JointsMeasured, now_s: float) -> Outcome:
-    return replace(state, joints_u=event.joints_u, measured_s=now_s), ()
+def measured(state: Interlock, event: JointsMeasured, _now_s: float) -> Outcome:
+    return replace(state, joints_u=event.joints_u, measured_s=event.measured_s), ()
 
 
 # ---------------------------------------------------------------- time
@@ -701,8 +749,16 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.AUTHORISING_START, HeartbeatReceived): heartbeat_before_start,
     (P.STARTING, ReplyReceived): start_answered,
     (P.STARTING, HeartbeatReceived): heartbeat_while_cutting,
+    (P.STARTING, JointsMeasured): measured_while_moving,
+    (P.STARTING, ProgressReported): progress_while_moving,
+    (P.STARTING, Tick): tick_while_moving,
     (P.CUTTING, HeartbeatReceived): heartbeat_while_cutting,
+    (P.CUTTING, JointsMeasured): measured_while_moving,
+    (P.CUTTING, ProgressReported): progress_while_moving,
+    (P.CUTTING, Tick): tick_while_moving,
     (P.FINISHING, JointsMeasured): measured_while_finishing,
+    (P.FINISHING, ProgressReported): progress_while_moving,
+    (P.FINISHING, Tick): tick_while_moving,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
     (P.STOPPING, FaultReceived): ignored,  # it answers our stop; answering it again would never end
@@ -724,9 +780,11 @@ EVERYWHERE: dict[type, Handler] = {
     HeartbeatLost: heartbeat_lost,
     FaultReceived: fault_received,
     JointsMeasured: measured,
+    ProgressReported: ignored,
     RecordDurable: dropped,
     LogChanged: log_changed,
     Failed: failed,
+    Gone: gone,
     Said: said,
     Tick: tick,
 }
@@ -769,7 +827,7 @@ DEADLINES: dict[Phase, Callable[[Timing], float]] = {
     P.NONCE_START: lambda t: t.reply_timeout_s,
     P.AUTHORISING_START: lambda t: t.commit_deadline_s,
     P.STARTING: lambda t: t.reply_timeout_s,
-    P.FINISHING: lambda t: 2 * t.timeout_ms / 1000,  # as long as the tracking watch waits for a sample
+    P.FINISHING: lambda t: 2 * t.timeout_ms / 1000,  # as long as the tracking monitor waits for a sample
     P.STOPPING: lambda t: t.stop_confirm_s,
 }
 """How long each phase may last. CUTTING lasts as long as heartbeats do."""

@@ -1,45 +1,52 @@
-"""Watches the moving arm against the verified path: every sample of joints, every progress frame.
+"""The tracking monitor: the moving arm against the verified path, every sample of joints and every progress frame.
 
-Pure: no clock, the time is passed in. A place is a time on the verified course: the seconds from the start joints at
-the path's feed and, on the joint lines, at the bound part of the joint speeds. A fault-free arm gains at most one
-second of the course in one of the plant, and never goes back. Hence, with frames at most the heartbeat's time-out
-late:
+Pure: no clock, the time is passed in; the table asks it in each step while the arm may move. A place is a time on the
+reference trajectory: the seconds from the start joints at the path's feed and, on the joint lines, at the bound part of
+the joint speeds. A fault-free arm gains at most one second of the trajectory in one of the plant, and never goes back.
+Frames are at most the heartbeat's time-out late, a sample as old as is proved of it. Hence:
 
 1. A sample was measured between two places: no earlier than the sample before it and than the last progress allows,
    no further on than the arm can have come since any frame before. The joints must lie within tolerance of some
    place in between.
 2. Progress never goes back, is never further on than that, and never further back than the last sample allows.
 3. Samples and progress come at least every two time-outs: as many losses as the counters allow, and the latest frame.
+   A sample older than that when it comes is none.
 4. The end is reported no sooner than it can be reached.
 
 What is off the path is seen with the first sample that shows it. What moves along the path too fast is seen once it
-has gained one time-out on the course.
+has gained one time-out on the trajectory.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
-from cutgate.runtime.interlock.state import Timing
+from cutgate.runtime.interlock.permissive import Permissive
+
+if TYPE_CHECKING:
+    from cutgate.runtime.interlock.state import Timing
 
 Floats = NDArray[np.float64]
 
 CHORD_RAD: Final = math.radians(ROTATION_DEG / 2.0)
 CHORD_MM: Final = SLIDE_MM / 2.0
-"""A course's joints are so near to the exact ones between its knots: as near as a joints frame is rounded."""
+"""A trajectory's joints are so near to the exact ones between its knots: as near as a joints frame is rounded."""
 CLOCKS: Final = 1.001
 """How much faster the controller's clock may run."""
 MISSING_TIMEOUTS: Final = 2.0
+REMEDY: Final = "find out why the arm is not where it was verified, before the next session"
 _ROTARY: Final = (0, 1, 3, 4)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Course:
+@dataclass(frozen=True, eq=False)
+class ReferenceTrajectory:
     """Where the arm is when: joint line, straight in, the cut, straight out, joint line; from start joints to there.
+
+    Equal to itself alone: what was verified is one object, and arrays do not say whether they are equal.
 
     Attributes:
         times_s: when the arm is at each knot at the earliest, shape (m,), ascending from 0.
@@ -77,7 +84,7 @@ class Course:
         return out
 
     def between(self, earliest_s: float, latest_s: float) -> tuple[Floats, Floats]:
-        """Times and joints of the part of the course between two times, shapes (k,) and (k, 5), k >= 2."""
+        """Times and joints of the part of the trajectory between two times, shapes (k,) and (k, 5), k >= 2."""
         first = int(np.searchsorted(self.times_s, earliest_s, "right"))
         after = int(np.searchsorted(self.times_s, latest_s, "left"))
         times = np.concatenate(([earliest_s], self.times_s[first:after], [latest_s]))
@@ -90,14 +97,13 @@ class Course:
             return "the entry" if time_s >= self.times_s[1] else "the approach"
         if time_s > self.poses_s[-1]:
             return "the exit" if time_s <= self.times_s[-2] else "the retract"
-        segment = int(np.searchsorted(self.poses_s, time_s, "right")) - 1
-        segment = min(max(segment, 0), self.segments - 1)
-        start_s, end_s = self.time_of(segment, 0.0), self.time_of(segment, 1.0)
+        segment = min(int(np.searchsorted(self.poses_s, time_s, "right")), self.segments) - 1
+        start_s, end_s = self.poses_s[segment : segment + 2]
         fraction = (time_s - start_s) / (end_s - start_s) if end_s > start_s else 0.0
         return f"segment {segment}, fraction {fraction:.3f}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Bounds:
     """What is tolerated.
 
@@ -106,7 +112,7 @@ class Bounds:
         near_rad: each turning joint.
         start_mm, start_rad: more than that on the way from the start joints to the entry.
         latency_s: age of a frame.
-        rate: seconds of the course in one of this side's clock.
+        rate: seconds of the trajectory in one of this side's clock.
     """
 
     near_mm: float
@@ -117,8 +123,8 @@ class Bounds:
     rate: float
 
     @classmethod
-    def of(cls, timing: Timing, scale: float, links_mm: tuple[float, float]) -> "Bounds":
-        """The site's tolerances, and what joints frames and the course are rounded by."""
+    def of(cls, timing: "Timing", scale: float, links_mm: tuple[float, float]) -> "Bounds":
+        """The site's tolerances, and what joints frames and the trajectory are rounded by."""
         turned_mm = 2.0 * CHORD_RAD * (links_mm[0] + 2.0 * links_mm[1])
         return cls(
             near_mm=timing.tracking_tolerance_mm + math.hypot(turned_mm, 2.0 * CHORD_MM),
@@ -131,135 +137,188 @@ class Bounds:
 
     @property
     def missing_s(self) -> float:
-        """How long nothing may come."""
+        """How long nothing may come, and how old what comes may be."""
         return MISSING_TIMEOUTS * self.latency_s
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Seen:
-    """A frame that came at ``at_s``: the arm was no earlier on the course than ``earliest_s``."""
+    """A frame that came at ``at_s``: the arm was no earlier on the trajectory than ``earliest_s``."""
 
     earliest_s: float
     at_s: float
 
-    def behind_s(self, now_s: float, bounds: Bounds) -> float:
-        """The same for a frame of another kind that comes now, which may have been sent before this one."""
-        return self.earliest_s - bounds.rate * max(0.0, bounds.latency_s - (now_s - self.at_s))
+    def behind_s(self, sent_s: float, bounds: Bounds) -> float:
+        """The same for a frame of another kind that comes later, but may have been sent as early as ``sent_s``."""
+        return self.earliest_s - bounds.rate * max(0.0, self.at_s - sent_s)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Watch:
-    """What has been seen since the start. Each look returns the next watch and what deviates, "" if nothing does."""
+@dataclass(frozen=True)
+class Deviation:
+    """What must stop the arm: in one sentence, and the rules it breaks with their values and bounds."""
 
-    course: Course
+    reason: str
+    judged: tuple[Permissive, ...]
+
+
+@dataclass(frozen=True)
+class TrackingMonitor:
+    """What has been seen since the start. Each look returns the next monitor and what deviates, None if nothing does."""
+
+    trajectory: ReferenceTrajectory
     bounds: Bounds
     sampled: Seen
     progressed: Seen
+    heard_s: float
+    """When joints came last that were young enough to say where the arm is."""
     lead_s: float
-    """The least, over all frames, of the place at the latest less what the arm may gain in the time until then."""
+    """The least, over all frames, of the place at the latest less what the arm may gain until it was sent."""
     progress: tuple[int, int] = (0, 0)
 
     @classmethod
-    def begin(cls, course: Course, timing: Timing, scale: float, now_s: float) -> "Watch":
+    def begin(
+        cls, trajectory: ReferenceTrajectory, timing: "Timing", scale: float, now_s: float
+    ) -> "TrackingMonitor":
         """The start leaves now; the arm stands at the start joints."""
-        bounds = Bounds.of(timing, scale, course.links_mm)
-        return cls(course, bounds, Seen(0.0, now_s), Seen(0.0, now_s), -bounds.rate * now_s)
+        bounds = Bounds.of(timing, scale, trajectory.links_mm)
+        seen, lead_s = Seen(0.0, now_s), -bounds.rate * (now_s - bounds.latency_s)
+        return cls(trajectory, bounds, seen, seen, now_s, lead_s)
 
     def reach_s(self, now_s: float) -> float:
-        """The furthest place of a frame that comes now.
+        """The furthest place of a frame that comes now: for any frame before, what the arm gained since that was sent."""
+        return min(self.lead_s + self.bounds.rate * now_s, self.trajectory.end_s)  # keeps a NaN
 
-        For any frame before: it was sent at most the latency before it came, and this one no later than now.
-        """
-        return min(
-            self.lead_s + self.bounds.rate * (now_s + self.bounds.latency_s), self.course.end_s
-        )  # keeps a NaN
-
-    def _lead(self, latest_s: float, now_s: float) -> float:
-        return min(self.lead_s, latest_s - self.bounds.rate * now_s)
+    def _lead(self, latest_s: float, sent_s: float) -> float:
+        return min(self.lead_s, latest_s - self.bounds.rate * sent_s)
 
     # ------------------------------------------------------------ joints
 
-    def sample(self, joints: Floats, now_s: float) -> tuple["Watch", str]:
-        """Measured joints, rad and mm, shape (5,), that came now."""
-        bounds = self.bounds
-        earliest_s = max(0.0, self.sampled.earliest_s, self.progressed.behind_s(now_s, bounds))
+    def sample(
+        self, joints: Floats, measured_s: float, now_s: float
+    ) -> tuple["TrackingMonitor", Deviation | None]:
+        """Joints, rad and mm, shape (5,), that came now and were measured at ``measured_s`` at the earliest."""
+        bounds, trajectory = self.bounds, self.trajectory
+        sent_s = min(measured_s, now_s - bounds.latency_s)
+        earliest_s = max(0.0, self.sampled.earliest_s, self.progressed.behind_s(sent_s, bounds))
         latest_s = self.reach_s(now_s)
         if not earliest_s <= latest_s:
-            return self, (
-                f"measured joints and progress do not belong together: the joints were last at "
-                f"{self.course.name(self.sampled.earliest_s)}, the progress is {self._progress}"
+            where = trajectory.name(self.sampled.earliest_s)
+            return self, _breaks(
+                f"measured joints and progress do not belong together: the joints were last at {where}, the progress "
+                f"is {self._progress}",
+                name="measured joints and progress",
+                text=f"joints at {where}, progress {self._progress}",
+                bound=f"at one place, at most {bounds.latency_s * 1000:g} ms apart",
             )
-        found = _nearest(self.course, bounds, joints, (earliest_s, latest_s))
+        found = _nearest(trajectory, bounds, joints, (earliest_s, latest_s))
         if not found.off <= 1.0:
-            return self, (
-                f"measured joints are {found.off_mm:.3f} mm and {math.degrees(found.off_rad):.3f} deg off the verified "
-                f"path near {self.course.name(found.time_s)}, at most {found.near_mm:.3f} mm and "
-                f"{math.degrees(found.near_rad):.3f} deg"
-            )
-        lead_s = self._lead(found.latest_s, now_s)
-        return replace(self, sampled=Seen(found.earliest_s, now_s), lead_s=lead_s), ""
+            return self, _off(found, f"near {trajectory.name(found.time_s)}")
+        lead_s, young = self._lead(found.latest_s, sent_s), now_s - measured_s <= bounds.missing_s
+        heard_s = now_s if young else self.heard_s  # off the path it would count at any age
+        return replace(self, sampled=Seen(found.earliest_s, now_s), heard_s=heard_s, lead_s=lead_s), None
 
     # ------------------------------------------------------------ progress
 
     @property
     def _progress(self) -> str:
-        segment, fraction = self.progress
-        return f"segment {segment}, fraction {fraction / FRACTION_MAX:.3f}"
+        return _place(*self.progress)
 
-    def report(self, segment: int, fraction: int, now_s: float) -> tuple["Watch", str]:
+    def report(self, segment: int, fraction: int, now_s: float) -> tuple["TrackingMonitor", Deviation | None]:
         """Progress that came now; ``fraction`` in counts of 1/65535."""
-        course, bounds = self.course, self.bounds
-        if not 0 <= segment < course.segments:
-            return self, f"progress is segment {segment}, the path has segments 0 to {course.segments - 1}"
-        said = f"progress is segment {segment}, fraction {fraction / FRACTION_MAX:.3f}"
+        trajectory, bounds = self.trajectory, self.bounds
+        sent_s, text = now_s - bounds.latency_s, _place(segment, fraction)
+        if not 0 <= segment < trajectory.segments:
+            return self, _breaks(
+                f"progress is segment {segment}, the path has segments 0 to {trajectory.segments - 1}",
+                name="segment of the progress",
+                value=float(segment),
+                bound=f"0 to {trajectory.segments - 1}",
+            )
         if not (segment, fraction) >= self.progress:
-            return self, f"{said}, after {self._progress}: it never goes back"
+            return self, _breaks(
+                f"progress is {text}, after {self._progress}: it never goes back",
+                name="progress, beside the one before",
+                text=text,
+                bound=f"never before {self._progress}",
+            )
         earliest_s, latest_s = self._interval(segment, fraction)
         if not earliest_s <= self.reach_s(now_s):
-            return self, f"{said}, at most {course.name(self.reach_s(now_s))} can have been reached"
-        if not latest_s >= self.sampled.behind_s(now_s, bounds):
-            return self, f"{said}, but the measured joints were at {course.name(self.sampled.earliest_s)}"
-        progressed, lead_s = Seen(earliest_s, now_s), self._lead(latest_s, now_s)
-        return replace(self, progressed=progressed, progress=(segment, fraction), lead_s=lead_s), ""
+            furthest = trajectory.name(self.reach_s(now_s))
+            return self, _breaks(
+                f"progress is {text}, at most {furthest} can have been reached",
+                name="progress, beside the time",
+                text=text,
+                bound=f"at most {furthest}",
+            )
+        if not latest_s >= self.sampled.behind_s(sent_s, bounds):
+            where = trajectory.name(self.sampled.earliest_s)
+            return self, _breaks(
+                f"progress is {text}, but the measured joints were at {where}",
+                name="progress, beside the measured joints",
+                text=text,
+                bound=f"at most {bounds.latency_s * 1000:g} ms behind {where}",
+            )
+        progressed, lead_s = Seen(earliest_s, now_s), self._lead(latest_s, sent_s)
+        return replace(self, progressed=progressed, progress=(segment, fraction), lead_s=lead_s), None
 
     def _interval(self, segment: int, fraction: int) -> tuple[float, float]:
         """When the arm is where progress says; it stands at its ends before and after the cut."""
-        course = self.course
+        trajectory = self.trajectory
         earliest_s, latest_s = (
-            course.time_of(segment, (fraction + half) / FRACTION_MAX) for half in (-0.5, 0.5)
+            trajectory.time_of(segment, (fraction + half) / FRACTION_MAX) for half in (-0.5, 0.5)
         )
         before = (segment, fraction) == (0, 0)
-        after = (segment, fraction) == (course.segments - 1, FRACTION_MAX)
-        return 0.0 if before else earliest_s, course.end_s if after else latest_s
+        after = (segment, fraction) == (trajectory.segments - 1, FRACTION_MAX)
+        return 0.0 if before else earliest_s, trajectory.end_s if after else latest_s
 
-    def finished(self, now_s: float) -> str:
+    def finished(self, now_s: float) -> Deviation | None:
         """The controller says that the arm is back."""
-        if self.reach_s(now_s) >= self.course.end_s:
-            return ""
-        return f"the controller reports the end, at most {self.course.name(self.reach_s(now_s))} can have been reached"
+        if self.reach_s(now_s) >= self.trajectory.end_s:
+            return None
+        furthest = self.trajectory.name(self.reach_s(now_s))
+        return _breaks(
+            f"the controller reports the end, at most {furthest} can have been reached",
+            name="end of the retract, beside the time",
+            text="reported",
+            bound=f"at most {furthest}",
+        )
 
     # ------------------------------------------------------------ silence
 
-    def overdue(self, now_s: float, cutting_since_s: float | None) -> str:
+    def overdue(self, now_s: float, cutting_since_s: float | None) -> Deviation | None:
         """What has been missing for too long; progress is due from ``cutting_since_s`` on, None before."""
         for what, since_s in (
-            ("measured joints", self.sampled.at_s),
+            ("measured joints", self.heard_s),
             ("progress", None if cutting_since_s is None else max(self.progressed.at_s, cutting_since_s)),
         ):
             if since_s is not None and not now_s - since_s <= self.bounds.missing_s:
-                return (
-                    f"no {what} for {(now_s - since_s) * 1000:.0f} ms near {self.course.name(self.sampled.earliest_s)}, "
-                    f"at most {self.bounds.missing_s * 1000:.0f} ms"
+                near = self.trajectory.name(self.sampled.earliest_s)
+                return _breaks(
+                    f"no {what} for {(now_s - since_s) * 1000:.0f} ms near {near}, "
+                    f"at most {self.bounds.missing_s * 1000:.0f} ms",
+                    name=f"silence of the {what}",
+                    value=now_s - since_s,
+                    bound=f"<= {self.bounds.missing_s:g} s",
                 )
-        return ""
+        return None
+
+
+def _place(segment: int, fraction: int) -> str:
+    return f"segment {segment}, fraction {fraction / FRACTION_MAX:.3f}"
+
+
+def _breaks(
+    reason: str, *, name: str, bound: str, value: float | None = None, text: str | None = None
+) -> Deviation:
+    """One rule that does not hold."""
+    return Deviation(reason, (Permissive(name, False, value, text, bound, REMEDY),))
 
 
 # ---------------------------------------------------------------- the nearest place
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """The nearest place of those tried, how far off it is, and between which places the tolerance reaches."""
+class _Found(NamedTuple):
+    """The nearest place of those tried, how far off it is in tolerances, and between which places they reach."""
 
     time_s: float
     off: float
@@ -271,17 +330,39 @@ class _Found:
     latest_s: float
 
 
-def _nearest(course: Course, bounds: Bounds, joints: Floats, between_s: tuple[float, float]) -> _Found:
-    """The nearest place of a part of the course.
+def _off(found: _Found, near: str) -> Deviation:
+    """Off the verified path: by how much, beside which tolerances."""
+    near_mm, near_deg = found.near_mm, math.degrees(found.near_rad)
+    off_mm, off_deg = found.off_mm * near_mm, found.off_rad * near_deg
+
+    def rule(what: str, off: float, value: float, bound: str) -> Permissive:
+        return Permissive(
+            f"{what} to the verified path", off <= 1.0, value, None, f"<= {bound} {near}", REMEDY
+        )
+
+    return Deviation(
+        f"measured joints are {off_mm:.3f} mm and {off_deg:.3f} deg off the verified path {near}, at most "
+        f"{near_mm:.3f} mm and {near_deg:.3f} deg",
+        (
+            rule("measured wrist centre", found.off_mm, off_mm, f"{near_mm:.3f} mm"),
+            rule("measured joints", found.off_rad, off_deg, f"{near_deg:.3f} deg"),
+        ),
+    )
+
+
+def _nearest(
+    trajectory: ReferenceTrajectory, bounds: Bounds, joints: Floats, between_s: tuple[float, float]
+) -> _Found:
+    """The nearest place of a part of the trajectory.
 
     On each chord the place with the least sum of squares is tried, differences over tolerance; what is admitted is
     admitted by a real place. Wrist centre: |a0 d0| + |a1 (d0 + d1)| beside the slide bounds it at every elbow angle.
     """
-    times, knots = course.between(*between_s)
-    early = times[:-1] < course.times_s[1]
+    times, knots = trajectory.between(*between_s)
+    early = times[:-1] < trajectory.times_s[1]
     near_mm = bounds.near_mm + np.where(early, bounds.start_mm, 0.0)
     near_rad = bounds.near_rad + np.where(early, bounds.start_rad, 0.0)
-    a0, a1 = course.links_mm
+    a0, a1 = trajectory.links_mm
 
     def scaled(d: Floats) -> Floats:
         wrist = np.stack((a0 * d[:, 0], a1 * (d[:, 0] + d[:, 1]), d[:, 2]), axis=1) / near_mm[:, None]
@@ -302,8 +383,8 @@ def _nearest(course: Course, bounds: Bounds, joints: Floats, between_s: tuple[fl
     return _Found(
         time_s=float(times[at] + t[at] * seconds[at]),
         off=float(off[at]),
-        off_mm=float(off_mm[at] * near_mm[at]),
-        off_rad=float(off_rad[at] * near_rad[at]),
+        off_mm=float(off_mm[at]),
+        off_rad=float(off_rad[at]),
         near_mm=float(near_mm[at]),
         near_rad=float(near_rad[at]),
         earliest_s=float(

@@ -1,4 +1,4 @@
-"""The verified course of the arm, for the tracking watch: computed in the worker, once, from what was verified."""
+"""The verified course of the arm, for the tracking monitor: computed in the worker, once, from what was verified."""
 
 import math
 from typing import Final
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cutgate.protocol import records
 from cutgate.protocol.records import joints_to_memory
-from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Course, Floats
+from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Floats, ReferenceTrajectory
 from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
 from cutgate.runtime.verification.geometry import VERTICAL
@@ -30,7 +30,9 @@ AGREE: Final = np.array(
 _CHORD: Final = np.array((CHORD_RAD, CHORD_RAD, CHORD_MM, CHORD_RAD, CHORD_RAD))
 
 
-def course_of(problem: Problem, start_joints_u: tuple[int, ...], bound: records.Approach) -> Course:
+def course_of(
+    problem: Problem, start_joints_u: tuple[int, ...], bound: records.Approach
+) -> ReferenceTrajectory:
     """The course from the start joints through the cut and back.
 
     Args:
@@ -56,7 +58,7 @@ def course_of(problem: Problem, start_joints_u: tuple[int, ...], bound: records.
     times_s = np.cumsum(steps)
     kept = _kept(times_s, joints)
     calibration = problem.calibration
-    return Course(
+    return ReferenceTrajectory(
         times_s=times_s[kept],
         joints=joints[kept],
         poses_s=times_s[np.cumsum(pieces)[: len(problem.tips_mm)] + 1],

@@ -30,6 +30,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
@@ -39,6 +40,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -52,12 +54,13 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Withheld,
 )
+from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.space import space, waiting_s
 
 Kind = Literal["permit", "start", "reset"]
 
-QUIET = (HeartbeatReceived, JointsMeasured, Tick)
+QUIET = (HeartbeatReceived, JointsMeasured, ProgressReported, Tick)
 """Events that are recorded only when they change the phase or order something."""
 
 TRANSFER_FRAMES = range(0x600, 0x650)
@@ -103,9 +106,11 @@ NAMES: dict[type, Callable[[Any], str]] = {
     HeartbeatLost: lambda _: "heartbeat lost",
     FaultReceived: lambda _: "controller's fault",
     JointsMeasured: lambda _: "joints measured",
+    ProgressReported: lambda _: "progress reported",
     RecordDurable: lambda _: "record durable",
     LogChanged: lambda _: "log's health",
     Failed: lambda e: f"failed {e.cause.name}",
+    Gone: lambda e: f"gave up {e.cause.name}",
     Said: lambda e: f"said {e.word}",
     Tick: lambda _: "time passed",
 }
@@ -150,6 +155,8 @@ class Journal:
         self._sequence += 1
         commit = next((effect for effect in effects if isinstance(effect, Commit)), None)
         shown = evaluate(SHOWN.get(before.phase, ()), after, now_s) if after.collected.complete else ()
+        deviation = next((effect for effect in effects if isinstance(effect, Deviation)), None)
+        shown = deviation.judged if deviation else shown
         self.log.write(
             audit.Decision(
                 sequence=self._sequence,
@@ -163,6 +170,22 @@ class Journal:
                 first_out=None if after.cause is StopCause.NONE else after.cause.name,
                 reason=plain(_reason(event, effects) or after.reason) or None,
                 token=commit.token if commit else None,
+            )
+        )
+
+    def ended_without_the_table(self, before: Interlock, after: Interlock, event: Gone) -> None:
+        """Record the end where the table, or `step` above, is what failed: nothing is asked, nothing evaluated."""
+        self._fault(event.cause, event.reason)
+        self._sequence += 1
+        self.log.write(
+            audit.Decision(
+                sequence=self._sequence,
+                event=NAMES[Gone](event),
+                from_state=before.phase,
+                to_state=after.phase,
+                disposition="decided",
+                first_out=after.cause.name,
+                reason=plain(f"without the table: {event.reason}"),
             )
         )
 
@@ -201,16 +224,19 @@ class Journal:
                 )
             case FaultReceived():
                 self.log.write(audit.Fault(source="controller", code=event.code.name, cause=event.cause.name))
-            case Failed():
-                self.log.write(
-                    audit.Fault(
-                        source="runtime", code="STOP", cause=event.cause.name, detail=plain(event.reason)
-                    )
-                )
+            case Failed() | Gone():
+                self._fault(event.cause, event.reason)
             case Said(word=word):
                 refused = next((effect.reason for effect in effects if isinstance(effect, Refused)), None)
                 reason = None if refused is None else plain(refused)
                 self.log.write(audit.Operator(word=word, accepted=refused is None, reason=reason))
+        for effect in effects:
+            if isinstance(effect, Deviation):
+                self._fault(StopCause.TRACKING_DEVIATION, effect.reason)
+
+    def _fault(self, cause: StopCause, reason: str) -> None:
+        """What this side itself has found."""
+        self.log.write(audit.Fault(source="runtime", code="STOP", cause=cause.name, detail=plain(reason)))
 
     def _collected(self, before: Interlock, record: records.Record) -> None:
         data, job = record.body(), before.job
@@ -414,4 +440,6 @@ def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
             )
         case VerdictReady():
             return event.verdict.reason
+        case Gone():
+            return event.reason
     return ""

@@ -8,6 +8,7 @@ import os
 import select
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol, assert_never
 
@@ -20,15 +21,14 @@ from cutgate.protocol.endpoint import Item, RecordReceived
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
-    Joint4,
     Progress,
     RuntimeHeartbeat,
     RuntimeStop,
 )
-from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.path import PathHeader
 from cutgate.protocol.port import Port
-from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
+from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Durable, Reserved
 from cutgate.runtime.audit.commit import Failed as LogFailed
@@ -44,6 +44,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
@@ -55,6 +56,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     Refused,
     ReplyReceived,
@@ -71,8 +73,8 @@ from cutgate.runtime.interlock.state import (
     Withheld,
     Word,
 )
-from cutgate.runtime.interlock.table import MOVING, step
-from cutgate.runtime.interlock.tracking import Watch
+from cutgate.runtime.interlock.table import step
+from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.space import estimated_s
 from cutgate.runtime.session.worker import Answer, Broken, Request, Worker
@@ -155,8 +157,6 @@ class Session:
         self._segments = PathHeader.of(state.job.path).count - 1
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
-        self._sample_s = -1.0
-        self._watch: Watch | None = None
         self._interrupted = False
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
@@ -218,32 +218,47 @@ class Session:
             self._read_disk(now_s)
             self._read_worker(ready)
             self._read_words(ready)
-            self._feed(Tick())
             self._heartbeat(now_s)
             self._port.flush()
             if self._bus_error is not None:
                 raise self._bus_error
         except can.CanError as error:
             self._bus_error = error
-            self._feed(Failed(StopCause.BUS_FAILED, f"the bus failed: {error}"))
-            self.state = self._gone(StopCause.BUS_FAILED)
+            self._feed(Gone(StopCause.BUS_FAILED, f"the bus failed: {error}"))
 
     def _give_up(self, error: BaseException) -> None:
         """The program itself failed: nothing that waits may leave, the stop does, and no heartbeat follows it."""
-        reason = f"internal error: {type(error).__name__}: {error}"
-        self.state = replace(self._gone(StopCause.INTERNAL_ERROR), reason=reason, permit=None, nonce=None)
+        event = Gone(StopCause.INTERNAL_ERROR, f"internal error: {type(error).__name__}: {error}")
+        before = self.state
+        self._port.endpoint.abort()
+        try:
+            effects = self._decide(event, self._clock())
+            if not any(
+                isinstance(effect, SendStop) for effect in effects
+            ):  # it had ended, perhaps without a word
+                self._stop_now(event.cause)
+        except BaseException:  # noqa: BLE001 - the table or the journal are what fails: it ends without them
+            self._end_without_the_table(before, event)
+
+    def _end_without_the_table(self, before: Interlock, event: Gone) -> None:
+        """The last resort. What disables waits for nothing; then the log is told, if it still takes anything."""
+        if self.state.phase not in ENDED:
+            cause = before.cause or event.cause
+            ended = replace(before, phase=Phase.STOPPED, cause=cause, reason=event.reason)
+            self.state = replace(ended, permit=None, nonce=None, tracking=None)
+        with suppress(Exception):  # without heartbeats the controller stops as well
+            self._stop_now(event.cause)
+        with suppress(Exception):  # the log will not be called clean
+            self._journal.ended_without_the_table(before, self.state, event)
+
+    def _stop_now(self, cause: StopCause) -> None:
         endpoint = self._port.endpoint
-        endpoint.abort()
         if endpoint.link.is_open:
-            endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.INTERNAL_ERROR), self._clock())
+            endpoint.send_frame(RuntimeStop(StopCode.STOP, cause), self._clock())
             self._leave_now()
 
-    def _gone(self, cause: StopCause) -> Interlock:
-        """No confirmation can be waited for: the controller stops by itself within the time-out."""
-        return replace(self.state, phase=Phase.STOPPED, cause=self.state.cause or cause)
-
     def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
-        """Clocks first: a stalled loop, a lost peer, a late transfer, a slow disk."""
+        """Clocks first: a stalled loop, a lost peer, a late transfer, a slow disk, what the table waits for."""
         endpoint, log = self._port.endpoint, self._journal.log
         if endpoint.link.is_open and not gap_s <= endpoint.link.timeout_s:
             dropped = self._port.discard()
@@ -255,8 +270,7 @@ class Session:
         if not log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))
-        cutting_since_s = self.state.since_s if self.state.phase is Phase.CUTTING else None
-        self._look(lambda watch: (watch, watch.overdue(now_s, cutting_since_s)))
+        self._feed(Tick())
 
     # ------------------------------------------------------------ what arrives
 
@@ -273,16 +287,14 @@ class Session:
     def _item(self, item: object) -> None:
         match item:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
-                if beat.state is ControllerState.DONE:
-                    self._look(lambda watch: (watch, watch.finished(self._turn_s)))
                 self._feed(HeartbeatReceived(_view_of(beat), fresh))
-            case Accepted(frame=Joint4()):
-                self._measure()
+            case Accepted(sample=JointSample() as sample):
+                self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
                 self._feed(FaultReceived(fault.code, fault.cause))
             case Accepted(frame=Progress() as progress):
                 self._view.progress(progress.segment, self._segments)
-                self._look(lambda watch: watch.report(progress.segment, progress.fraction, self._turn_s))
+                self._feed(ProgressReported(progress.segment, progress.fraction))
             case Violation():
                 self._feed(Failed(item.cause, item.detail))
             case RecordReceived():
@@ -294,37 +306,6 @@ class Session:
         if isinstance(record, records.Announce):
             return Announced(record, self._random(16))
         return EVENTS[type(record)](record)
-
-    def _measure(self) -> None:
-        """A sample of joints whose last part has just come."""
-        sample = self._port.endpoint.link.sample
-        if sample is None or sample.received_s == self._sample_s:
-            return
-        self._sample_s = sample.received_s
-        self._look(
-            lambda watch: watch.sample(sample.joints, self._turn_s)
-        )  # the last one too: it may end the session
-        self._feed(JointsMeasured(records.joints_to_counts(sample.joints)))
-
-    def _begin_watch(self) -> None:
-        """The arm is watched against the course of the very verdict that was permitted; without one it stops."""
-        answer, state = self.answer, self.state
-        self._watch = None
-        if answer is None or answer.verdict is not state.verdict or state.session is None:
-            return
-        if answer.course is not None:
-            scale = state.session.time_scale
-            self._watch = Watch.begin(answer.course, state.job.timing, scale, self._turn_s)
-
-    def _look(self, look: Callable[[Watch], tuple[Watch, str]]) -> None:
-        """What the watch says while the arm may move; what deviates stops in this turn."""
-        if self.state.phase not in MOVING:
-            return
-        deviates = "there is no verified course to watch the arm against"
-        if self._watch is not None:
-            self._watch, deviates = look(self._watch)
-        if deviates:
-            self._feed(Failed(StopCause.TRACKING_DEVIATION, deviates))
 
     def _read_disk(self, now_s: float) -> None:
         log = self._journal.log
@@ -358,10 +339,10 @@ class Session:
 
     def _reserve(self, answer: Answer) -> None:
         """Space for what an admissible verdict brings from now on; if it is more than was asked for, it is waited for."""
-        course, session, log = answer.course, self.state.session, self.state.log
-        if course is None or session is None:
+        trajectory, session, log = answer.verdict.trajectory, self.state.session, self.state.log
+        if trajectory is None or session is None:
             return
-        needed = self._journal.reserve(float(course.times_s[-1]) / session.time_scale, self.state.job.timing)
+        needed = self._journal.reserve(trajectory.end_s / session.time_scale, self.state.job.timing)
         reserved = log.reserved_bytes if needed <= log.needed_bytes else 0
         self._feed(LogChanged(replace(log, reserved_bytes=reserved, needed_bytes=needed)))
 
@@ -400,13 +381,17 @@ class Session:
 
     def _feed(self, event: Event) -> None:
         before, now_s = self.state, self._clock()
+        effects = self._decide(event, now_s)
+        self._view.step(before, event, self.state, effects, now_s)
+
+    def _decide(self, event: Event, now_s: float) -> tuple[Effect, ...]:
+        """One step of the table, carried out and recorded; nothing else changes the phase."""
+        before = self.state
         self.state, effects = step(before, event, now_s)
-        if self.state.phase is Phase.STARTING and before.phase is not Phase.STARTING:
-            self._begin_watch()
         for effect in effects:
             self._carry_out(effect)
         self._journal.step(before, event, self.state, effects, now_s)
-        self._view.step(before, event, self.state, effects, now_s)
+        return effects
 
     def _carry_out(self, effect: Effect) -> None:
         endpoint, now_s = self._port.endpoint, self._clock()
@@ -427,7 +412,7 @@ class Session:
                 self._next_heartbeat_s = now_s
             case Verify():
                 self._verify(effect)
-            case Commit() | Withheld() | Refused() | Dropped():
+            case Commit() | Withheld() | Refused() | Dropped() | Deviation():
                 pass  # the journal's business
             case _:
                 assert_never(effect)

@@ -21,7 +21,6 @@ from cutgate.config.model import Robot
 from cutgate.config.signals import ENDING, SUSPENDING
 from cutgate.protocol import records
 from cutgate.runtime.interlock.state import Timing, Verdict
-from cutgate.runtime.interlock.tracking import Course
 from cutgate.runtime.plan.prepare import Quantise
 from cutgate.runtime.session.course import course_of
 from cutgate.runtime.verification import approach, certificate, certified
@@ -83,8 +82,6 @@ class Answer:
     approach: approach.Approach | None
     approach_document: dict[str, Any] | None
     proof: bytes | None = None
-    course: Course | None = None
-    """What the moving arm is watched against; None unless approach and retract are admissible."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,6 @@ def prove(request: Request) -> Answer:
     proof = _checked_proof(problem, verdict)
     ways = approach.verify(problem, request.start) if verdict.admissible else None
     bound = approach.bound(ways, request.timing.approach_speed_percent) if ways else None
-    course = course_of(problem, request.start_joints_u, bound) if bound else None
     answer = Verdict(
         request=request.number,
         admissible=verdict.admissible,
@@ -130,9 +126,10 @@ def prove(request: Request) -> Answer:
         reason=summary(verdict),
         approach=bound,
         approach_reason=approach.summary(ways) if ways else "not verified: the cut is not admissible",
+        trajectory=course_of(problem, request.start_joints_u, bound) if bound else None,
     )
     told = approach.document(ways, request.start) if ways else None
-    return Answer(answer, verdict, guidance, digests, document, ways, told, proof, course)
+    return Answer(answer, verdict, guidance, digests, document, ways, told, proof)
 
 
 def _checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes | None:

@@ -124,7 +124,7 @@ FOUND: dict[str, str] = {
     "record's channel": r"does not belong on",
     "level in the heartbeat": r"",
     "nobody": r"",
-    "tracking watch": r"no measured joints|no progress|progress",
+    "tracking monitor": r"no measured joints|no progress|progress",
 }
 """What detects an error, and what either side must have said for it."""
 
@@ -203,7 +203,7 @@ def _cyclic() -> Iterator[Row]:
     for message in CYCLIC:
         # a sound Progress that nobody sent is off the course before its successor's counter is wrong
         unlike = (
-            ("tracking watch", stops(StopCause.TRACKING_DEVIATION), AT_ONCE)
+            ("tracking monitor", stops(StopCause.TRACKING_DEVIATION), AT_ONCE)
             if message is PROGRESS
             else ("counter", stops(StopCause.SEQUENCE_ERROR), BY_LEVEL)
         )
@@ -248,7 +248,7 @@ def _watched() -> Iterator[Row]:
     lost = stops(StopCause.TRACKING_DEVIATION)
     for message in STATUS:
         yield Row(message, Error.LOSS, False, "every frame while the arm cuts", do.lose_frames(10_000),
-                  "tracking watch", lost, BY_AGE, stage=Scene.cutting)  # fmt: skip
+                  "tracking monitor", lost, BY_AGE, stage=Scene.cutting)  # fmt: skip
 
 
 def _joints() -> Iterator[Row]:

@@ -23,7 +23,9 @@ earlier epoch or boot can make only such, so that it does not matter which it ha
 does without both, for traces in which only what was said is repeated.
 
 Time. No clock runs: that something is too old when it is looked at is chosen anew at each look, a deadline or time-out
-may pass at any moment, and so is where the arm stands. What ages were remembered is forgotten (``canonical``).
+may pass at any moment, and so is where the arm stands. What ages were remembered is forgotten (``canonical``), and so
+is what the tracking monitor has seen of a moving arm: it is the real one, always just begun, and joints and progress
+come that fit and that break each of its rules which a single frame can break.
 
 Disk and memory. A record becomes durable in time, late or never. The controller writes its memory within the step that
 asks for it, as its program does, or cannot; power is lost between steps, which is before the write as well.

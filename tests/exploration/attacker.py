@@ -91,6 +91,11 @@ def heartbeats(causes: tuple[StopCause, ...]) -> Iterable[r.HeartbeatReceived]:
 
 STOPPED = (ControllerState.INHIBITED, ControllerState.OPEN, ControllerState.FAULT)
 
+ONWARD, BEFORE = r.ProgressReported(1, 0), r.ProgressReported(0, 0)
+"""Where an arm may be that has just started, and a place before that."""
+TOO_FAR, NOWHERE = builders.BEYOND, r.ProgressReported(2, 0)
+"""Where none can be so soon, and a segment that the path does not have."""
+
 
 # ---------------------------------------------------------------- to the controller
 

@@ -6,6 +6,7 @@ The result is again a concrete state on which the real step functions run; nothi
 * Clock values: every remembered moment becomes ``NOW``. That a deadline or lifetime has passed is an event.
 * Causes: one for each class that either table tells apart (``cause_class``).
 * What the last heartbeat said and where the arm stood, in phases after which nobody reads it.
+* What the tracking monitor has seen: it has just begun. What deviates, and what does not, comes as an event.
 * Tokens: the pending one becomes ``TOKEN``, an older one ``TOKEN - 1``.
 """
 
@@ -15,10 +16,13 @@ from cutgate.firmware_sim import state as c
 from cutgate.protocol.states import LATCHING, ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.table import AUTHORISING
+from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.names import TOKEN, RuntimeSide
+from tests.exploration.world import JOB, VERDICT
 from tests.firmware_sim.controllers import START_JOINTS
 
 NOW = 1000.0
+MONITOR = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, 1.0, NOW)
 
 
 def cause_class(cause: StopCause) -> StopCause:
@@ -75,6 +79,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         nonce_at_s=NOW if state.permit or state.nonce or state.verdict else 0.0,
         measured_s=NOW if state.joints_u else 0.0,
         joints_u=START_JOINTS if state.joints_u else None,
+        tracking=MONITOR if state.tracking else None,
         nonce=state.nonce if state.phase in AUTHORISING else None,
         acknowledged=cause_class(state.acknowledged) if state.phase in HELD else StopCause.NONE,
         reason="",

@@ -91,15 +91,20 @@ def _bare(record: Any) -> Any:
 
 
 def runtime_step(
-    before: RuntimeSide, event: r.Event, after: r.Interlock, effects: tuple[r.Effect, ...]
+    before: RuntimeSide,
+    event: r.Event,
+    after: r.Interlock,
+    effects: tuple[r.Effect, ...],
+    *,
+    deviates: bool = False,
 ) -> str | None:
-    """Invariants 2 and 3 at the runtime."""
+    """Invariants 2 and 3 at the runtime; ``deviates``: the event shows an arm that is not where it was verified."""
     for effect in effects:
         if isinstance(effect, r.Send) and isinstance(effect.record, ENABLING):
             wrong = _left_without_cover(before, event, effect.record)
             if wrong:
                 return wrong
-    if _stop_cause(before.interlock, event):
+    if deviates or _stop_cause(before.interlock, event):
         if r.HEARTBEAT_CODE.get(after.phase, RuntimeCode.INHIBIT) is not RuntimeCode.INHIBIT:
             return f"3: the runtime upholds motion after {type(event).__name__}"
         ended = before.interlock.phase not in MOVING or any(
@@ -113,6 +118,8 @@ def runtime_step(
 def _stop_cause(before: r.Interlock, event: r.Event) -> bool:
     """Whether the runtime must not uphold motion after this event."""
     match event:
+        case r.Gone():
+            return True
         case r.Said(word=word):
             return word in (r.Word.STOP, r.Word.WITHDRAW) or (word is r.Word.QUIT and before.phase in MOVING)
         case r.HeartbeatReceived(view=view):

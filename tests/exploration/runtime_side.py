@@ -9,6 +9,7 @@ import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
 from cutgate.protocol.states import (
+    ControllerState,
     FaultCode,
     Purpose,
     Refusal,
@@ -30,7 +31,7 @@ from tests.exploration.names import (
     digest_of,
     signed,
 )
-from tests.exploration.words import COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
+from tests.exploration.words import ARRIVED, COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
 from tests.exploration.world import (
     FRESH,
     OFF_START,
@@ -44,7 +45,9 @@ from tests.exploration.world import (
 )
 from tests.firmware_sim import controllers as fixed
 
-STANDING, AWAY = r.JointsMeasured(fixed.START_JOINTS), r.JointsMeasured(OFF_START)
+STANDING, AWAY = (r.JointsMeasured(joints_u, NOW) for joints_u in (fixed.START_JOINTS, OFF_START))
+"""At the start, which is on the path as well; off both."""
+ORDERS = (r.Phase.STARTING, r.Phase.CUTTING)
 
 
 class Runtime:
@@ -99,17 +102,17 @@ class Runtime:
         yield feed("operator", r.Said(r.Word.ACKNOWLEDGE), sound=True)
         yield feed("operator", r.Said(r.Word.RESET), sound=True)
         yield feed("operator", r.Said(r.Word.QUIT), sound=True)
-        yield feed("clock", r.Tick(), sound=True, late_s=LATE)
+        yield feed("clock", r.Tick(), sound=True, late_s=LATE, deviates=state.tracking is not None)
         if link_open(state):
             yield feed("clock", r.HeartbeatLost(), sound=True)
         if state.phase is r.Phase.VERIFYING:
             yield from self._verdicts(feed)
         if state.phase is r.Phase.FINISHING:
             yield feed("arm", STANDING, sound=True)
-            yield feed("arm", AWAY)
         for commit in side.commits:
             yield from self._durable(feed, r.RecordDurable(commit.token))
         yield feed("shell", r.Failed(StopCause.SECOND_NODE, ""))
+        yield feed("shell", r.Gone(StopCause.INTERNAL_ERROR, ""))
         if self.world.disk:
             yield feed("disk", r.LogChanged(replace(state.log, writable=False)))
         if self.world.bone:
@@ -160,7 +163,21 @@ class Runtime:
             for cause in attacker.causes(self.world):
                 yield feed(r.FaultReceived(FaultCode.LATCHED, cause))
             for beat in attacker.heartbeats(attacker.causes(self.world)):
-                yield feed(beat, first=STANDING)
+                early = state.phase in ORDERS and beat.view.state is ControllerState.DONE
+                yield feed(beat, first=STANDING, deviates=early)
+                if early:
+                    yield feed(beat, first=STANDING, late_s=ARRIVED)
+        if state.tracking is not None:
+            yield from self._tracked(feed)
+
+    def _tracked(self, feed: Callable[..., Change]) -> Iterable[Change]:
+        """Joints and progress of an arm that is where it was verified, and of one that is not, in each way."""
+        yield feed(STANDING)
+        yield feed(AWAY, deviates=True)
+        yield feed(attacker.ONWARD)
+        yield feed(attacker.TOO_FAR, deviates=True)
+        yield feed(attacker.BEFORE, first=attacker.ONWARD, deviates=True)
+        yield feed(attacker.NOWHERE, deviates=True)
 
     def _nonce_said(self, side: RuntimeSide) -> Iterable[Change]:
         """The nonce that the controller has given, for any purpose: everybody on the bus has read it."""
@@ -173,7 +190,8 @@ class Runtime:
         feed = partial(self.feed, side, "controller > runtime", sound=True)
         match content:
             case r.HeartbeatReceived():
-                return feed(content, first=STANDING)
+                done = content.view.state is ControllerState.DONE
+                return feed(content, first=STANDING, late_s=ARRIVED if done else 0.0)
             case records.Opened():
                 return feed(r.SessionOpened(content.epoch, content.state, content.cause))
             case records.Limits() | records.Calibration() | records.Tool():
@@ -200,13 +218,16 @@ class Runtime:
         sound: bool = False,
         late_s: float = 0.0,
         first: r.Event | None = None,
+        deviates: bool = False,
     ) -> Change:
-        """One step of the real table, judged, and what it sends."""
+        """One step of the real table, judged, and what it sends; ``deviates``: by it the arm is not where it may be."""
         state = side.interlock
         if first is not None:
             state, _ = self.step(state, first, NOW)
         after, effects = self.step(state, event, NOW + late_s)
-        wrong = invariants.runtime_step(replace(side, interlock=state), event, after, effects)
+        wrong = invariants.runtime_step(
+            replace(side, interlock=state), event, after, effects, deviates=deviates
+        )
         commits = [
             commit
             for commit in side.commits

@@ -17,13 +17,14 @@ from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.interlock import state as r
+from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration import attacker, canonical, controller_side, runtime_side
 from tests.exploration.calm import Calm
 from tests.exploration.canonical import NOW, cause_class
 from tests.exploration.model import Model
 from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, signed
 from tests.exploration.ways import LATCHED, TO_MOVING, TO_RESET
-from tests.exploration.world import World
+from tests.exploration.world import JOB, VERDICT, World
 
 pytestmark = pytest.mark.no_cover
 
@@ -327,6 +328,13 @@ def test_a_runtime_that_is_made_to_forget_one_thing_more_does_something_else(mon
         return replace(form, interlock=replace(form.interlock, **forgotten)) if form else None
 
     monkeypatch.setattr(canonical, "canonical_runtime", forgetful)
+    assert runtime_differs() is not None
+
+
+def test_a_monitor_that_is_made_to_have_begun_earlier_does_something_else(monkeypatch):
+    places()
+    earlier = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, 1.0, NOW - 10.0)
+    monkeypatch.setattr(canonical, "MONITOR", earlier)
     assert runtime_differs() is not None
 
 

@@ -14,7 +14,8 @@ import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
 from cutgate.protocol.states import ControllerState, FaultCode, Refusal
-from cutgate.runtime.interlock.state import HeartbeatLost, NonceReceived, Phase, Send, Tick
+from cutgate.runtime.interlock.state import Gone, HeartbeatLost, NonceReceived, Phase, Send, Tick
+from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.calm import Calm, runtimes_that_do_not_end, stuck
 from tests.exploration.model import Model
 from tests.exploration.search import explore, trace, trace_to_controller
@@ -108,6 +109,30 @@ def test_a_controller_that_moves_on_without_the_order_to_cut_is_found(monkeypatc
 def test_a_runtime_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch):
     _replaced(monkeypatch, cutgate.runtime.interlock.table.EVERYWHERE, HeartbeatLost, _unchanged)
     _finds(World(), TO_MOVING, "3: the runtime upholds motion after HeartbeatLost", 2)
+
+
+@pytest.mark.parametrize(
+    ("rule", "found"),
+    [
+        ("sample", "JointsMeasured"),
+        ("report", "ProgressReported"),
+        ("finished", "HeartbeatReceived"),
+        ("overdue", "Tick"),
+    ],
+)
+def test_a_tracking_monitor_that_sees_nothing_is_found_in_each_of_its_rules(monkeypatch, rule, found):
+    moves_on = rule in ("sample", "report")
+    blind = (lambda monitor, *_: (monitor, None)) if moves_on else (lambda *_: None)
+    monkeypatch.setattr(TrackingMonitor, rule, blind)
+    if rule == "finished":  # leads to FINISHING, where nothing is ordered any more, without a stop
+        _finds(World(), TO_MOVING, f"3: no stop left after {found}", 2)
+    else:
+        _finds(World(), TO_MOVING, f"3: the runtime upholds motion after {found}", 2)
+
+
+def test_a_runtime_that_outlives_its_own_failure_is_found(monkeypatch):
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.EVERYWHERE, Gone, _unchanged)
+    _finds(World(), TO_MOVING, "3: the runtime upholds motion after Gone", 2)
 
 
 # ---------------------------------------------------------------- 4, 5

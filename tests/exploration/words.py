@@ -4,6 +4,7 @@ from typing import Any
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
+from cutgate.protocol.frames import FRACTION_MAX
 from cutgate.protocol.states import FaultCode, StopCause
 from cutgate.runtime.interlock import state as r
 from tests.exploration.names import TOKEN
@@ -11,6 +12,8 @@ from tests.firmware_sim.controllers import START_JOINTS
 
 SAMPLE_OLD, PERMIT_OLD, COMMIT_OLD, NONCE_OLD, LATE = 0.2, 121.0, 1.5, 3.0, 1e6
 """How late something is looked at, s: each beyond the bound it is named after."""
+ARRIVED = 0.05
+"""So late that the arm can be back."""
 
 
 def lateness(late_s: float, first: Any) -> str:
@@ -18,14 +21,19 @@ def lateness(late_s: float, first: Any) -> str:
     late = {
         0.0: "",
         1.0: ", late",
+        ARRIVED: ", in time",
         SAMPLE_OLD: ", joints too old",
         PERMIT_OLD: ", too late",
         COMMIT_OLD: ", too late",
         NONCE_OLD: ", too late",
         LATE: ", deadline passed",
     }[late_s]
-    off = getattr(first, "joints_u", START_JOINTS) != START_JOINTS
-    return late + (", the arm away from the start" if off else "")
+    match first:
+        case r.ProgressReported():
+            return f"{late}, after {describe(first)}"
+        case r.JointsMeasured() | c.JointsMeasured():
+            return late + ("" if first.joints_u == START_JOINTS else ", the arm away from the start")
+    return late
 
 
 def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
@@ -46,6 +54,8 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
             return f"{'fault' if isinstance(code, FaultCode) else 'stop'} {code.name}{_named(cause)}"
         case c.Fault(cause=cause) | r.Failed(cause=cause):
             return f"fault{_named(cause)}"
+        case r.Gone(cause=cause):
+            return f"gives up{_named(cause)}"
         case (
             r.ReplyReceived(request_type=kind, refusal=refusal)
             | records.Reply(request_type=kind, refusal=refusal)
@@ -57,6 +67,10 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
             return f"{name}{_named(event.cause)}"
         case r.VerdictReady(verdict=verdict):
             return f"verdict {'admissible' if verdict.admissible and verdict.approach else 'inadmissible'}"
+        case r.JointsMeasured(joints_u=joints_u):
+            return f"joints {'on' if joints_u == START_JOINTS else 'off'} the path"
+        case r.ProgressReported(segment=segment, fraction=fraction):
+            return f"progress segment {segment}, fraction {fraction / FRACTION_MAX:g}"
         case r.RecordDurable(token=token):
             return f"{'record' if token == TOKEN else 'older record'} durable"
     return name

@@ -29,6 +29,7 @@ VERDICT = r.Verdict(
     reason="",
     approach=fixed.PERMIT.approach,
     approach_reason="",
+    trajectory=builders.trajectory(fixed.START_JOINTS),
 )
 POWERED_UP = replace(
     fixed.POWERED_UP, identity=replace(fixed.POWERED_UP.identity, boot_nonce=BOOT), epoch=EPOCH

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import FrozenInstanceError, replace
+from itertools import count, permutations
 
 import numpy as np
 import pytest
@@ -84,6 +85,14 @@ def exchange(runtime: Link, controller: Link, turns: int, start_s: float = 0.0) 
 def test_timing_that_cannot_show_age_is_refused(timeout_s: float, heartbeat_s: float):
     with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
         Link(Side.RUNTIME, timeout_s, heartbeat_s)
+
+
+@pytest.mark.parametrize("heartbeat_ms", range(5, 101))
+def test_three_heartbeats_of_whole_milliseconds_are_enough_and_not_a_microsecond_less(heartbeat_ms: int):
+    heartbeat_s = heartbeat_ms / 1000
+    assert Link(Side.RUNTIME, 3 * heartbeat_ms / 1000, heartbeat_s).heartbeat_s == heartbeat_s
+    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
+        Link(Side.RUNTIME, 3 * heartbeat_ms / 1000 - 1e-6, heartbeat_s)
 
 
 @pytest.mark.parametrize("factor", [3.0, 255.0])
@@ -567,3 +576,154 @@ def test_parts_of_different_samples_are_never_joined(missing: int):
     assert runtime.sample is not None
     assert runtime.sample.received_s == 0.0
     assert np.allclose(runtime.sample.joints, JOINTS, rtol=0.0, atol=0.006)
+
+
+class Peer:
+    """A controller with a clock of its own turns, whose frames the test delivers when and in which order it likes."""
+
+    def __init__(self) -> None:
+        self.runtime, self.controller = pair()
+
+    def hear(self, now_s: float) -> None:
+        """A heartbeat of the runtime reaches it."""
+        deliver(self.runtime, self.controller, CUT, now_s)
+
+    def turn(self, now_s: float, place: float = 0.0) -> list[tuple[int, bytes]]:
+        """Its heartbeat, and the joints it measures in this turn."""
+        frames = [CUTTING, *joint_frames([place, *JOINTS[1:]])]
+        return [self.controller.encode(frame, now_s) for frame in frames]
+
+    def arrives(self, frame: tuple[int, bytes], now_s: float) -> Outcome:
+        return self.runtime.receive(*frame, now_s=now_s)
+
+    def sample(self, frames: list[tuple[int, bytes]], now_s: float) -> JointSample | None:
+        """The sample that the last of these brings."""
+        brought = [outcome.sample for outcome in (self.arrives(frame, now_s) for frame in frames)]
+        assert not any(brought[:-1])
+        return brought[-1]
+
+
+def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
+    for order in permutations(range(3)):
+        peer = Peer()
+        _, *parts = peer.turn(0.1, 0.25)
+        sample = peer.sample([parts[at] for at in order], 0.1)
+        assert sample is peer.runtime.sample
+        assert sample.joints[0] == pytest.approx(0.25, abs=1e-4)
+        for part in parts:
+            assert isinstance(peer.arrives(part, 0.1), Discarded)
+
+
+def test_several_samples_in_one_turn_each_come_in_order():
+    peer = Peer()
+    waiting = [frame for turn in range(5) for frame in peer.turn(0.02 * turn, 0.01 * turn)]
+    outcomes = [peer.arrives(frame, 1.0) for frame in waiting]
+    found = [outcome.sample for outcome in outcomes if outcome.sample is not None]
+    assert [sample.counter for sample in found] == list(range(5))
+    assert [sample.joints[0] for sample in found] == pytest.approx(
+        [0.01 * turn for turn in range(5)], abs=1e-4
+    )
+
+
+def test_a_sample_is_as_old_as_its_heartbeat_whatever_arrived_before_it():
+    """Its own heartbeat echoes what was sent at 0.00; later ones overtake it, as urgent frames do."""
+    peer = Peer()
+    peer.hear(0.0)
+    beat, *late = peer.turn(0.01)
+    peer.arrives(beat, 0.01)
+    for now_s in (0.02, 0.04, 0.06):
+        peer.hear(now_s)
+        peer.arrives(peer.turn(now_s + 0.01)[0], now_s + 0.01)
+    assert peer.sample(late, 0.07).measured_s == 0.0
+
+
+@pytest.mark.parametrize(("lost", "measured_s"), [((), 0.02), ((1,), 0.0), ((0, 1), -math.inf)])
+def test_where_its_heartbeat_was_lost_one_before_it_dates_a_sample(lost: tuple[int, ...], measured_s: float):
+    peer = Peer()
+    for turn, now_s in enumerate((0.0, 0.02)):
+        peer.hear(now_s)
+        beat, *parts = peer.turn(now_s + 0.01)
+        if turn not in lost:
+            peer.arrives(beat, now_s + 0.01)
+        sample = peer.sample(parts, now_s + 0.01)
+    peer.arrives(peer.turn(0.05)[0], 0.05)
+    assert sample.measured_s == measured_s
+
+
+def test_a_heartbeat_that_proves_nothing_dates_no_sample():
+    """Neither the first, which echoes nothing, nor one that is stale."""
+    peer = Peer()
+    beat, *parts = peer.turn(0.0)
+    peer.arrives(beat, 0.0)
+    assert peer.sample(parts, 0.0).measured_s == -math.inf
+    peer.hear(0.1)
+    beat, *parts = peer.turn(0.11)
+    peer.arrives(beat, 0.1 + TIMEOUT_S + 1e-6)
+    assert peer.sample(parts, 0.21).measured_s == -math.inf
+
+
+@pytest.mark.parametrize("behind", [0, 1, 3, 100, 255, 256, 300, 512])
+def test_a_sample_a_whole_round_of_counters_late_looks_no_younger(behind: int):
+    """Its counter may be one that has just been used: the turns are counted, not the counters compared."""
+    peer = Peer()
+    waiting = []
+    for turn in range(600):
+        now_s = turn * PERIOD_S
+        peer.hear(now_s)
+        beat, *parts = peer.turn(now_s)
+        assert isinstance(peer.arrives(beat, now_s), Accepted)
+        waiting.append(parts)
+        if turn >= behind:
+            sample = peer.sample(waiting[turn - behind], now_s)
+            assert sample.measured_s == ((turn - behind) * PERIOD_S if behind < 256 else -math.inf)
+
+
+@pytest.mark.parametrize("first", [0, 1, 100, 254])
+@pytest.mark.parametrize(
+    ("missing", "dates"),
+    [(0, [0.0, 0.0]), (1, [-math.inf, 0.0]), (2, [0.0]), (3, [0.0]), (4, [0.0])],
+)
+def test_a_runtime_that_opens_later_dates_by_the_first_heartbeat_it_hears(first, missing, dates):
+    """In the middle of a turn perhaps: a sample whose heartbeat came too early has no date, one in part is none."""
+    peer = Peer()
+    for _ in range(first):
+        peer.turn(0.0)
+    peer.hear(0.0)
+    waiting = [frame for _ in range(2) for frame in peer.turn(0.01)][missing:]
+    found = [peer.arrives(frame, 0.01).sample for frame in waiting]
+    assert [sample.measured_s for sample in found if sample is not None] == dates
+
+
+@given(
+    periods=st.lists(
+        st.tuples(st.booleans(), st.floats(0.0, 0.3), st.floats(0.0, 0.05)), min_size=2, max_size=40
+    )
+)
+def test_no_sample_is_called_younger_than_it_is(periods: list[tuple[bool, float, float]]):
+    """Heartbeats are lost, joints late, each kind in its own order; the controller measures when it has heard."""
+    peer = Peer()
+    due: list[tuple[float, int, int, tuple[int, bytes]]] = []
+    order = count()
+    free_s = {"beat": 0.0, "joints": 0.0}
+    measured_s: dict[int, float] = {}
+    lost_last = 0
+    for turn, (lost, joints_late_s, beat_late_s) in enumerate(periods):
+        now_s = turn * PERIOD_S
+        peer.hear(now_s)
+        beat, *parts = peer.turn(now_s)
+        measured_s[turn] = now_s
+        lost_last = lost_last + 1 if lost and lost_last < 2 else 0
+        free_s["beat"] = max(free_s["beat"], now_s + beat_late_s)
+        free_s["joints"] = max(free_s["joints"], now_s + joints_late_s)
+        if lost_last == 0:
+            due.append((free_s["beat"], next(order), turn, beat))
+        due += [(free_s["joints"], next(order), turn, part) for part in parts]
+    seen = 0
+    for arrives_s, _, turn, frame in sorted(due):
+        outcome = peer.arrives(frame, arrives_s)
+        assert isinstance(outcome, Accepted)
+        if outcome.sample is not None:
+            assert outcome.sample.counter == turn == seen
+            assert outcome.sample.measured_s <= measured_s[turn]
+            seen += 1
+    assert seen == len(periods)

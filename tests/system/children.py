@@ -27,7 +27,7 @@ from cutgate.runtime.audit.disk import Reservation, SystemDisk
 from cutgate.runtime.commands import app, run
 from cutgate.runtime.interlock import permissives, table
 from cutgate.runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
-from cutgate.runtime.interlock.tracking import Watch
+from cutgate.runtime.interlock.tracking import TrackingMonitor
 from cutgate.runtime.session import worker
 
 SECOND_BLOCK = "second block"
@@ -172,7 +172,7 @@ def bend(script: Script) -> None:
         permissive: Any = getattr(permissives, name)
         table.FOR_START = tuple(asked for asked in table.FOR_START if asked is not permissive)
     if script.unwatched:
-        Watch.sample = lambda watch, _joints, _now_s: (watch, "")  # type: ignore[method-assign]
+        TrackingMonitor.sample = lambda monitor, *_sample: (monitor, None)  # type: ignore[method-assign]
 
 
 class Trap:

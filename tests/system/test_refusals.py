@@ -69,7 +69,7 @@ def test_an_arm_off_the_start_pose_is_seen_by_the_runtime(rig):
 
 
 def test_an_arm_off_the_start_pose_is_refused_by_the_controller_too(rig):
-    """Of a runtime that neither asks nor watches: its tracking watch would stop it before START is complete, or after."""
+    """Of a runtime that neither asks nor watches: its tracking monitor would stop it before START is complete, or after."""
     blind = Script(blind=("start_distance", "start_angle"), unwatched=True)
     sim, run = rig.permitted("off-start@permitted", script=blind)
     sim.say("hold")

@@ -14,6 +14,7 @@ ROOT: Final = Path(__file__).parents[2]
 OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/interlock/table.py": ("tests/runtime/interlock/test_table.py",),
     "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
+    "runtime/interlock/tracking.py": ("tests/runtime/interlock/test_tracking.py",),
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",

@@ -568,6 +568,29 @@ def test_nothing_leaves_while_a_permissive_fails(admitted):
     differs(forged, "did not hold: emergency stop")
 
 
+@pytest.mark.parametrize("event", ["joints measured", "progress reported", "heartbeat", "time passed"])
+@pytest.mark.parametrize("moving", ["starting", "cutting", "finishing"])
+def test_no_arm_goes_on_that_was_not_where_it_was_verified(tmp_path, moving, event):
+    """What the tracking monitor showed, and what came of it: a log that takes back the stop differs."""
+    log = small_log(tmp_path, frames=False).log.read_bytes()
+    off = records.PermissiveValue(
+        name="measured joints to the verified path", holds=False, value=1.0, bound="<= 0.255 deg", remedy=""
+    )
+
+    def decided(holds, to_state, event=event):
+        rule = off.model_copy(update={"holds": holds})
+        told = {"from_state": moving, "to_state": to_state, "event": event, "permissives": (rule,)}
+        return forge(log, changed(records.Decision, **told))
+
+    for to_state in ("stopping", "stopped"):
+        assert replayed(decided(holds=False, to_state=to_state)).outcome is Outcome.IDENTICAL
+    for to_state in ("cutting", "finishing", "done"):
+        differs(decided(holds=False, to_state=to_state), "let the arm go on although this did not hold: meas")
+        assert replayed(decided(holds=True, to_state=to_state)).outcome is Outcome.IDENTICAL
+    said = decided(holds=False, to_state=moving, event="said start")
+    assert replayed(said).outcome is Outcome.IDENTICAL, "a word that is refused shows what else does not hold"
+
+
 def test_a_reset_needs_its_authorisation_and_no_verdict(tmp_path):
     log = small_log(tmp_path, frames=False).log.read_bytes()
 

@@ -11,8 +11,10 @@ from cutgate.firmware_sim import process as process_module
 from cutgate.firmware_sim import rules, table
 from cutgate.firmware_sim.process import Word
 from cutgate.firmware_sim.state import Controller, PathChecked
+from cutgate.protocol.frames import IDS, Joints01
 from cutgate.protocol.link import Link, Violation
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.protocol.wire import Side
 from cutgate.runtime.conform.suite import Verdict
 from cutgate.runtime.conform.table import cases
 from tests.runtime.conform.rig import Rig, by_name, failing
@@ -102,6 +104,22 @@ def test_a_controller_without_one_rule_on_permits_fails_exactly_its_cases(
 ) -> None:
     monkeypatch.setattr(table, "PERMIT_RULES", without(guard)(rules.PERMIT_RULES))
     assert judged(rig, "permit", "registration") == fails
+
+
+def test_a_controller_whose_joints_count_for_themselves_fails_the_cyclic_frames(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The age of a sample is told by the heartbeat of its counter."""
+    honest = Link.open
+
+    def ahead(link: Link, tag: int, now_s: float) -> None:
+        honest(link, tag, now_s)
+        if link.side is Side.CONTROLLER:
+            link._counters[IDS[Joints01]] = 7
+
+    monkeypatch.setattr(Link, "open", ahead)
+    found = failing(rig.run("cyclic frames"))
+    assert "follow the heartbeat" in found["cyclic frames"]
 
 
 @pytest.mark.parametrize(("guard", "fails"), START_GUARDS, ids=lambda value: getattr(value, "name", ""))

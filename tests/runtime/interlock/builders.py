@@ -1,5 +1,6 @@
 """One job, one state in which everything holds, and one of every event: what the interlock's tests start from."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cutgate.protocol import records
+from cutgate.protocol.frames import FRACTION_MAX
 from cutgate.protocol.states import (
     ControllerState,
     FaultCode,
@@ -16,6 +18,7 @@ from cutgate.protocol.states import (
     StopCause,
     StopCode,
 )
+from cutgate.runtime.interlock import table
 from cutgate.runtime.interlock.state import (
     HEARTBEAT_CODE,
     Announced,
@@ -28,6 +31,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
@@ -39,6 +43,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     ReplyReceived,
     Said,
@@ -53,7 +58,8 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from cutgate.runtime.interlock.table import step
+from cutgate.runtime.interlock.table import MOVING
+from cutgate.runtime.interlock.tracking import ReferenceTrajectory, Seen, TrackingMonitor
 
 NOW = 1000.0
 EPOCH = 3
@@ -131,9 +137,49 @@ VIEW = ControllerView(
 )
 
 START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
-STANDING = JointsMeasured(START_JOINTS)
 ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 2_000_000, *START_JOINTS[3:])
-"""2 mm off the start joints."""
+"""2 mm off the start joints, and off every place of the path."""
+
+
+def measured(joints_u: tuple[int, ...], at_s: float = math.nan) -> JointsMeasured:
+    """Joints measured then; else (``dated``) as they arrive."""
+    return JointsMeasured(joints_u, at_s)
+
+
+def dated(event: Event, now_s: float) -> Event:
+    """An event as it arrives: joints are measured at this moment unless it is said when."""
+    undated = isinstance(event, JointsMeasured) and math.isnan(event.measured_s)
+    return replace(event, measured_s=now_s) if undated else event
+
+
+def step(state: Interlock, event: Event, now_s: float) -> table.Outcome:
+    """The table's step; joints that come undated are measured as they come."""
+    return table.step(state, dated(event, now_s), now_s)
+
+
+STANDING = measured(START_JOINTS)
+
+
+def pitched(deg: float, start_u: tuple[int, ...] = START_JOINTS) -> tuple[int, ...]:
+    """The start joints with another pitch, along which the path goes, 1e-6 deg | mm."""
+    return (*start_u[:4], start_u[4] + round(deg * records.UNIT))
+
+
+def trajectory(start_u: tuple[int, ...]) -> ReferenceTrajectory:
+    """Along the pitch to 4 deg and back, so short that an arm is at its end a few events after the start: two segments."""
+    return ReferenceTrajectory(
+        times_s=np.array([0.0, 0.01, 0.02, 0.03, 0.11, 0.115, 0.12]),
+        joints=np.stack([records.joints_to_memory(pitched(deg, start_u)) for deg in (0, 1, 2, 3, 4, 3, 0)]),
+        poses_s=np.array([0.02, 0.03, 0.11]),
+        links_mm=(450.0, 450.0),
+    )
+
+
+TRAJECTORY = trajectory(START_JOINTS)
+HALF_WAY = measured(pitched(3.5))
+ON = ProgressReported(1, 0)
+BEYOND = ProgressReported(1, FRACTION_MAX)
+"""At the end of the cut: where no arm can be as early as a time-out after its start."""
 
 VERDICT = Verdict(
     request=REQUEST,
@@ -152,6 +198,7 @@ VERDICT = Verdict(
         speed_percent=25,
     ),
     approach_reason="every leg keeps every deadband",
+    trajectory=TRAJECTORY,
 )
 
 PERMIT = records.Permit(
@@ -212,11 +259,22 @@ ANNOUNCE = records.Announce(
 )
 
 
+def monitor(began_s: float = NOW, seen_s: float | None = None) -> TrackingMonitor:
+    """Begun then; the last sample and progress came when the arm stood at its start, at ``seen_s``."""
+    begun = TrackingMonitor.begin(TRAJECTORY, TIMING, 1.0, began_s)
+    seen = Seen(0.0, began_s if seen_s is None else seen_s)
+    return replace(begun, sampled=seen, progressed=seen, heard_s=seen.at_s)
+
+
 def in_phase(phase: Phase, **changes: Any) -> Interlock:
-    """The state in which everything holds, put into ``phase``: only the table is left to refuse."""
+    """The state in which everything holds, put into ``phase``: only the table is left to refuse.
+
+    While the arm moves it may be anywhere on its path.
+    """
     token = REQUEST if phase is Phase.VERIFYING else TOKEN
     early = {"session": None} if phase is Phase.WAITING else {}
-    return replace(READY, phase=phase, token=token, **(early | changes))
+    moving = {"tracking": monitor(NOW - 10.0, NOW)} if phase in MOVING else {}
+    return replace(READY, phase=phase, token=token, **(early | moving | changes))
 
 
 def view(state: ControllerState = ControllerState.LOADED, **changes: Any) -> ControllerView:
@@ -291,11 +349,16 @@ def events(state: Interlock) -> list[Event]:
         beat(epoch=epoch + 1),
         beat(ControllerState.PERMITTED, epoch=epoch, fresh=False),
         STANDING,
-        JointsMeasured(ELSEWHERE),
+        measured(ELSEWHERE),
+        HALF_WAY,
+        ON,
+        BEYOND,
+        ProgressReported(2, 0),
         *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
         LogChanged(state.log),
         *(Said(word) for word in Word),
         Tick(),
+        Gone(StopCause.INTERNAL_ERROR, "the program failed"),
         *stop_events(state).values(),
     ]
     return everything

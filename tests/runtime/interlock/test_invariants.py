@@ -18,7 +18,7 @@ from cutgate.runtime.interlock.state import (
     SendStop,
     SessionOpened,
 )
-from cutgate.runtime.interlock.table import AUTHORISING, MOVING, step
+from cutgate.runtime.interlock.table import AUTHORISING, MOVING
 from tests.runtime.interlock.builders import (
     EPOCH,
     FRESH,
@@ -32,6 +32,7 @@ from tests.runtime.interlock.builders import (
     events,
     in_phase,
     sound_beat,
+    step,
     stops,
 )
 
@@ -136,15 +137,16 @@ def _successors() -> dict[Phase, set[Phase]]:
             continue
         seen.add((state.phase, state.controller))
         here = edges.setdefault(state.phase, set())
+        now_s = NOW + 0.05 if state.phase in MOVING else NOW  # an arm that moves comes to its end
         onward = STRAIGHT_ON[state.phase](state) if state.phase in STRAIGHT_ON else ()
         held = SessionOpened(EPOCH, ControllerState.FAULT, StopCause.SECOND_NODE)
         chain = state
         for event in onward:
-            chain, _ = step(chain, event, NOW)
+            chain, _ = step(chain, event, now_s)
             here.add(chain.phase)
             queue.append(chain)
         for event in (*events(state), held, beat(ControllerState.FAULT, epoch=state.epoch)):
-            after, _ = step(state, event, NOW)
+            after, _ = step(state, event, now_s)
             here.add(after.phase)
             queue.append(after)
     return edges

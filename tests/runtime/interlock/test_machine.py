@@ -4,6 +4,7 @@ The machine keeps its own books (what was committed, what is durable, what the c
 the interlock's permissives; a failing sequence is shrunk to the shortest one.
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +30,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
     JointsMeasured,
@@ -38,6 +40,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     ReplyReceived,
     Said,
@@ -48,14 +51,17 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from cutgate.runtime.interlock.table import step
+from cutgate.runtime.interlock.table import MOVING
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
+    BEYOND,
     BOOT_NONCE,
     CALIBRATION,
     FRESH,
+    HALF_WAY,
     LIMITS,
     NONCE,
+    ON,
     PATH,
     PATH_BLOCKS,
     RUNTIME_NONCE,
@@ -65,16 +71,19 @@ from tests.runtime.interlock.builders import (
     TOOL,
     VERDICT,
     code,
+    dated,
     enabled,
     events,
     sound_beat,
+    step,
     view,
 )
+from tests.runtime.interlock.builders import ELSEWHERE as FAR
 
 OTHER = b"o" * 16
 JUMPS_S = (0.0, 0.001, 0.02, 0.09, 0.3, 1.1, 2.1, 30.0, 400.0, -0.001, -0.5, -100.0)
 ELSEWHERE = (*START_JOINTS[:2], START_JOINTS[2] + 600_000, *START_JOINTS[3:])
-"""0.6 mm off the start joints: beyond the tolerance."""
+"""0.6 mm off the start joints: beyond the start's tolerance, within that of the path."""
 AUTHORISED_BY = {
     Purpose.PERMIT: Phase.AUTHORISING_PERMIT,
     Purpose.START: Phase.AUTHORISING_START,
@@ -119,11 +128,12 @@ class AnySession(RuleBasedStateMachine):
         self.pressed = False
         self.withdrawn = False
         self.joints_u: tuple[int, ...] | None = None
+        self.measured_s = 0.0
 
     # ------------------------------------------------------------ one step, and what must hold after it
 
     def feed(self, event: Event) -> None:
-        before = self.state
+        before, event = self.state, dated(event, self.now_s)
         self._see(event)
         after, effects = step(before, event, self.now_s)
         self.state = after
@@ -140,8 +150,8 @@ class AnySession(RuleBasedStateMachine):
                 sound = seen.cause is StopCause.NONE and seen.emergency_stop_clear
                 self.alive = fresh and sound and seen.epoch == self.state.epoch
                 self.pressed = seen.device_pressed
-            case JointsMeasured(joints_u):
-                self.joints_u = joints_u
+            case JointsMeasured(joints_u, measured_s):
+                self.joints_u, self.measured_s = joints_u, measured_s
             case Said(Word.WITHDRAW):
                 self.withdrawn = True
 
@@ -157,6 +167,7 @@ class AnySession(RuleBasedStateMachine):
             if not isinstance(record, records.Reset):
                 assert not self.withdrawn
                 assert self.joints_u == VERDICT.start_joints_u
+                assert 0.0 <= self.now_s - self.measured_s <= TIMING.timeout_ms / 1000
             if isinstance(record, records.Start):
                 assert self.pressed
                 self.started = True
@@ -196,8 +207,14 @@ class AnySession(RuleBasedStateMachine):
     @staticmethod
     def _must_stop(before, event) -> bool:
         match event:
-            case Said(Word.STOP) | Said(Word.WITHDRAW) | HeartbeatLost() | FaultReceived() | Failed():
+            case (
+                Said(Word.STOP) | Said(Word.WITHDRAW) | HeartbeatLost() | FaultReceived() | Failed() | Gone()
+            ):
                 return True
+            case JointsMeasured(joints_u):
+                return before.phase in MOVING and joints_u == FAR
+            case ProgressReported(segment):
+                return before.phase in MOVING and segment > 1
             case LogChanged(log):
                 return before.log.writable and not log.writable
         return False
@@ -205,6 +222,7 @@ class AnySession(RuleBasedStateMachine):
     def _the_order_to_cut_needs_its_start(self, effects) -> None:
         if code(self.state) is RuntimeCode.CUT:
             assert self.started
+            assert self.state.tracking is not None
             assert self.state.permit is not None
             assert self.state.cause is StopCause.NONE
         if code(self.state) is RuntimeCode.READY:
@@ -334,6 +352,7 @@ class AnySession(RuleBasedStateMachine):
         event=st.one_of(
             st.builds(FaultReceived, st.sampled_from(FaultCode), causes),
             st.builds(Failed, causes, st.just("the shell found something")),
+            st.builds(Gone, causes, st.just("the program failed")),
             st.just(HeartbeatLost()),
             st.just(LogChanged(LogHealth(False, 2000, 1000))),
             st.sampled_from([Said(Word.STOP), Said(Word.WITHDRAW), Said(Word.QUIT)]),
@@ -342,9 +361,25 @@ class AnySession(RuleBasedStateMachine):
     def something_stops(self, event) -> None:
         self.feed(event)
 
-    @rule(joints_u=mostly(START_JOINTS, ELSEWHERE))
-    def measured(self, joints_u) -> None:
-        self.feed(JointsMeasured(joints_u))
+    @rule(joints_u=mostly(START_JOINTS, ELSEWHERE), age_s=mostly(0.0, 0.09, 0.11, -0.01, math.inf))
+    def measured(self, joints_u, age_s) -> None:
+        self.feed(JointsMeasured(joints_u, self.now_s - age_s))
+
+    @while_in(*MOVING)
+    @rule(
+        event=st.sampled_from(
+            [
+                HALF_WAY,
+                JointsMeasured(FAR, math.nan),
+                ON,
+                BEYOND,
+                ProgressReported(0, 0),
+                ProgressReported(2, 0),
+            ]
+        )
+    )
+    def the_arm_moves(self, event) -> None:
+        self.feed(event)
 
     @while_in(*AUTHORISED_BY.values())
     @rule(off=mostly(0, 1, -1), after_s=mostly(0.01, 0.0, 0.5, 1.5, -0.01))

@@ -84,6 +84,11 @@ ALONE = [
     ("joints_u", _off(3, 360_000_000), p.start_angle, 360.0, "<= 0.2 deg"),
     ("joints_u", _off(4, -200_001), p.start_angle, 0.200001, "<= 0.2 deg"),
     ("verdict.approach", None, p.approach_admissible, "every leg keeps every deadband", None),
+    ("verdict.trajectory", None, p.trajectory_known, "none", "known: the moving arm is held against it"),
+    ("measured_s", NOW - 0.101, p.joints_age, 0.101, "<= 0.1 s"),
+    ("measured_s", NOW + 0.001, p.joints_age, -0.001, "<= 0.1 s"),
+    ("measured_s", -math.inf, p.joints_age, math.inf, "<= 0.1 s"),
+    ("measured_s", math.nan, p.joints_age, math.nan, "<= 0.1 s"),
 ]
 
 
@@ -147,8 +152,10 @@ def test_the_table_above_leaves_no_permissive_out():
                 p.verdict_admissible,
                 p.verdict_current,
                 p.approach_admissible,
+                p.trajectory_known,
             ],
         ),
+        ("joints_u", [p.joints_age]),
         (
             "controller",
             [
@@ -171,13 +178,12 @@ def test_what_was_never_seen_does_not_hold(field, evaluates):
         assert one.value is None
 
 
-@pytest.mark.parametrize("age_s", [0.11, -0.01, math.nan])
+@pytest.mark.parametrize("age_s", [0.11, -0.01, math.inf, math.nan])
 def test_an_old_measurement_is_not_the_arm_now(age_s):
     state = replace(READY, measured_s=NOW - age_s)
-    assert {one.name for one in p.failing(p.FOR_START, state, NOW)} == {
-        _name(p.start_distance),
-        _name(p.start_angle),
-    }
+    assert p.measured_now(state, NOW) is None
+    for which in (p.FOR_PERMIT, p.FOR_START):
+        assert [one.name for one in p.failing(which, state, NOW)] == [_name(p.joints_age)]
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1])
@@ -207,8 +213,7 @@ def test_an_undefined_time_denies_whatever_depends_on_it():
     assert {one.name for one in p.failing(p.FOR_START, READY, math.nan)} == {
         _name(p.registration_age),
         _name(p.permit_alive),
-        _name(p.start_distance),
-        _name(p.start_angle),
+        _name(p.joints_age),
     }
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from cutgate.protocol import records
+from cutgate.protocol.frames import FRACTION_MAX
 from cutgate.protocol.states import (
     WITHDRAWING,
     ControllerState,
@@ -28,9 +29,9 @@ from cutgate.runtime.interlock.state import (
     Dropped,
     Failed,
     FaultReceived,
+    Gone,
     HeartbeatLost,
     HeartbeatReceived,
-    JointsMeasured,
     LogChanged,
     LogHealth,
     NonceReceived,
@@ -38,6 +39,7 @@ from cutgate.runtime.interlock.state import (
     ParameterReceived,
     PathStored,
     Phase,
+    ProgressReported,
     RecordDurable,
     Refused,
     Said,
@@ -53,18 +55,22 @@ from cutgate.runtime.interlock.state import (
     Withheld,
     Word,
 )
-from cutgate.runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING, step
+from cutgate.runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING
+from cutgate.runtime.interlock.tracking import Deviation, Seen, TrackingMonitor
 from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
+    BEYOND,
     BOOT_NONCE,
     ELSEWHERE,
     EPOCH,
     FRESH,
+    HALF_WAY,
     JOB,
     LIMITS,
     NONCE,
     NOW,
+    ON,
     PATH,
     PATH_BLOCKS,
     PERMISSIVENESS,
@@ -77,6 +83,7 @@ from tests.runtime.interlock.builders import (
     TIMING,
     TOKEN,
     TOOL,
+    TRAJECTORY,
     VERDICT,
     Run,
     beat,
@@ -84,9 +91,12 @@ from tests.runtime.interlock.builders import (
     enabled,
     events,
     in_phase,
+    measured,
+    monitor,
     reply,
     sent,
     sound_beat,
+    step,
     stop_events,
     stops,
     view,
@@ -481,13 +491,19 @@ def test_done_and_the_arm_back_end_the_session_in_order_also_with_the_device_alr
     assert effects == (SendStop(StopCode.END, StopCause.SESSION_ENDED),)
 
 
+def patient(seen_s):
+    """A monitor that waits for joints and progress for ever."""
+    begun = monitor(seen_s - 10.0, seen_s)
+    return replace(begun, bounds=replace(begun.bounds, latency_s=math.inf))
+
+
 def off_start(joint, by_u):
     """Joints measured so far off the start, 1e-6 deg | mm."""
-    return JointsMeasured((*START_JOINTS[:joint], START_JOINTS[joint] + by_u, *START_JOINTS[joint + 1 :]))
+    return measured((*START_JOINTS[:joint], START_JOINTS[joint] + by_u, *START_JOINTS[joint + 1 :]))
 
 
 def test_the_end_is_shown_by_a_sample_within_two_time_outs():
-    state = replace(in_phase(Phase.FINISHING), since_s=0.0)
+    state = in_phase(Phase.FINISHING, since_s=0.0, tracking=patient(0.0))
     limit_s = 2 * TIMING.timeout_ms / 1000
     assert step(state, Tick(), limit_s) == (state, ())
     late, effects = step(state, Tick(), limit_s + 1e-6)
@@ -499,20 +515,157 @@ def test_the_end_is_shown_by_a_sample_within_two_time_outs():
 def test_the_end_counts_within_the_start_tolerance_and_not_beyond(joint, tolerance_u):
     inside, beyond = (off_start(joint, tolerance_u * part // 1_000_000) for part in (1_000_000, 1_000_005))
     state = in_phase(Phase.FINISHING)
-    assert step(state, inside, NOW)[0].phase is Phase.DONE
+    done, _ = step(state, inside, NOW)
+    assert (done.phase, done.tracking) == (Phase.DONE, None)
     after, effects = step(state, beyond, NOW)
     assert (after.phase, after.cause) == (Phase.STOPPING, StopCause.TRACKING_DEVIATION)
     assert stops(effects) == [StopCause.TRACKING_DEVIATION]
     assert "the controller reports the end, but the arm is not back: measured" in after.reason
     assert "(required: <= 0." in after.reason
+    (deviation,) = [effect for effect in effects if isinstance(effect, Deviation)]
+    assert deviation.reason == after.reason
+    assert not any(rule.holds for rule in deviation.judged)
+
+
+def test_an_end_is_not_shown_by_a_place_on_the_path_that_is_not_the_start():
+    after, _ = step(in_phase(Phase.FINISHING), HALF_WAY, NOW)
+    assert "the controller reports the end, but the arm is not back: measured joints" in after.reason
+
+
+def test_an_end_is_not_shown_by_joints_too_old_to_say_so():
+    """Nor are they a deviation: the next sample decides, within the deadline."""
+    state = in_phase(Phase.FINISHING)
+    after, effects = step(state, measured(START_JOINTS, NOW - 0.101), NOW)
+    assert (after.phase, effects) == (Phase.FINISHING, ())
+    assert step(after, measured(START_JOINTS, NOW - 0.099), NOW)[0].phase is Phase.DONE
 
 
 def test_only_what_is_measured_after_the_end_was_reported_counts_for_it():
     """The sample from before stood at the start; the next one does not."""
     run = Run(in_phase(Phase.CUTTING), NOW).feed(STANDING, beat(ControllerState.DONE))
     assert run.phase is Phase.FINISHING
-    run.feed(JointsMeasured(ELSEWHERE))
+    run.feed(HALF_WAY)
     assert run.state.cause is StopCause.TRACKING_DEVIATION
+
+
+# ---------------------------------------------------------------- the tracking monitor
+
+
+each_moving = pytest.mark.parametrize("phase", sorted(MOVING), ids=str)
+BACK = replace(monitor(NOW - 10.0, NOW), progress=(1, 1))
+DEVIATING = [
+    ("joints off the path", measured(ELSEWHERE), {}, "off the verified path near"),
+    ("progress too far", BEYOND, {"tracking": monitor(NOW)}, "can have been reached"),
+    ("progress that goes back", ON, {"tracking": BACK}, "it never goes back"),
+    ("no such segment", ProgressReported(2, 0), {}, "the path has segments 0 to 1"),
+    ("silence", Tick(), {"tracking": monitor(NOW - 0.201)}, "no measured joints for 201 ms"),
+]
+
+
+@each_moving
+@pytest.mark.parametrize(
+    ("event", "changes", "why"), [one[1:] for one in DEVIATING], ids=[one[0] for one in DEVIATING]
+)
+def test_a_deviation_stops_in_the_step_that_shows_it_and_says_what_and_by_how_much(
+    phase, event, changes, why
+):
+    after, effects = step(in_phase(phase, **changes), event, NOW)
+    assert (after.phase, after.cause, after.tracking) == (Phase.STOPPING, StopCause.TRACKING_DEVIATION, None)
+    assert effects[0] == SendStop(StopCode.STOP, StopCause.TRACKING_DEVIATION), "before anything else"
+    (deviation,) = effects[1:]
+    assert isinstance(deviation, Deviation)
+    assert why in deviation.reason == after.reason
+    assert not all(rule.holds for rule in deviation.judged)
+    assert PERMISSIVENESS[code(after)] == 0
+
+
+@each_moving
+def test_what_is_on_the_path_is_remembered_and_stops_nothing(phase):
+    state = in_phase(phase, since_s=NOW)
+    for event, seen in ((HALF_WAY, "sampled"), (ON, "progressed")):
+        if (phase, event) == (Phase.FINISHING, HALF_WAY):
+            continue
+        after, effects = step(state, event, NOW + 0.01)
+        assert (after.phase, effects) == (phase, ())
+        assert getattr(after.tracking, seen).at_s == NOW + 0.01
+    after, effects = step(state, Tick(), NOW + 0.199)
+    assert (after, effects) == (state, ())
+
+
+@pytest.mark.parametrize("phase", sorted(ORDERS), ids=str)
+def test_an_end_that_comes_too_early_is_a_deviation(phase):
+    state = in_phase(phase, tracking=monitor(NOW))
+    done = beat(ControllerState.DONE)
+    after, effects = step(state, done, NOW)
+    assert stops(effects) == [StopCause.TRACKING_DEVIATION]
+    assert "the controller reports the end, at most" in after.reason
+    assert step(state, done, NOW + 0.021)[0].phase is Phase.FINISHING
+
+
+def test_progress_is_due_only_while_cutting_and_from_then_on():
+    """In STARTING nobody has said yet that it begins, in FINISHING it has ended; joints are due in all three."""
+    silent = replace(monitor(NOW - 10.0, NOW), progressed=Seen(0.0, NOW - 9.0))
+    for phase in MOVING:
+        since_s = NOW - 0.1
+        state = in_phase(phase, tracking=silent, since_s=since_s)
+        assert step(state, Tick(), NOW + 0.09)[1] == ()
+        after, _ = step(replace(state, tracking=replace(silent, heard_s=NOW + 0.1)), Tick(), NOW + 0.101)
+        assert ("no progress for 201 ms" in after.reason) is (phase is Phase.CUTTING)
+
+
+@pytest.mark.parametrize("phase", [phase for phase in LIVE if phase not in MOVING], ids=str)
+def test_nobody_watches_an_arm_that_may_not_move(phase):
+    state = in_phase(phase)
+    assert step(state, BEYOND, NOW) == (state, ())
+    assert not stops(step(state, measured(ELSEWHERE), NOW)[1])
+
+
+@pytest.mark.parametrize("scale", [1.0, 60.0])
+def test_the_start_begins_the_monitor_of_the_very_trajectory_that_was_permitted(scale):
+    other = replace(TRAJECTORY)
+    verdict = replace(VERDICT, trajectory=other)
+    state = altered(in_phase(Phase.AUTHORISING_START, verdict=verdict), "session.time_scale", scale)
+    after, _ = step(state, PENDING, NOW)
+    assert after.tracking == TrackingMonitor.begin(other, TIMING, scale, NOW)
+    assert after.tracking.trajectory is other
+    refused, _ = step(after, reply(records.Start, Refusal.NOT_AT_START), NOW)
+    assert (refused.phase, refused.tracking) == (Phase.PERMITTED, None)
+
+
+def test_a_verdict_without_a_reference_trajectory_is_not_permitted():
+    run = Run(FRESH).until(Phase.VERIFYING).feed(beat(device_pressed=False), STANDING)
+    run.feed(VerdictReady(replace(VERDICT, request=run.state.token, trajectory=None)))
+    assert run.phase is Phase.REFUSED
+    assert "reference trajectory: none" in run.state.reason
+
+
+# ---------------------------------------------------------------- nothing can be waited for
+
+
+@each_phase
+@pytest.mark.parametrize("cause", [StopCause.INTERNAL_ERROR, StopCause.BUS_FAILED], ids=str)
+def test_a_shell_that_cannot_go_on_stops_and_has_stopped(phase, cause):
+    state = in_phase(phase)
+    after, effects = step(state, Gone(cause, "why"), NOW)
+    assert after.phase is Phase.STOPPED
+    assert (after.permit, after.nonce, after.tracking) == (None, None, None) or phase is Phase.STOPPING
+    assert stops(effects) == [cause]
+    if phase is not Phase.STOPPING:
+        assert (after.cause, after.reason) == (cause, "why")
+    assert (Withheld(TOKEN) in effects) is (phase in AUTHORISING)
+    assert (OpenLink(SESSION) in effects) is (phase is Phase.OPENING)
+    assert (effects[1] if phase is Phase.OPENING else effects[0]) == SendStop(StopCode.STOP, cause)
+
+
+def test_a_shell_that_cannot_go_on_keeps_the_first_cause():
+    stopped, _ = step(in_phase(Phase.CUTTING), Said(Word.STOP), NOW)
+    after, effects = step(stopped, Gone(StopCause.BUS_FAILED, "the bus failed"), NOW)
+    assert (after.phase, after.cause, after.reason) == (
+        Phase.STOPPED,
+        StopCause.OPERATOR_STOP,
+        stopped.reason,
+    )
+    assert stops(effects) == [StopCause.BUS_FAILED]
 
 
 def test_an_end_that_is_taken_back_is_a_violation():
@@ -594,17 +747,21 @@ def test_a_lost_heartbeat_is_not_fresh():
 
 @each_phase
 def test_every_phase_that_waits_has_a_deadline(phase):
+    patiently = {"tracking": patient(0.0)} if phase in MOVING else {}
+    state = in_phase(phase, since_s=0.0, **patiently)  # from 0 on, for no sum to be rounded
     if phase is Phase.CUTTING:
         assert phase not in DEADLINES
-        assert step(in_phase(phase), Tick(), 1e9) == (in_phase(phase), ())
+        assert step(state, Tick(), 1e9) == (state, ())
         return
     bound_s = DEADLINES[phase](TIMING)
     cause, _ = MISSED[phase]
-    state = in_phase(phase, since_s=0.0)  # from 0 on, for no sum to be rounded
     for inside in (0.0, bound_s):
         assert step(state, Tick(), inside) == (state, ())
     for outside in (math.nextafter(bound_s, math.inf), -0.1, math.nan):
         after, effects = step(state, Tick(), outside)
+        if phase in MOVING and math.isnan(outside):
+            assert stops(effects) == [StopCause.TRACKING_DEVIATION], "its silence is judged first"
+            continue
         if phase is Phase.STOPPING:
             assert (after.phase, effects) == (Phase.STOPPED, ())
         elif cause is StopCause.NOT_ADMITTED:
@@ -996,7 +1153,7 @@ def test_what_is_verified_begins_where_the_arm_stands_now(old):
     """Neither unknown nor old joints are where it stands: the next sample is waited for, within the deadline."""
     run = Run(FRESH).until(Phase.UPLOADING)
     if old is not None:
-        run.feed(JointsMeasured(ELSEWHERE)).feed(Tick(), after_s=old)
+        run.feed(measured(ELSEWHERE)).feed(Tick(), after_s=old)
     run.feed(PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
     assert (run.phase, run.effects) == (Phase.UPLOADING, ())
     late = Run(run.state, run.now_s).feed(Tick(), after_s=TIMING.transfer_timeout_s)
@@ -1080,18 +1237,37 @@ def test_a_refused_permit_ends_and_a_refused_start_may_be_tried_again(refusal):
     assert refusal.name in effects[0].reason
 
 
-def test_a_measurement_is_kept_with_its_time():
-    after, effects = step(READY, JointsMeasured(ELSEWHERE), NOW + 3.0)
-    assert (after.joints_u, after.measured_s, effects) == (ELSEWHERE, NOW + 3.0, ())
+@pytest.mark.parametrize("phase", [phase for phase in LIVE if phase not in MOVING], ids=str)
+def test_a_measurement_is_kept_with_the_time_when_it_was_made_not_when_it_came(phase):
+    after, effects = step(in_phase(phase), measured(ELSEWHERE, NOW + 2.5), NOW + 3.0)
+    assert (after.joints_u, after.measured_s) == (ELSEWHERE, NOW + 2.5)
+    assert not stops(effects)
+
+
+@pytest.mark.parametrize("age_s", [0.101, -0.001, math.inf])
+def test_joints_that_were_measured_too_long_ago_start_nothing_however_late_they_came(age_s):
+    late = measured(START_JOINTS, NOW - age_s)
+    state, _ = step(READY, late, NOW)
+    after, effects = step(state, Said(Word.START), NOW)
+    assert after == state
+    assert "age of the measured joints" in effects[0].reason
+    state, _ = step(in_phase(Phase.AUTHORISING_START), late, NOW)
+    after, effects = step(state, PENDING, NOW)
+    assert (after.phase, effects) == (Phase.PERMITTED, (Withheld(TOKEN),))
+    state, _ = step(in_phase(Phase.AUTHORISING_PERMIT), late, NOW)
+    assert step(state, PENDING, NOW)[1] == (Withheld(TOKEN),)
+    assert step(in_phase(Phase.UPLOADING), late, NOW)[0].phase is Phase.UPLOADING, (
+        "nor are they verified from"
+    )
 
 
 def test_an_arm_that_moves_after_its_approach_was_verified_is_not_permitted():
-    run = Run(FRESH).until(Phase.VERIFYING).feed(beat(device_pressed=False), JointsMeasured(ELSEWHERE))
+    run = Run(FRESH).until(Phase.VERIFYING).feed(beat(device_pressed=False), measured(ELSEWHERE))
     run.feed(VerdictReady(replace(VERDICT, request=run.state.token)), beat())
     assert (run.phase, run.effects) == (Phase.ADMITTED, ())
     run.feed(STANDING, beat())
     assert run.phase is Phase.NONCE_PERMIT
-    run.until(Phase.AUTHORISING_PERMIT).feed(JointsMeasured(ELSEWHERE)).durable()
+    run.until(Phase.AUTHORISING_PERMIT).feed(measured(ELSEWHERE)).durable()
     assert (run.phase, run.effects) == (Phase.ADMITTED, (Withheld(run.state.token),))
 
 
@@ -1133,8 +1309,10 @@ def test_the_happy_path_from_announcement_to_done():
     }
     run.feed(*(beat(ControllerState.CUTTING) for _ in range(100)), after_s=0.02)
     assert (run.phase, run.effects) == (Phase.CUTTING, ())
-    run.feed(Tick(), after_s=3600.0)
-    assert run.phase is Phase.CUTTING
+    half_way = ProgressReported(1, FRACTION_MAX // 2)
+    for _ in range(20_000):
+        run.feed(HALF_WAY, half_way, Tick(), after_s=0.06)
+    assert (run.phase, run.effects) == (Phase.CUTTING, ()), "it lasts as long as joints and progress come"
     assert code(run.until(Phase.FINISHING).state) is RuntimeCode.INHIBIT
     run.until(Phase.DONE)
     assert run.state.cause is StopCause.NONE
@@ -1143,7 +1321,7 @@ def test_the_happy_path_from_announcement_to_done():
 def test_withheld_permits_and_starts_can_be_asked_for_again():
     run = Run(FRESH).until(Phase.AUTHORISING_PERMIT).feed(beat(emergency_stop_clear=False)).durable()
     assert (run.phase, run.effects) == (Phase.ADMITTED, (Withheld(run.state.token),))
-    run.until(Phase.AUTHORISING_START).feed(JointsMeasured(ELSEWHERE)).durable()
+    run.until(Phase.AUTHORISING_START).feed(measured(ELSEWHERE)).durable()
     assert (run.phase, run.effects) == (Phase.PERMITTED, (Withheld(run.state.token),))
     run.until(Phase.DONE)
 

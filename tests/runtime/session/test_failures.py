@@ -12,7 +12,8 @@ from cutgate.protocol.states import ControllerState, FaultCode, StopCause
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.reading import candump_of
 from cutgate.runtime.commands.app import INTERNAL, execute
-from cutgate.runtime.interlock.state import Phase, Send
+from cutgate.runtime.interlock.state import ENDED, HeartbeatReceived, Phase, Send
+from cutgate.runtime.interlock.table import TABLE
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from tests.runtime.session.pair import KEY, Prover
@@ -42,7 +43,10 @@ def test_a_bus_that_fails_ends_the_runtimes_session_at_once(cutting):
     assert inhibited(cutting)
     assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
     assert cutting.close().closed
-    assert cutting.read().report.status is Status.OK
+    last, _ = recorded(cutting)
+    assert (last["event"], last["first_out"]) == ("gave up BUS_FAILED", "BUS_FAILED")
+    assert "send STOP BUS_FAILED" in last["effects"]
+    assert cutting.read().of("/audit/close")[-1]["clean"] is True
 
 
 def test_a_bus_that_can_only_be_written_still_carries_the_stop(cutting):
@@ -59,8 +63,8 @@ def test_a_bus_that_fails_under_the_stop_ends_the_session_with_the_first_cause(c
     assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.OPERATOR_STOP)
     assert inhibited(cutting)
     assert cutting.close().closed
-    causes = [record["cause"] for record in cutting.read().of("/audit/fault")]
-    assert "BUS_FAILED" in causes
+    last, fault = recorded(cutting, "stopping")
+    assert (fault["cause"], last["first_out"]) == ("BUS_FAILED", "OPERATOR_STOP")
 
 
 def test_a_bus_that_fails_stops_the_controller(cutting):
@@ -76,6 +80,18 @@ def test_a_bus_that_fails_stops_the_controller(cutting):
 
 
 # ---------------------------------------------------------------- the runtime's own errors
+
+
+def recorded(pair, came_from="cutting"):
+    """The one decision that ended the session, and the fault beside it; the log holds together."""
+    log = pair.read()
+    assert log.report.status is Status.OK
+    (last,) = [entry for entry in log.of("/audit/decision") if entry["to_state"] == "stopped"]
+    (fault,) = [entry for entry in log.of("/audit/fault") if entry["cause"] == last["event"].split()[-1]]
+    assert last["from_state"] == came_from
+    assert (fault["source"], fault["code"]) == ("runtime", "STOP")
+    assert fault["detail"] in last["reason"]
+    return last, fault
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no\udcffod"), KeyboardInterrupt(), MemoryError()])
@@ -102,6 +118,90 @@ def test_an_error_inside_a_turn_sends_the_stop_and_is_raised(cutting, monkeypatc
     closed = cutting.read().of("/audit/close")[-1]
     assert (closed["clean"], closed["final_state"]) == (False, "stopped")
     assert closed["outcome"].startswith("internal error: ")
+    last, _ = recorded(cutting)
+    assert (last["event"], last["first_out"]) == ("gave up INTERNAL_ERROR", "INTERNAL_ERROR")
+    by_the_table = "internal error: " if place == "_view" else "without the table: internal error: "
+    assert last["reason"].startswith(by_the_table + type(error).__name__)
+
+
+def broken(*_arguments, **_named):
+    raise RuntimeError("broken")
+
+
+@pytest.fixture(params=["a handler", "the table"])
+def breaks(request, cutting, monkeypatch):
+    """What raises when the next heartbeat is judged: its handler alone, or the table whatever it is asked."""
+    if request.param == "a handler":
+        monkeypatch.setitem(TABLE, (Phase.CUTTING, HeartbeatReceived), broken)
+    else:
+        monkeypatch.setattr("cutgate.runtime.session.loop.step", broken)
+    return request.param
+
+
+def test_a_decision_that_raises_ends_in_a_stop_a_decision_and_a_fault(cutting, breaks, monkeypatch):
+    """The table decides the end as long as it can; without it the stop leaves all the same, and the log says so."""
+    with pytest.raises(RuntimeError, match="broken"):
+        cutting.run(0.1)
+    stop = cutting.wire.frames(RuntimeStop)[-1]
+    assert (stop[0].at_s, stop[1].cause) == (cutting.clock(), StopCause.INTERNAL_ERROR)
+    assert len(cutting.wire.frames(RuntimeStop)) == 1
+    assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.INTERNAL_ERROR)
+    assert (cutting.state.permit, cutting.state.nonce, cutting.state.tracking) == (None, None, None)
+    assert inhibited(cutting)
+    monkeypatch.undo()
+    assert cutting.close(clean=False).closed
+    last, fault = recorded(cutting)
+    assert (last["event"], last["first_out"]) == ("gave up INTERNAL_ERROR", "INTERNAL_ERROR")
+    assert fault["detail"] == "internal error: RuntimeError: broken"
+    assert ("send STOP INTERNAL_ERROR" in last["effects"]) is (breaks == "a handler")
+    assert last["reason"].startswith("without the table: ") is (breaks == "the table")
+    assert cutting.read().of("/audit/close")[-1]["clean"] is False
+
+
+def test_an_error_while_the_session_is_stopping_keeps_the_first_cause(cutting, monkeypatch):
+    cutting.say("stop")
+    assert cutting.phase is Phase.STOPPING
+    monkeypatch.setattr(cutting.session, "_read_disk", broken)
+    with pytest.raises(RuntimeError):
+        cutting.turn()
+    assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.OPERATOR_STOP)
+    assert [stop.cause for _, stop in cutting.wire.frames(RuntimeStop)] == [
+        StopCause.OPERATOR_STOP,
+        StopCause.INTERNAL_ERROR,
+    ]
+    monkeypatch.undo()
+    cutting.close(clean=False)
+    last, _ = recorded(cutting, "stopping")
+    assert (last["first_out"], last["reason"]) == ("OPERATOR_STOP", "internal error: RuntimeError: broken")
+
+
+def test_an_error_after_the_end_of_the_session_still_sends_a_stop(cutting, monkeypatch):
+    """The session had ended, but perhaps its word had not left."""
+    honest = cutting.notes.step
+
+    def fail(before, event, after, effects, now_s):
+        honest(before, event, after, effects, now_s)
+        if after.phase in ENDED:
+            raise RuntimeError("broken")
+
+    monkeypatch.setattr(cutting.notes, "step", fail)
+    cutting.say("stop")
+    with pytest.raises(RuntimeError):
+        cutting.end()
+    assert cutting.phase is Phase.STOPPED
+    assert [stop.cause for _, stop in cutting.wire.frames(RuntimeStop)] == [
+        StopCause.OPERATOR_STOP,
+        StopCause.INTERNAL_ERROR,
+    ]
+
+
+def test_a_log_that_takes_nothing_any_more_holds_up_neither_the_stop_nor_the_error(cutting, monkeypatch):
+    monkeypatch.setattr(cutting.log, "write", broken)
+    monkeypatch.setattr("cutgate.runtime.session.loop.step", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        cutting.turn()
+    assert cutting.wire.frames(RuntimeStop)[-1][1].cause is StopCause.INTERNAL_ERROR
+    assert inhibited(cutting)
 
 
 def test_an_error_while_a_permit_is_recorded_lets_no_permit_leave(pair, monkeypatch):

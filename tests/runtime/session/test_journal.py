@@ -14,6 +14,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     Failed,
     FaultReceived,
+    Gone,
     Phase,
     Refused,
     ReplyReceived,
@@ -25,7 +26,7 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.table import EVERYWHERE
 from cutgate.runtime.session.journal import NAMES, Journal, plain
-from tests.runtime.interlock.builders import READY, in_phase
+from tests.runtime.interlock.builders import ELSEWHERE, NOW, ON, READY, in_phase, measured, step
 
 BAD = "caf\udce9 \ud800"
 SHOWN = "caf\\udce9 \\ud800"
@@ -105,6 +106,7 @@ def test_an_uneventful_step_is_not_recorded(log):
         (ReplyReceived(records.Open.TYPE, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to 0x2"),
         (FaultReceived(FaultCode.LATCHED, StopCause.SECOND_NODE), (), "controller's fault"),
         (Failed(StopCause.BUS_FAILED, "no"), (), "failed BUS_FAILED"),
+        (Gone(StopCause.BUS_FAILED, "no"), (), "gave up BUS_FAILED"),
     ],
 )
 def test_an_event_has_a_name_that_says_what_it_was(log, event, effects, expected):
@@ -124,6 +126,46 @@ def test_effects_have_names_that_say_what_they_do(log):
         "send path block 3",
         "Dropped",
     ]
+
+
+def test_a_deviation_is_recorded_with_its_values_and_bounds_and_as_a_fault(log):
+    state = in_phase(Phase.CUTTING)
+    event = measured(ELSEWHERE, NOW)
+    after, effects = step(state, event, NOW)
+    log.journal.step(state, event, after, effects, NOW)
+    paths = log.log.close(final_state="x", clean=True)
+    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
+    (decision,) = found.of("/audit/decision")
+    assert (decision["event"], decision["to_state"], decision["first_out"]) == (
+        "joints measured",
+        "stopping",
+        "TRACKING_DEVIATION",
+    )
+    off_mm, off_deg = decision["permissives"]
+    assert (off_mm["name"], off_mm["holds"], off_mm["value"]) == (
+        "measured wrist centre to the verified path",
+        False,
+        pytest.approx(2.0),
+    )
+    assert (off_deg["name"], off_deg["holds"], off_deg["value"]) == (
+        "measured joints to the verified path",
+        True,
+        pytest.approx(0.0, abs=1e-9),
+    )
+    assert all("near" in rule["bound"] for rule in (off_mm, off_deg))
+    (fault,) = found.of("/audit/fault")
+    assert (fault["source"], fault["code"], fault["cause"]) == ("runtime", "STOP", "TRACKING_DEVIATION")
+    assert fault["detail"] == decision["reason"] == after.reason
+
+
+@pytest.mark.parametrize(
+    "event", [measured(READY.joints_u, NOW), ON, Tick()], ids=lambda event: type(event).__name__
+)
+def test_a_look_that_shows_nothing_is_not_recorded(log, event):
+    state = in_phase(Phase.CUTTING)
+    after, effects = step(state, event, NOW)
+    log.journal.step(state, event, after, effects, NOW)
+    assert written(log, "/audit/decision") == []
 
 
 def test_replies_to_signed_records_are_facts_of_their_own(log):

@@ -1,4 +1,4 @@
-"""Whole sessions under the tracking watch: sound ones never trip it, every deviation stops in the turn that shows it."""
+"""Whole sessions under the tracking monitor: sound ones never trip it, every deviation stops in the turn that shows it."""
 
 import math
 import random
@@ -18,6 +18,7 @@ from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import proved
+from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import lose, nth, of
 
 JOINTS = (Joints01, Joints23, Joint4)
@@ -30,7 +31,7 @@ def on(pair, leg, fraction=0.3):
     )
 
 
-def stopped_by_the_watch(pair):
+def stopped_by_the_monitor(pair):
     """The session has ended for a deviation that the runtime alone has seen."""
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause is StopCause.TRACKING_DEVIATION
@@ -96,7 +97,7 @@ def test_a_drift_that_the_controller_does_not_see_is_stopped_on_every_leg(pair, 
     on(pair, leg, 0.0 if leg is Leg.RETRACT else 0.3)
     pair.process._happen(FaultName.DRIFT)
     began_s = pair.clock()
-    reason = stopped_by_the_watch(pair)
+    reason = stopped_by_the_monitor(pair)
     assert "deg off the verified path near" in reason
     assert "at most 0.618 mm and 0.255 deg" in reason or leg is Leg.APPROACH
     turned = math.radians(controller_side.DRIFT_DEG_S) * (pair.clock() - began_s)
@@ -122,7 +123,7 @@ def test_the_stop_leaves_in_the_turn_in_which_the_deviation_is_seen(pair):
     shown = [seen for seen, _ in pair.wire.frames(Joint4)][-1]
     (stop, _) = pair.wire.frames(RuntimeStop)[0]
     assert stop.at_s == shown.at_s
-    stopped_by_the_watch(pair)
+    stopped_by_the_monitor(pair)
 
 
 def test_joints_that_stand_still_while_the_progress_goes_on_are_stopped(pair):
@@ -130,7 +131,7 @@ def test_joints_that_stand_still_while_the_progress_goes_on_are_stopped(pair):
     pair.to(Phase.CUTTING).until(
         lambda: pair.process._arm_state.leg is Leg.CUT or pair.phase is Phase.STOPPED, 20.0
     )
-    stopped_by_the_watch(pair)
+    stopped_by_the_monitor(pair)
 
 
 @pytest.mark.parametrize("leg", [Leg.APPROACH, Leg.CUT, Leg.RETRACT])
@@ -139,7 +140,7 @@ def test_an_arm_that_runs_faster_than_it_may_is_stopped(pair, leg):
     on(pair, leg, 0.1)
     pair.process._happen(FaultName.RUSH)
     began_s = pair.clock()
-    reason = stopped_by_the_watch(pair)
+    reason = stopped_by_the_monitor(pair)
     gained_s = 2.0 * (pair.clock() - began_s)
     assert gained_s < 0.5, reason
 
@@ -148,7 +149,7 @@ def test_a_time_scale_that_is_not_announced_is_stopped(pair, monkeypatch):
     monkeypatch.setattr(records.Announce, "time_scale", property(lambda _: 1.0))
     pair.power_up(time_scale=4.0)
     pair.begin().end()
-    stopped_by_the_watch(pair)
+    stopped_by_the_monitor(pair)
 
 
 def test_progress_that_jumps_while_the_joints_do_not_is_stopped(pair, monkeypatch):
@@ -163,7 +164,7 @@ def test_progress_that_jumps_while_the_joints_do_not_is_stopped(pair, monkeypatc
         process._frozen, process._arm_state = None, there
 
     monkeypatch.setattr(Process, "_heartbeat", jumps)
-    assert "progress is segment 3, fraction" in stopped_by_the_watch(pair)
+    assert "progress is segment 3, fraction" in stopped_by_the_monitor(pair)
 
 
 def test_a_controller_that_says_done_too_early_is_not_believed(pair):
@@ -219,6 +220,30 @@ def after_the_end(pair, rule, message):
     return rule(message) if pair.controller.state is ControllerState.DONE else [message]
 
 
+@pytest.mark.parametrize("waiting", [2, 3, 4])
+@pytest.mark.parametrize("off", range(4))
+def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, off):
+    """The runtime did not turn for less than its time-out; one of the samples that wait was measured off the path."""
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.CUT, 0.1)
+    pair.until(lambda: pair.process._next_heartbeat_s - pair.clock() > 0.015)  # between two samples
+    pair.runtime_turns = False
+    for number in range(waiting):
+        measured = len(pair.wire.frames(Joint4))
+        if number == off:
+            q0, *rest = pair.process._arm_state.joints
+            pair.process._frozen = (q0 + math.radians(0.4), *rest)
+        pair.until(lambda measured=measured: len(pair.wire.frames(Joint4)) > measured)
+        pair.process._frozen = None
+    pair.runtime_turns = True
+    pair.turn()
+    if off >= waiting:
+        assert pair.phase is Phase.CUTTING
+        return
+    assert pair.phase is Phase.STOPPING
+    assert "deg off the verified path near segment" in stopped_by_the_monitor(pair)
+
+
 @pytest.mark.parametrize("lost", [2, 1000])
 def test_the_end_waits_for_joints_measured_after_it_and_not_for_ever(pair, lost):
     pair.power_up(time_scale=1.0)
@@ -230,7 +255,7 @@ def test_the_end_waits_for_joints_measured_after_it_and_not_for_ever(pair, lost)
     if lost == 2:
         assert pair.end() is Phase.DONE
         return
-    assert "no measured joints" in stopped_by_the_watch(pair)
+    assert "no measured joints" in stopped_by_the_monitor(pair)
     (stop, _) = pair.wire.frames(RuntimeStop)[0]
     assert stop.at_s - began_s <= 0.200 + 2 * pair.turn_s
 
@@ -241,7 +266,7 @@ def test_silence_of_joints_or_progress_alone_is_stopped_within_two_time_outs(pai
     on(pair, Leg.CUT, 0.1)
     pair.wire.rules.append(lambda message: [] if message.arbitration_id == of(kind) else [message])
     began_s = pair.clock()
-    reason = stopped_by_the_watch(pair)
+    reason = stopped_by_the_monitor(pair)
     assert ("no progress" if kind is Progress else "no measured joints") in reason
     assert "at most 200 ms" in reason
     (stop, _) = pair.wire.frames(RuntimeStop)[0]
@@ -254,24 +279,37 @@ def test_joints_that_are_late_are_stopped(pair):
     on(pair, Leg.CUT, 0.1)
     for kind in JOINTS:
         pair.wire.delay_s[of(kind)] = 0.3
-    stopped_by_the_watch(pair)
+    stopped_by_the_monitor(pair)
 
 
-# ---------------------------------------------------------------- the watch itself is a condition
+def test_joints_that_come_later_and_later_are_stopped_once_they_are_two_time_outs_old(pair):
+    """None is silent for long, none is off the path: each is a little older than the one before."""
+    pair.power_up(time_scale=1.0)
+    on(pair, Leg.APPROACH, 0.1)
+    began_s = pair.clock()
+
+    def later():
+        for kind in JOINTS:
+            pair.wire.delay_s[of(kind)] = (pair.clock() - began_s) / 4
+
+    pair.until(lambda: pair.phase is Phase.STOPPING, act=later)
+    sent_now_s, growth = pair.wire.delay_s[of(Joint4)], 1 + 1 / 4  # what came now was sent when it was less
+    assert sent_now_s <= growth * (0.2 + 0.2 / 4) + 0.01
+    assert "no measured joints" in stopped_by_the_monitor(pair)
 
 
-def test_without_a_course_nothing_is_cut(pair):
-    pair.begin().prover.answer = lambda request: replace(proved(request), course=None)
-    assert pair.end() is Phase.STOPPED
-    assert pair.state.reason == "there is no verified course to watch the arm against"
-    assert pair.process._arm_state.leg is Leg.APPROACH
+# ---------------------------------------------------------------- the monitor itself is a condition
 
 
-def test_a_course_of_another_verdict_does_not_count(pair):
-    pair.to(Phase.PERMITTED)
-    pair.session.answer = replace(pair.session.answer, verdict=replace(pair.session.answer.verdict))
-    assert pair.end() is Phase.STOPPED
-    assert pair.state.reason == "there is no verified course to watch the arm against"
+def test_without_a_reference_trajectory_nothing_is_permitted(pair):
+    def unwatched(request):
+        answer = proved(request)
+        return replace(answer, verdict=replace(answer.verdict, trajectory=None))
+
+    pair.begin().prover.answer = unwatched
+    assert pair.end() is Phase.REFUSED
+    assert "reference trajectory: none" in pair.state.reason
+    assert not first_frames(pair, records.Permit)
 
 
 def test_the_sites_tolerances_are_used(pair):
@@ -280,7 +318,7 @@ def test_the_sites_tolerances_are_used(pair):
     pair.begin(replace(pair.job, timing=timing))
     on(pair, Leg.CUT)
     pair.process._happen(FaultName.DRIFT)
-    assert "at most 4.118 mm and 1.505 deg" in stopped_by_the_watch(pair)
+    assert "at most 4.118 mm and 1.505 deg" in stopped_by_the_monitor(pair)
 
 
 # ---------------------------------------------------------------- the controller's own

@@ -6,11 +6,13 @@ on an AF_UNIX socket. Any other interface of python-can is a matter of configura
 What a bus from `open_bus` promises its reader: the first failure of the bus (hub ended, interface down or deleted)
 raises `can.CanOperationError`, and **every** later `recv` and `send` raises it again, until the bus is opened anew.
 python-can's own SocketCAN bus reports such a failure once and then goes on returning None, as if the bus were
-merely quiet. Frames that the local virtual bus had to drop show as an error frame. SocketCAN drops without a word
+merely quiet. A full transmit queue is no failure: `send` raises `can.CanTimeoutError`, nothing of the frame was sent,
+and it may be tried again. Frames that the local virtual bus had to drop show as an error frame. SocketCAN drops without a word
 when its receive buffer is full, therefore the buffer is raised, and what is lost all the same is found by the
 counters of the end-to-end protection.
 """
 
+import errno
 import os
 import re
 import socket
@@ -33,6 +35,9 @@ RECEIVE_BUFFER_BYTES: Final = 4 * 1024 * 1024
 """Asked of the kernel: its default holds 278 frames, less than one uploaded block may bring at once."""
 
 _SO_RCVBUFFORCE: Final = 33
+_FULL: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, None})
+"""What says that the kernel did not take a frame for want of room: the interface's queue (`txqueuelen`), the socket's
+buffer, and python-can's own word for a socket that is not writable, which has no number."""
 _CHANNEL_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
 _NOT_PRIVATE: Final = frozenset({"udp_multicast", "socketcand"})
 
@@ -73,17 +78,17 @@ class LatchingSocketcanBus(SocketcanBus):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send one frame.
 
-        A full transmit buffer passes and may be tried again; any other failure stays.
-
         Raises:
-            can.CanOperationError: transmit buffer full, interface down or deleted, or an earlier failure.
+            can.CanTimeoutError: the interface's transmit queue or the socket's buffer is full; the bus still works.
+            can.CanOperationError: interface down or deleted, or an earlier failure.
         """
         self._refuse_after_failure()
         try:
             super().send(msg, timeout)
         except can.CanOperationError as error:
-            if error.error_code is not None:
-                self._failure = str(error)
+            if error.error_code in _FULL:
+                raise can.CanTimeoutError(f"the transmit queue is full: {error}") from error
+            self._failure = str(error)
             raise
 
     def _refuse_after_failure(self) -> None:

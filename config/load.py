@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import os
+import reprlib
 import stat
 import tomllib
 from collections import Counter
@@ -30,8 +31,19 @@ M = TypeVar("M", bound=BaseModel)
 
 BYTES_PER_MB: Final = 1_000_000
 DEFAULT_LIMIT: Final = int(CONSTANTS["file_size_limit_mb"].default) * BYTES_PER_MB
+"""Of plans and tool paths, bytes."""
+SETTINGS_LIMIT: Final = 100_000
+"""Of robot, site and registration files, bytes: far more than any holds, and little to parse whatever it says."""
+KEYS_MAX: Final = 100
+"""Of one document's uppermost level: each unknown one becomes a line of the refusal."""
+DOTS_MAX: Final = 100
+"""In one line of TOML: a key of n dotted parts takes memory and time that grow with n * n, and no key is longer
+than its line."""
 MAX_SHOWN: Final = 20
 _VALUE_CHARACTERS: Final = 60
+_REPR_BITS: Final = 4096
+_ERROR_CHARACTERS: Final = 200
+_FOREIGN: Final = "it holds something else; name another file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,28 +163,51 @@ EXAMPLES: Final = SHIPPED / "examples"
 PRESETS: Final = Shipped(SHIPPED / "config" / "presets", "", ".toml", "a preset")
 
 
+class _Brief(reprlib.Repr):
+    """The beginning of a value: nobody writes out a list of a million numbers to show sixty characters of it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 3
+        self.maxlist = self.maxtuple = self.maxdict = _VALUE_CHARACTERS // 2
+        self.maxstring = self.maxother = 2 * _VALUE_CHARACTERS
+
+    def repr_int(self, value: int, _level: int) -> str:
+        """Python writes out no integer of thousands of digits, and nobody wants to read it."""
+        bits = value.bit_length()
+        return repr(value) if bits <= _REPR_BITS else f"an integer of {bits} bits"
+
+
+_BRIEF: Final = _Brief()
+
+
 def shown(value: object) -> str:
     """A value for a message: on one line, printable, at most 60 characters; empty for None."""
     if value is None:
         return ""
-    text = value if isinstance(value, str) and value else ascii(value)
+    text = value[: _VALUE_CHARACTERS + 1] if isinstance(value, str) and value else _BRIEF.repr(value)
     text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
     return text if len(text) <= _VALUE_CHARACTERS else text[: _VALUE_CHARACTERS - 3] + "..."
 
 
-def read_bytes(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> bytes:
-    """The whole file as it was when opened, read once.
+def read_bytes(
+    path: str | os.PathLike[str],
+    limit: int = DEFAULT_LIMIT,
+    remedy: str = "raise file_size_limit_mb in site.toml or split it",
+) -> bytes:
+    """The whole file as it was when opened, read once; one that is too large is not read at all.
 
     Args:
         path: a regular file.
         limit: largest accepted size, bytes.
+        remedy: what to do about a larger one.
 
     Raises:
         InputError: missing, not a regular file, unreadable, or larger than ``limit``.
     """
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
-        check_size(path, size, limit, "raise file_size_limit_mb in site.toml or split it")
+        check_size(path, size, limit, remedy)
         try:
             # read() takes all the memory that it is asked for: never more than the file has, however large the limit.
             return file.read(size)
@@ -204,8 +239,8 @@ def unreadable(path: object, error: Exception) -> InputError:
     return InputError(shown(str(path)), "", None, f"cannot be read ({reason})", "check name and permissions")
 
 
-def check_size(path: object, size: int, limit: int, remedy: str) -> None:
-    """Refuses a file that is larger than its kind may be, before it is read.
+def check_size(path: object, size: int, limit: int = SETTINGS_LIMIT, remedy: str = _FOREIGN) -> None:
+    """Refuses a file, or what is to be parsed as one, that is larger than its kind may be.
 
     Raises:
         InputError: more than ``limit`` bytes.
@@ -238,16 +273,32 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
     """The TOML document.
 
     Raises:
-        InputError: not UTF-8 or not TOML; names line and column.
+        InputError: too large, not UTF-8 or not TOML; names line and column.
     """
+    check_size(path, len(data))
+    text = decode(path, data)
+    for number, line in enumerate(text.split("\n"), start=1):
+        if not (line.count(".") <= DOTS_MAX):
+            found, bound = f"a line of {line.count('.')} dots", f"<= {DOTS_MAX} dots"
+            raise InputError(
+                path, f"line {number}", found, bound, "no key has so many parts; shorten the line"
+            )
     try:
-        return tomllib.loads(decode(path, data))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(path, "", None, f"not valid TOML: {error}", "correct the file") from None
+        raise InputError(
+            path, "", None, f"not valid TOML: {_shortened(str(error))}", "correct the file"
+        ) from None
     except (RecursionError, ValueError) as error:  # nesting without end; an integer of thousands of digits
         raise InputError(
             path, "", None, f"not usable TOML: {shown(str(error))}", "correct the file"
         ) from None
+
+
+def _shortened(text: str) -> str:
+    """An error's text without its middle, where it quotes a key of thousands of characters; it ends with the place."""
+    half = _ERROR_CHARACTERS // 2
+    return text if len(text) <= _ERROR_CHARACTERS else f"{text[:half]} ... {text[-half:]}"
 
 
 def parse_json(path: object, data: bytes) -> Any:
@@ -298,6 +349,8 @@ def validate(path: object, model: type[M], document: object, schema: str) -> M:
     """
     if not isinstance(document, dict):
         raise InputError(path, "", shown(document), "an object with keys", f'start with schema "{schema}"')
+    if not (len(document) <= KEYS_MAX):
+        raise InputError(path, "keys", f"{len(document)} keys", f"<= {KEYS_MAX} keys", _FOREIGN)
     if document.get("schema") != schema:
         found = document.get("schema", "missing")
         raise InputError(path, "schema", found, f'"{schema}"', "this file is of another kind or version")
@@ -308,14 +361,23 @@ def validate(path: object, model: type[M], document: object, schema: str) -> M:
         raise InputError.of([_problem(str(path), item, model) for item in details]) from None
 
 
-def load_robot(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Robot]:
+def read_settings(path: str | os.PathLike[str]) -> bytes:
+    """The whole of a robot, site or registration file.
+
+    Raises:
+        InputError: see ``read_bytes``.
+    """
+    return read_bytes(path, SETTINGS_LIMIT, _FOREIGN)
+
+
+def load_robot(path: str | os.PathLike[str]) -> Loaded[Robot]:
     """The robot's description: a file (``robot.toml``), or else the preset of that name.
 
     Raises:
         InputError: no such file or preset; lists every problem of the file.
     """
     file = PRESETS.file(path)
-    data = read_bytes(file, limit)
+    data = read_settings(file)
     return Loaded(robot_from_bytes(path, data), data, file)
 
 
@@ -339,13 +401,13 @@ def robot_from_bytes(path: object, data: bytes) -> Robot:
     return robot
 
 
-def load_site(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Loaded[Site]:
+def load_site(path: str | os.PathLike[str]) -> Loaded[Site]:
     """The site's settings (``site.toml``).
 
     Raises:
         InputError: lists every problem of the file.
     """
-    data = read_bytes(path, limit)
+    data = read_settings(path)
     return Loaded(site_from_bytes(path, data), data, Path(path))
 
 

@@ -274,9 +274,13 @@ class Files(Strictly):
 
 
 class ExpectedController(Strictly):
-    """The controller this site expects; without ``serial`` any."""
+    """The controller this site expects; without ``serial`` any.
+
+    ``simulated``: it may be a simulation, whose plant runs at another speed than the clock.
+    """
 
     serial: Name | None = None
+    simulated: Annotated[bool, Strict()] = False
 
 
 class Site(Strictly):

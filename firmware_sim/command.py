@@ -13,6 +13,7 @@ import can
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
 from cutgate.config.constants import CONSTANTS
+from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
@@ -27,7 +28,6 @@ from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
-from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
@@ -55,7 +55,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _run(options)
     except (
         InputError,
-        KeyFileError,
         RefusedError,
         RuntimeDirectoryError,
         memory.ControllerMemoryError,

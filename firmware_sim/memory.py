@@ -5,11 +5,12 @@ One JSON document with its schema and the SHA-256 of its content, so that no dam
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any, Final
 
 from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.config.load import InputError
+from cutgate.config.ours import read_ours, replace_durably
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.states import StopCause
 
@@ -32,15 +33,14 @@ def load(path: Path) -> Memory:
     """What is remembered; nothing where the file does not exist yet.
 
     Raises:
-        ControllerMemoryError: the file is there but cannot be believed.
+        ControllerMemoryError: the file is there but is not ours, or cannot be believed.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(BYTES_MAX + 1)
+        data = read_ours(path, BYTES_MAX)
     except FileNotFoundError:
         return Memory()
-    except OSError as error:
-        raise ControllerMemoryError(f"{path}: {error}") from None
+    except InputError as error:
+        raise ControllerMemoryError(str(error)) from None
     try:
         return _believed(data)
     except (ValueError, RecursionError) as error:
@@ -51,8 +51,6 @@ def load(path: Path) -> Memory:
 
 def _believed(data: bytes) -> Memory:
     """Raises ValueError unless this says what would be written, digest included."""
-    if len(data) > BYTES_MAX:
-        raise ValueError(f"it is longer than {BYTES_MAX} bytes")
     document = json.loads(data.decode("ascii"))
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise ValueError(f"its schema is not {SCHEMA}")
@@ -93,22 +91,8 @@ def save(path: Path, memory: Memory) -> None:
         ControllerMemoryError: it could not be written; the file holds what it held, or this.
     """
     try:
-        _replace(path, json.dumps(_document(memory)))
+        replace_durably(path, json.dumps(_document(memory)).encode("ascii"))
     except OSError as error:
         raise ControllerMemoryError(
             f"{path}: the memory cannot be written: {error}; free or replace the disk"
         ) from None
-
-
-def _replace(path: Path, text: str) -> None:
-    fresh = path.with_name(path.name + ".new")
-    with fresh.open("w", encoding="ascii") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
-    directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)

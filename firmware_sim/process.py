@@ -71,7 +71,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted, Violation
 from cutgate.protocol.path import PathHeader
-from cutgate.protocol.port import Port
+from cutgate.protocol.port import RETRY_S, Port
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
 FIRMWARE_VERSION = "sim-0.1"
@@ -178,7 +178,7 @@ class Process:
             ready = {descriptor for descriptor, _ in poller.poll(self._wait_ms())}
             if wake in ready:
                 self._feed(Fault(StopCause.OPERATOR_QUIT))
-                self.port.flush()
+                self.port.flush_last()
                 return
             descriptor = self._words_descriptor
             self.turn(ready)
@@ -225,7 +225,9 @@ class Process:
         for effect in effects:
             if isinstance(effect, SendFault):
                 self._carry_out(effect)
-        self._leave_now()  # heartbeats cease: the runtime stops within the time-out
+        if not self._silent:
+            with contextlib.suppress(can.CanError):  # heartbeats cease: the runtime stops within the time-out
+                self.port.flush_last()
         self._remember(self.controller.memory)
 
     def _leave_now(self) -> None:
@@ -250,8 +252,10 @@ class Process:
         if self._check is not None:
             return 0.0
         due = self._next_heartbeat_s if self._link_open else self._next_announce_s
-        due = min(due, self.port.endpoint.link.expires_s)
-        return max(0.0, (due - self._clock()) * 1000.0)
+        left_s = min(due, self.port.endpoint.link.expires_s) - self._clock()
+        if self.port.waits:
+            left_s = min(left_s, RETRY_S)
+        return max(0.0, left_s * 1000.0)
 
     @property
     def _words_descriptor(self) -> int | None:
@@ -563,15 +567,16 @@ class Process:
     def _speak(self, now_s: float) -> None:
         """Heartbeat, joints and progress in a session; announcements outside one."""
         if self._link_open:
-            if now_s >= self._next_heartbeat_s:
+            if now_s >= self._next_heartbeat_s or self.port.endpoint.heartbeat_waits:
                 self._heartbeat(now_s)
         elif now_s >= self._next_announce_s:
             self._announce(now_s)
 
     def _heartbeat(self, now_s: float) -> None:
         endpoint, controller = self.port.endpoint, self.controller
-        period_s = endpoint.link.heartbeat_s
-        self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
+        if now_s >= self._next_heartbeat_s:  # else in place of one that has not left
+            period_s = endpoint.link.heartbeat_s
+            self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
         endpoint.send_frame(
             ControllerHeartbeat(
                 state=controller.state,

@@ -1,20 +1,36 @@
 """One side of the conversation, without bus and without clock: bytes in, checked frames and records out.
 
 Joins the single frames (``link``) with the two ISO-TP channels (``transfer``) and their envelopes (``records``).
-What is to be sent waits in two queues: single frames leave before transfers.
+What is to be sent waits here until the bus has taken it: stop and fault first, then the heartbeat, joints and progress,
+then control, then bulk records. So a stop overtakes what waits, and what it voids never leaves.
 """
 
-from collections import deque
+from bisect import insort
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import dropwhile
 
 from cutgate.protocol import records
-from cutgate.protocol.frames import BULK_IDS, TRANSFER_IDS, Frame
+from cutgate.protocol.frames import (
+    BULK_IDS,
+    TRANSFER_IDS,
+    ControllerFault,
+    ControllerHeartbeat,
+    Frame,
+    Joint4,
+    Joints01,
+    Joints23,
+    Progress,
+    RuntimeHeartbeat,
+    RuntimeStop,
+)
 from cutgate.protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
 from cutgate.protocol.records import Channel, Record, RecordError, Side
 from cutgate.protocol.states import StopCause
 from cutgate.protocol.transfer import Transfer, TransferError
 
 NO_SESSION = 0
+_JOINTS = (Joints01, Joints23, Joint4)
 
 
 @dataclass(frozen=True)
@@ -39,6 +55,29 @@ class RecordReceived:
 
 
 Item = RecordReceived | Accepted | Discarded | Violation
+Take = Callable[[int, bytes], bool]
+"""Takes a frame, by identifier and bytes; False if it cannot now."""
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """A single frame that has not left.
+
+    Attributes:
+        frame: what it says.
+        can_id, data: what leaves.
+        turn: how many heartbeats were made before it, its own included.
+    """
+
+    frame: Frame
+    can_id: int
+    data: bytes
+    turn: int
+
+    @property
+    def urgency(self) -> int:
+        """The lowest leaves first, and of one kind the oldest: identifiers of one kind share these bits."""
+        return self.can_id >> 7
 
 
 class Endpoint:
@@ -67,7 +106,8 @@ class Endpoint:
             )
             for channel in Channel
         }
-        self._urgent: deque[tuple[int, bytes]] = deque()
+        self._waiting: list[_Waiting] = []
+        self._turn = 0
         self._sent = dict.fromkeys(Channel, 0)
         self._seen = dict.fromkeys(Channel, 0)
         self._opening = b""
@@ -75,8 +115,10 @@ class Endpoint:
     # ------------------------------------------------------------ sessions
 
     def use_session(self, tag: int) -> None:
-        """Records carry this tag from now on; sequences begin anew."""
+        """Records carry this tag from now on; sequences begin anew. What waits of another session never leaves in one."""
         self.session = tag
+        if tag != NO_SESSION:
+            self._waiting.clear()
         self._sent = dict.fromkeys(Channel, 0)
         self._seen = dict.fromkeys(Channel, 0)
 
@@ -191,8 +233,53 @@ class Endpoint:
     # ------------------------------------------------------------ sending
 
     def send_frame(self, frame: Frame, now_s: float) -> None:
-        """Queue a single frame; it leaves before any transfer."""
-        self._urgent.append(self.link.encode(frame, now_s))
+        """Queue a single frame; it leaves before any transfer, in place of what it makes obsolete.
+
+        Rules, for what has not left yet:
+        - A stop or fault that waits is not queued again.
+        - A heartbeat leaves in no other place than the last one made, and none that is older than a stop. With it go the
+          joints and the progress of its turn, for a sample has the counter of its heartbeat.
+        - A joint sample of which nothing has left gives way to the next one; one begun is finished first.
+        """
+        match frame:
+            case RuntimeStop() | ControllerFault():
+                if any(waiting.frame == frame for waiting in self._waiting):
+                    return
+                self._take_back_turn()
+            case RuntimeHeartbeat() | ControllerHeartbeat():
+                self._take_back_turn()
+                self._turn += 1
+            case Joints01():
+                unbegun = list(
+                    dropwhile(lambda waiting: not isinstance(waiting.frame, Joints01), self._waiting)
+                )
+                self._drop(lambda waiting: waiting in unbegun and isinstance(waiting.frame, _JOINTS))
+            case Progress():
+                for old in self._drop(lambda waiting: isinstance(waiting.frame, Progress)):
+                    self.link.take_back(old.can_id)
+            case _:
+                pass
+        can_id, data = self.link.encode(frame, now_s)
+        insort(self._waiting, _Waiting(frame, can_id, data, self._turn), key=lambda waiting: waiting.urgency)
+
+    @property
+    def heartbeat_waits(self) -> bool:
+        """Whether a heartbeat has not left: the next turn's takes its place."""
+        return any(
+            isinstance(waiting.frame, RuntimeHeartbeat | ControllerHeartbeat) for waiting in self._waiting
+        )
+
+    def _take_back_turn(self) -> None:
+        """Unmake the last heartbeat, if it has not left, and what was made in its turn."""
+        if self.heartbeat_waits:
+            for made in self._drop(lambda waiting: waiting.turn == self._turn):  # a stop is of an earlier one
+                self.link.take_back(made.can_id)
+
+    def _drop(self, obsolete: Callable[[_Waiting], bool]) -> list[_Waiting]:
+        """Take out of the queue what is obsolete; what it was."""
+        dropped = [waiting for waiting in self._waiting if obsolete(waiting)]
+        self._waiting = [waiting for waiting in self._waiting if not obsolete(waiting)]
+        return dropped
 
     def send_record(self, record: Record, now_s: float, *, session: int | None = None) -> tuple[int, bytes]:
         """Queue a record on its channel; the sequence it goes out with, and the envelope's bytes."""
@@ -206,13 +293,24 @@ class Endpoint:
         """Whether frames with this identifier leave as CAN FD."""
         return self.link.fd and can_id in BULK_IDS
 
+    def hand_out(self, take: Take) -> bool:
+        """Give away what waits, most urgent first, until it is not taken; True if nothing waits any longer."""
+        while self._waiting:
+            if not take(self._waiting[0].can_id, self._waiting[0].data):
+                return False
+            del self._waiting[0]
+        return all(transfer.hand_out(take) for transfer in self._transfers.values())
+
     def outgoing(self) -> list[tuple[int, bytes]]:
-        """Everything that may leave now, most urgent first."""
-        out = list(self._urgent)
-        self._urgent.clear()
-        for transfer in self._transfers.values():
-            out.extend(transfer.outgoing())
-        return out
+        """Everything that may leave now, most urgent first; each frame is handed out once."""
+        frames: list[tuple[int, bytes]] = []
+
+        def take(can_id: int, data: bytes) -> bool:
+            frames.append((can_id, data))
+            return True
+
+        self.hand_out(take)
+        return frames
 
 
 def _failed(channel: Channel, error: TransferError) -> Violation:

@@ -208,6 +208,13 @@ class Link:
         self._counters[can_id] = counter
         return counter
 
+    def take_back(self, can_id: int) -> None:
+        """The last frame made for this identifier never left: its counter is the next one's, and nobody echoes it."""
+        counter = self._counters.get(can_id, 0)
+        self._counters[can_id] = (counter - 1) % COUNTER_MODULUS
+        if can_id in (IDS[RuntimeHeartbeat], IDS[ControllerHeartbeat]):
+            self._sent_s.pop(counter, None)
+
     def receive(
         self,
         can_id: int,

@@ -1,9 +1,10 @@
 """The thin shell between an endpoint and a CAN bus; both sides use it.
 
 It reads a bounded number of frames a turn, sends what the endpoint has queued, and shows every frame that passes
-to a recorder. It decides nothing.
+to a recorder. A bus that takes no more has not failed: what waits goes next turn. It decides nothing.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +16,10 @@ from cutgate.protocol.endpoint import Endpoint, Item
 READ_FRAMES_MAX = 512
 """Frames read in one turn; more wait for the next, so that clocks are looked at in between."""
 DISCARD_FRAMES_MAX = 100_000
+RETRY_S = 0.001
+"""So soon a loop turns again while something waits: nothing wakes it when a full transmit queue has room again."""
+LAST_TRIES = 100
+"""So often, `RETRY_S` apart, the last words are tried: about as long as the other side waits for a heartbeat."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,8 @@ class Port:
         self.bus = bus
         self.endpoint = endpoint
         self._recorder = recorder
+        self.waits = False
+        """Whether the bus did not take everything when it was last asked."""
 
     def read(self, now_s: float) -> list[Item]:
         """Everything that waits, at most ``READ_FRAMES_MAX`` frames.
@@ -86,20 +93,38 @@ class Port:
         return DISCARD_FRAMES_MAX
 
     def flush(self) -> bool:
-        """Send what is queued; True if anything left.
+        """Send what is queued, most urgent first, until the bus takes no more; True if nothing waits any longer.
 
         Raises:
             can.CanError: the bus has failed.
         """
-        frames = self.endpoint.outgoing()
-        for can_id, data in frames:
-            fd = self.endpoint.is_fd(can_id)
-            message = can.Message(
-                arbitration_id=can_id, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd
-            )
+        self.waits = not self.endpoint.hand_out(self._send)
+        return not self.waits
+
+    def flush_last(self, pause: Callable[[float], None] = time.sleep) -> bool:
+        """The last words before this side falls silent: as ``flush``, again for a bounded time while some wait.
+
+        Raises:
+            can.CanError: the bus has failed.
+        """
+        for _ in range(LAST_TRIES):
+            if self.flush():
+                break
+            pause(RETRY_S)
+        return not self.waits
+
+    def _send(self, can_id: int, data: bytes) -> bool:
+        """Whether the bus took this frame; a full transmit queue does not, and loses nothing."""
+        fd = self.endpoint.is_fd(can_id)
+        message = can.Message(
+            arbitration_id=can_id, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd
+        )
+        try:
             self.bus.send(message, timeout=0)
-            self._record("sent", message)
-        return bool(frames)
+        except can.CanTimeoutError:
+            return False
+        self._record("sent", message)
+        return True
 
     def _record(self, direction: Literal["received", "sent"], message: can.Message) -> None:
         if self._recorder is not None:

@@ -7,6 +7,7 @@ A failed transfer never yields a record; what was queued behind a failed one is 
 
 import logging
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import isotp
@@ -24,6 +25,12 @@ TIMEOUT_S = 1.0
 _NEVER_MS = 2**31 - 1
 _LOGGER = "cutgate.isotp"
 _FIRST_FRAME, _FLOW_CONTROL, _CONTINUE = 0x1, 0x3, 0x0
+
+
+def _is_flow_control(data: bytes) -> bool:
+    """Whether a frame answers the other side's transfer, and is no part of one of ours."""
+    return data[0] >> 4 == _FLOW_CONTROL
+
 
 _SENDING_ENDED = (isotp.OverflowError, isotp.UnsupportedWaitFrameError, isotp.MaximumWaitFrameReachedError)
 _RECEPTION_ENDED = (
@@ -120,7 +127,6 @@ class Transfer:
         return self._inbox.popleft() if self._inbox else None
 
     def _put_frame(self, message: isotp.CanMessage) -> None:
-        self._sent += message.data[0] >> 4 != _FLOW_CONTROL
         self._outbox.append((message.arbitration_id, bytes(message.data)))
 
     def _note_error(self, error: Exception) -> None:
@@ -179,10 +185,25 @@ class Transfer:
             if not self._inbox and not (self._queue and not self._logic.transmitting()):
                 return
 
+    def hand_out(self, take: Callable[[int, bytes], bool]) -> bool:
+        """Give away the frames to send now, in order, until one is not taken; True if none waits any longer."""
+        while self._outbox:
+            can_id, data = self._outbox[0]
+            if not take(can_id, data):
+                return False
+            self._outbox.popleft()
+            self._sent += not _is_flow_control(data)
+        return True
+
     def outgoing(self) -> list[tuple[int, bytes]]:
         """Frames to send now, in order; each is handed out once."""
-        frames = list(self._outbox)
-        self._outbox.clear()
+        frames: list[tuple[int, bytes]] = []
+
+        def take(can_id: int, data: bytes) -> bool:
+            frames.append((can_id, data))
+            return True
+
+        self.hand_out(take)
         return frames
 
     def received(self) -> list[bytes]:
@@ -198,8 +219,9 @@ class Transfer:
 
     @property
     def sending(self) -> bool:
-        """Whether a record is going out or queued."""
-        return bool(self._queue) or self._logic.transmitting()
+        """Whether a record is going out or queued, or its last frames wait."""
+        waiting = any(not _is_flow_control(data) for _, data in self._outbox)
+        return waiting or bool(self._queue) or self._logic.transmitting()
 
     @property
     def receiving(self) -> bool:
@@ -232,7 +254,7 @@ class Transfer:
         """Void what goes out, queued and half sent; what comes in goes on."""
         self._logic.stop_sending()
         self._queue.clear()
-        self._outbox = deque(frame for frame in self._outbox if frame[1][0] >> 4 == _FLOW_CONTROL)
+        self._outbox = deque(frame for frame in self._outbox if _is_flow_control(frame[1]))
 
     def abort(self) -> None:
         """Void both directions: queued and half sent, half received and received but not taken."""

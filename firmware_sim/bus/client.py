@@ -10,6 +10,7 @@ import can
 
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
 from cutgate.firmware_sim.bus import wire
+from cutgate.firmware_sim.bus.peer import peer_of
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
 
 HELLO_TIMEOUT_S: Final = 2.0
@@ -36,7 +37,7 @@ class VirtualBus(can.BusABC):
 
     Raises:
         ValueError: `channel` is neither a path nor a name.
-        can.CanInitializationError: nobody serves there, or the hub refuses.
+        can.CanInitializationError: nobody serves there, or somebody else, or the hub refuses.
     """
 
     def __init__(
@@ -216,8 +217,7 @@ def _join(path: str, hello: Record) -> socket.socket:
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
     try:
         sock.connect(path)
-        sock.send(hello.pack(), socket.MSG_NOSIGNAL)
-        refusal = _refusal(sock)
+        refusal = _refusal(sock, hello)
     except (FileNotFoundError, ConnectionRefusedError):
         refusal = "no hub is serving there: start one with `cutgate bus serve`"
     except BlockingIOError:
@@ -230,8 +230,12 @@ def _join(path: str, hello: Record) -> socket.socket:
     return sock
 
 
-def _refusal(sock: socket.socket) -> str | None:
-    """Why the hub does not let this client in; None if it does."""
+def _refusal(sock: socket.socket, hello: Record) -> str | None:
+    """Why this client does not join, or is not let in; None if it is."""
+    stranger = peer_of(sock).stranger
+    if stranger is not None:
+        return f"the hub is not ours, {stranger}: start one with `cutgate bus serve`, or name its socket"
+    sock.send(hello.pack(), socket.MSG_NOSIGNAL)
     answer = select.poll()
     answer.register(sock, select.POLLIN)
     if not answer.poll(HELLO_TIMEOUT_S * 1000):

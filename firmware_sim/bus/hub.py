@@ -7,14 +7,16 @@ What it guarantees:
 - Nothing is lost silently. Each client has its own bounded queue; a client that does not read neither blocks the
   others nor makes them lose a frame. When its own queue is full, it is told where and how many frames it lost.
 - The socket has mode 0600 before anybody can connect. A dead hub's socket is replaced, a living hub's never.
+- Only processes of the hub's own user take part, root's neither.
+- Whoever connects and says nothing is dropped soon, and keeps nobody out.
 """
 
 import fcntl
+import math
 import os
 import select
 import socket
 import stat
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -23,10 +25,14 @@ from pathlib import Path
 from typing import Final, Self, TextIO
 
 from cutgate.firmware_sim.bus import candump, wire
+from cutgate.firmware_sim.bus.peer import peer_of
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
 
 QUEUE_FRAMES: Final = 65_536
 MAX_CLIENTS: Final = 64
+"""So many take part, and so many more may be about to."""
+HELLO_S: Final = 1.0
+"""Within this time a connection says HELLO or is dropped; a client says it at once."""
 MAX_SOCKET_PATH_BYTES: Final = 107
 
 _READS_A_TURN: Final = 64  # a busy client waits for its next turn after so many frames
@@ -47,6 +53,8 @@ class _Client:
 
     sock: socket.socket
     name: str
+    until_s: float
+    """When its HELLO must have come."""
     joined: bool = False
     fd_frames: bool = False
     own_frames: bool = False
@@ -81,6 +89,8 @@ class Hub:
         self._queue_frames = queue_frames
         self._report = report or (lambda _line: None)
         self._clients: dict[int, _Client] = {}
+        self._silent: deque[_Client] = deque()
+        """Those that may not have said HELLO, the oldest first."""
         self._lost_clients: set[int] = set()
         self._last_ns = 0
         self._stopped = False
@@ -119,9 +129,10 @@ class Hub:
             HubError: the log cannot be written; a bus whose log has a gap must not go on.
         """
         while not self._stopped:
-            for descriptor, events in self._poll.poll():
+            for descriptor, events in self._poll.poll(self._patience_ms()):
                 self._attend(descriptor, events)
                 self._drop_lost_clients()
+            self._drop_silent_clients()
             self._flush_log()
 
     def close(self) -> None:
@@ -157,11 +168,17 @@ class Hub:
             return  # the client has gone again
         sock.setblocking(False)
         self._born += 1
-        client = _Client(sock, f"client {self._born} (process {_peer_process(sock)})")
+        peer = peer_of(sock)
+        name = f"client {self._born} (process {peer.process})"
+        client = _Client(sock, name, time.monotonic() + HELLO_S)
         self._clients[sock.fileno()] = client
         self._poll.register(sock, _READ)
-        if len(self._clients) > 2 * MAX_CLIENTS:  # a crowd that does not even say HELLO
-            self._refuse(client, "too many connections")
+        if (stranger := peer.stranger) is not None:
+            self._refuse(client, stranger)
+            return
+        self._silent.append(client)
+        if len(self._silent) > MAX_CLIENTS:  # who has been silent longest makes room
+            self._refuse(self._silent.popleft(), "too many connections without a HELLO")
 
     def _read(self, client: _Client) -> None:
         for _ in range(_READS_A_TURN):
@@ -188,8 +205,9 @@ class Hub:
                 raise WireError(f"the bus has {MAX_CLIENTS} clients already")
             client.fd_frames = bool(record.flags & Flag.FD)
             client.own_frames = bool(record.flags & Flag.OWN)
-            self._offer(client, Record(Kind.WELCOME).pack())
             client.joined = True
+            self._silent.remove(client)
+            self._offer(client, Record(Kind.WELCOME).pack())
         else:
             raise WireError(f"{record.kind.name} is out of place")
 
@@ -256,7 +274,20 @@ class Hub:
             if client is not None:
                 self._poll.unregister(descriptor)
                 client.sock.close()
+                if client in self._silent:
+                    self._silent.remove(client)
         self._lost_clients.clear()
+
+    def _patience_ms(self) -> float | None:
+        """How long the oldest silent client still has; None where there is none."""
+        if not self._silent:
+            return None
+        return max(0.0, math.ceil((self._silent[0].until_s - time.monotonic()) * 1000.0))
+
+    def _drop_silent_clients(self) -> None:
+        while self._silent and not time.monotonic() < self._silent[0].until_s:
+            self._refuse(self._silent.popleft(), f"it said no HELLO within {HELLO_S:g} s")
+        self._drop_lost_clients()
 
     def _write_log(self, frame: Record) -> None:
         assert self._log is not None  # noqa: S101 - narrowed by the caller
@@ -366,7 +397,3 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     return status.st_dev, status.st_ino
-
-
-def _peer_process(sock: socket.socket) -> int:
-    return int.from_bytes(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 4), sys.byteorder)

@@ -14,12 +14,12 @@ from rich.table import Table
 
 from cutgate.config.bus import RuntimeDirectoryError, open_bus
 from cutgate.config.constants import CONSTANTS
+from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot, load_site
 from cutgate.config.model import Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, SENT_BY, ControllerHeartbeat
-from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.records import Side
 from cutgate.runtime.commands.screen import messages, output
 from cutgate.runtime.conform.bench import Bench, HaltError, milliseconds
@@ -97,13 +97,8 @@ def _inputs(robot: Path | None, only: list[str] | None, key: Path) -> tuple[tupl
     for name in only or ():
         if name not in names:
             raise InputError("--only", "", name, "is no case's name", f"one of: {', '.join(sorted(names))}")
-    try:
-        secret = load_key(key)
-    except KeyFileError as error:
-        name, _, rest = str(error).partition(": ")
-        raise InputError(name, "", None, rest) from None
     chosen = tuple(case for case in known if not only or case.name in only)
-    return chosen, secret
+    return chosen, load_key(key)
 
 
 def _approved(robot: Path | None) -> Approved | None:

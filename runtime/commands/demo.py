@@ -22,8 +22,9 @@ from rich.text import Text
 
 from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
 from cutgate.config.interpreter import program
+from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
-from cutgate.protocol.permit import KEY_BYTES, new_key_file
+from cutgate.protocol.permit import KEY_BYTES
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
@@ -210,6 +211,7 @@ def _run(
         "site.toml",
         "--key",
         "site.key",
+        "--allow-simulated",
     ]
     options = [*files, *where, "--log-dir", "logs", "--json"]
     arguments = program("cutgate.runtime.cli", "run", PLAN, *options)

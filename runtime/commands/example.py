@@ -43,10 +43,11 @@ In the second one:
 
   cutgate run tibial.plan.json --robot robot.toml \\
       --registration registration-tibial.json \\
-      --site site.toml --key site.key --log-dir logs
+      --site site.toml --key site.key --log-dir logs --allow-simulated
 
-When it says permitted, type hold in the first terminal (the enabling device)
-and then start in the second one. Afterwards:
+--allow-simulated says that the controller may be a simulation; leave it out
+wherever there is a robot. When it says permitted, type hold in the first
+terminal (the enabling device) and then start in the second one. Afterwards:
 
   cutgate audit show logs/*.mcap
   cutgate audit verify logs/*.mcap

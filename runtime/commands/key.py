@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from cutgate.config.load import InputError
-from cutgate.protocol.permit import KEY_BYTES, KeyFileError, new_key_file
+from cutgate.config.key import new_key_file
+from cutgate.protocol.permit import KEY_BYTES
 from cutgate.runtime.commands.screen import messages
 
 keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys.")
@@ -21,10 +21,7 @@ def _group() -> None:
 @keys.command("new")
 def new(file: Annotated[Path, typer.Argument(metavar="FILE", help="Must not exist yet.")]) -> None:
     """Write a new random key, readable by its owner only (mode 0600). Never overwrites."""
-    try:
-        new_key_file(file, secrets.token_bytes(KEY_BYTES))
-    except KeyFileError as error:
-        raise InputError(file, "", None, str(error).removeprefix(f"{file}: ")) from None
+    new_key_file(file, secrets.token_bytes(KEY_BYTES))
     messages().print(f"New key in {file}. Give the controller the same file; keep it secret.")
 
 

@@ -15,12 +15,12 @@ import can
 import typer
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
+from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
 from cutgate.config.signals import wake as write_wake
 from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
-from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
@@ -28,6 +28,7 @@ from cutgate.runtime.audit.directory import Listed, Previous
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import delivered, working
 from cutgate.runtime.commands.session_view import SessionView, run_document
+from cutgate.runtime.commands.verdict_view import BAD
 from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
 from cutgate.runtime.exits import READER_GONE
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
@@ -63,6 +64,14 @@ def run(
         bool,
         typer.Option("--fd", help="Bulk records in CAN FD frames, as the controller; also in site.toml."),
     ] = False,
+    allow_simulated: Annotated[
+        bool,
+        typer.Option(
+            "--allow-simulated",
+            help="The controller may be a simulation, whose plant runs at another speed than the clock; also in "
+            "site.toml. Never where there is a robot or a bone.",
+        ),
+    ] = False,
     log_dir: Annotated[Path | None, typer.Option(help="Where the audit log goes.")] = None,
     feed_mm_s: Annotated[
         float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
@@ -78,13 +87,15 @@ def run(
     """
     try:
         with working(f"reading {path}"):
-            files = read_files(path, robot, registration, site, feed_mm_s)
+            files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
             job = make_job(files, now=utc_now())
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, _signals(view) as signals:
+        if job.simulation_allowed_by:
+            view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)
         directory = log_dir or Path(files.settings.log.directory)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
@@ -256,11 +267,7 @@ def _key(option: Path | None, files: Files) -> bytes:
     file = option or (Path(files.settings.key_file) if files.settings.key_file else None)
     if file is None:
         raise InputError("--key", "", None, "no key file is given", "make one with: cutgate key new FILE")
-    try:
-        return load_key(file)
-    except KeyFileError as error:
-        name, _, rest = str(error).partition(": ")
-        raise InputError(name, "", None, rest) from None
+    return load_key(file)
 
 
 def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
@@ -269,7 +276,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
         log = AuditLog.create(
             directory,
             log_id=os.urandom(16).hex(),
-            opened=OpenInfo(VERIFIER, VERIFIER, (("bus", plain(bus)),)),
+            opened=OpenInfo(VERIFIER, VERIFIER, _options(files, bus)),
             chunk_period_s=files.settings.log.chunk_period_ms / 1000,
         )
     prepared = files.prepared
@@ -283,6 +290,13 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
     dbc = importlib.resources.files("cutgate.protocol").joinpath("cutgate.dbc").read_bytes()
     log.attach(names.DBC, "text/plain", dbc)
     return log
+
+
+def _options(files: Files, bus: str) -> tuple[tuple[str, str], ...]:
+    """What record 0 says of the bus, and of a simulation where one is allowed."""
+    allowed_by = files.simulation_allowed_by
+    allowed = (("simulated controller", f"allowed by {allowed_by}"),) if allowed_by else ()
+    return (("bus", plain(bus)), *allowed)
 
 
 def register(app: typer.Typer) -> None:

@@ -182,6 +182,8 @@ def outcome_lines(state: Interlock, paths: Paths) -> Group:
     word, style = OUTCOME[state.phase]
     reason = f": {printable(state.reason)}" if state.reason else ""
     lines: list[RenderableType] = ["", Text.assemble((word, style), reason)]
+    if state.job.simulation_allowed_by:
+        lines.append(Text(_simulation(state), BAD))
     if state.controller is not None:
         seen = _controller(state.controller.state, state.controller.cause)
         lines.append(Text(f"controller: last seen {seen}, before the session ended"))
@@ -193,6 +195,17 @@ def outcome_lines(state: Interlock, paths: Paths) -> Group:
 
 def _controller(state: ControllerState, cause: StopCause) -> str:
     return state.name if cause is StopCause.NONE else f"{state.name} ({cause.name}, to be acknowledged)"
+
+
+def _simulation(state: Interlock) -> str:
+    """Who allowed a simulation, and what the controller announced."""
+    scale = state.session and state.session.time_scale
+    speed = (
+        "no controller announced itself"
+        if scale is None
+        else f"the plant runs {scale:g} times as fast as the clock"
+    )
+    return f"simulation: allowed by {state.job.simulation_allowed_by}; {speed}"
 
 
 def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[str, Any]:
@@ -207,6 +220,12 @@ def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[
         "reason": state.reason,
         "controller": view and {"state": view.state.name, "cause": view.cause.name, "epoch": view.epoch},
         "session": state.session.digest.hex() if state.session else None,
+        "simulation": None
+        if not state.job.simulation_allowed_by
+        else {
+            "allowed_by": state.job.simulation_allowed_by,
+            "time_scale": state.session.time_scale if state.session else None,
+        },
         "verdict": answer.document if answer else None,
         "approach": answer.approach_document if answer else None,
         "log": {

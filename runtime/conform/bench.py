@@ -25,7 +25,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.parameters import joints_to_counts
-from cutgate.protocol.port import Passed, Port
+from cutgate.protocol.port import RETRY_S, Passed, Port
 from cutgate.protocol.records import Channel, Record, Side
 from cutgate.protocol.states import (
     ControllerState,
@@ -241,6 +241,7 @@ class Bench:
             self.send(RuntimeHeartbeat(self.code, self.epoch))
         self.port.flush()
         due_s = self._next_beat_s - self._clock() if self.beating else self.heartbeat_s
+        due_s = RETRY_S if self.port.waits else due_s
         self._wait(min(self.heartbeat_s, max(WAIT_MIN_S, due_s)))
 
     def until(self, found: Callable[[], T | None], limit_s: float) -> T | None:
@@ -621,7 +622,7 @@ class Bench:
         self.endpoint.abort()
         if self.endpoint.link.is_open:
             self.stop(StopCause.OPERATOR_STOP)
-            self.port.flush()
+            self.port.flush_last(self._wait)
 
     def finish(self) -> records.Announce:
         """End the session and wait until the controller announces that it stands.

@@ -570,7 +570,10 @@ def cause_in_heartbeat(bench: Bench) -> str:
     """The stop frame was lost, the heartbeat still says the cause."""
     bench.permitted()
     since, begun_s = len(bench.heard), bench.now_s
-    bench.send(RuntimeHeartbeat(RuntimeCode.INHIBIT, bench.epoch, StopCause.OPERATOR_STOP))
+    beat = RuntimeHeartbeat(RuntimeCode.INHIBIT, bench.epoch, StopCause.OPERATOR_STOP)
+    bench.inject(
+        *bench.encoded(beat)
+    )  # at once, for the next turn's heartbeat would take its place in the queue
     return str(stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s))
 
 

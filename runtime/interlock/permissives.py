@@ -60,14 +60,19 @@ def serial_number(state: Interlock, _now_s: float) -> Permissive:
 
 
 def plant_speed(state: Interlock, _now_s: float) -> Permissive:
-    scale = state.session.time_scale if state.session else None
+    """What a controller announces about itself loosens nothing: another speed than 1 counts only where the site allows."""
+    scale, allowed_by = state.session.time_scale if state.session else None, state.job.simulation_allowed_by
+    fastest = records.PLANT_SPEED_PERMILLE_MAX / 1000
     return Permissive(
         "speed of the plant, times the clock's",
-        scale is not None and 0.0 < scale <= records.PLANT_SPEED_PERMILLE_MAX / 1000,
+        scale is not None and (scale == 1.0 or (allowed_by != "" and 0.0 < scale <= fastest)),
         scale,
         None if scale is not None else "no controller",
-        f"1 on a real controller, up to {records.PLANT_SPEED_PERMILLE_MAX / 1000:g} in simulation only",
-        "connect a controller whose plant keeps the time of its clock",
+        f"up to {fastest:g}, a simulation is allowed by {allowed_by}"
+        if allowed_by
+        else "1, no simulation is allowed",
+        "connect a controller whose plant keeps the time of its clock; where no bone and no robot is, say simulated = "
+        "true under [controller] in site.toml, or run with --allow-simulated",
     )
 
 

@@ -125,6 +125,8 @@ class Job:
     registration_age_s: float = 0.0
     """At the first event; it grows from there."""
     registration_max_age_s: float | None = None
+    simulation_allowed_by: str = ""
+    """Who said that the controller may be a simulation; empty where nobody did. Never the controller itself."""
 
     @cached_property
     def path_digest(self) -> bytes:

@@ -12,8 +12,10 @@ from cutgate.config.load import (
     InputError,
     Loaded,
     Shipped,
+    check_size,
     parse_json,
     read_bytes,
+    read_settings,
     validate,
 )
 from cutgate.runtime.plan.csv import parse_csv
@@ -24,6 +26,8 @@ REGISTRATION_EXTENSIONS: Final = (".json",)
 PLANS: Final = Shipped(EXAMPLES, "", ".plan.json", "an example")
 REGISTRATIONS: Final = Shipped(EXAMPLES, "registration-", ".json", "an example")
 DEFAULT_POSE_LIMIT: Final = int(CONSTANTS["pose_limit"].default)
+BESIDE_POSES: Final = 1_000
+"""Brackets, braces and commas of a plan that are not its poses': fewer than a hundred, and what its names hold."""
 
 
 def load_plan(
@@ -39,19 +43,24 @@ def load_plan(
     return Loaded(plan_from_bytes(path, data, pose_limit), data, path)
 
 
-def load_registration(path: str | Path, *, size_limit: int = DEFAULT_LIMIT) -> Loaded[Registration]:
+def load_registration(path: str | Path) -> Loaded[Registration]:
     """A registration (``.json``), or else the example of that name; read once.
 
     Raises:
         InputError: names file, key, value and bound.
     """
     path = _found(path, REGISTRATIONS, REGISTRATION_EXTENSIONS, "a registration")
-    data = read_bytes(path, size_limit)
+    data = read_settings(path)
     return Loaded(registration_from_bytes(path, data), data, path)
 
 
 def registration_from_bytes(path: Path, data: bytes) -> Registration:
-    """The registration in ``data``; ``path`` serves for messages (and for a replay from a log)."""
+    """The registration in ``data``; ``path`` serves for messages (and for a replay from a log).
+
+    Raises:
+        InputError: names file, key, value and bound.
+    """
+    check_size(path, len(data))
     return validate(path, Registration, parse_json(path, data), "cutgate.registration/1")
 
 
@@ -64,6 +73,7 @@ def plan_from_bytes(path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMI
     if path.suffix.lower() == ".csv":
         tips, axes = parse_csv(path, data, pose_limit)
         return Plan(path.stem, None, None, None, None, _identity(), None, tips, axes)
+    _check_crowd(path, data, pose_limit)
     document = validate(path, PlanDocument, parse_json(path, data), "cutgate.plan/1")
     _check_count(path, document.poses, pose_limit)
 
@@ -86,6 +96,16 @@ def plan_from_bytes(path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMI
 
 def _identity() -> Floats:
     return np.eye(4)
+
+
+def _check_crowd(path: Path, data: bytes, pose_limit: int) -> None:
+    """Refuses what would take more memory than the longest path: an empty list is 2 bytes here and 56 when parsed."""
+    for signs, most in ((b"[", pose_limit), (b"{", 0), (b",", 6 * pose_limit)):
+        count, bound = data.count(signs), most + BESIDE_POSES
+        if not (count <= bound):
+            found = f"{count} times '{signs.decode()}'"
+            remedy = "it holds something else, or more poses than pose_limit in site.toml"
+            raise InputError(path, "", found, f"<= {bound} for {pose_limit} poses", remedy)
 
 
 def _check_count(path: Path, poses: list[Any], pose_limit: int) -> None:

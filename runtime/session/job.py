@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from cutgate import __version__
-from cutgate.config.load import Loaded, load_robot, load_site
+from cutgate.config.load import BYTES_PER_MB, Loaded, load_robot, load_site
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
@@ -27,6 +27,14 @@ class Files:
     robot: Loaded[Robot]
     site: Loaded[Site] | None
     prepared: Prepared
+    allow_simulated: bool = False
+    """The option of the command line; the site's own word stands in its settings."""
+
+    @property
+    def simulation_allowed_by(self) -> str:
+        """Who said that the controller may be a simulation; empty where nobody did."""
+        said = {"--allow-simulated": self.allow_simulated, "site.toml": self.settings.controller.simulated}
+        return " and ".join(name for name, allowed in said.items() if allowed)
 
     @property
     def settings(self) -> Site:
@@ -35,7 +43,13 @@ class Files:
 
 
 def read_files(
-    plan: Path, robot: Path, registration: Path, site: Path | None, feed_mm_s: float | None
+    plan: Path,
+    robot: Path,
+    registration: Path,
+    site: Path | None,
+    feed_mm_s: float | None,
+    *,
+    allow_simulated: bool = False,
 ) -> Files:
     """Read and check every input file.
 
@@ -45,8 +59,11 @@ def read_files(
     arm = load_robot(robot)
     settings = load_site(site) if site else None
     placed = load_registration(registration)
-    prepared = prepare(load_plan(plan), placed, arm.value, now=datetime.now(UTC), feed_mm_s=feed_mm_s)
-    return Files(arm, settings, prepared)
+    bounds = (settings.value if settings else Site()).files
+    size_limit = bounds.file_size_limit_mb * BYTES_PER_MB
+    wanted = load_plan(plan, size_limit=size_limit, pose_limit=bounds.pose_limit)
+    prepared = prepare(wanted, placed, arm.value, now=datetime.now(UTC), feed_mm_s=feed_mm_s)
+    return Files(arm, settings, prepared, allow_simulated)
 
 
 def make_job(files: Files, *, now: datetime) -> Job:
@@ -70,6 +87,7 @@ def make_job(files: Files, *, now: datetime) -> Job:
         serial=settings.controller.serial,
         registration_age_s=age_s,
         registration_max_age_s=settings.registration_max_age_s,
+        simulation_allowed_by=files.simulation_allowed_by,
     )
 
 
@@ -83,9 +101,13 @@ def _on_best_branch(
 
 
 def configuration_digest(files: Files) -> bytes:
-    """SHA-256 over the digests of robot.toml and site.toml, in this order; 32 zero bytes where there is no site."""
+    """SHA-256 over the digests of robot.toml and site.toml, in this order, and the options that loosen a check.
+
+    32 zero bytes stand where there is no site.
+    """
     site = files.site.sha256 if files.site else bytes(32)
-    return hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + site).digest()
+    options = b"--allow-simulated" if files.allow_simulated else b""
+    return hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + site + options).digest()
 
 
 def _timing(site: Site) -> Timing:

@@ -27,7 +27,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.path import PathHeader
-from cutgate.protocol.port import Port
+from cutgate.protocol.port import RETRY_S, Port
 from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Durable, Reserved
@@ -174,8 +174,11 @@ class Session:
             wake: descriptor that becomes readable when a signal has arrived.
         """
         self.begin(wake)
-        while self.state.phase not in ENDED:
-            self.turn(self._wait(wake))
+        try:
+            while self.state.phase not in ENDED:
+                self.turn(self._wait(wake))
+        finally:
+            self._leave_last()
         return self.state
 
     def begin(self, wake: int) -> None:
@@ -191,6 +194,8 @@ class Session:
 
     def _wait(self, wake: int) -> set[int]:
         due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
+        if self._port.waits:
+            due_s = min(due_s, RETRY_S)
         ready = {descriptor for descriptor, _ in self._poller.poll(max(0.0, due_s * 1000.0))}
         if wake in ready:
             os.read(wake, 4096)
@@ -427,6 +432,11 @@ class Session:
         except can.CanError as error:
             self._bus_error = error
 
+    def _leave_last(self) -> None:
+        """No turn follows: a stop or end that waits for room on the bus is tried for a bounded time."""
+        with suppress(can.CanError):  # the controller finds out by the missing heartbeat
+            self._port.flush_last()
+
     def _send(self, record: records.Record) -> None:
         """Permit, start and reset are signed here, on their way out, and nowhere else."""
         if isinstance(record, records.SignedRecord):
@@ -457,12 +467,13 @@ class Session:
         self._worker.submit(self._request)
 
     def _heartbeat(self, now_s: float) -> None:
+        """One that is due, and one in place of any that has not left: what leaves was made in this turn."""
         endpoint = self._port.endpoint
-        if not now_s >= self._next_heartbeat_s:
-            return
-        period_s = endpoint.link.heartbeat_s
-        self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
-        if endpoint.link.is_open:
+        due = now_s >= self._next_heartbeat_s
+        if due:
+            period_s = endpoint.link.heartbeat_s
+            self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
+        if endpoint.link.is_open and (due or endpoint.heartbeat_waits):
             code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
             endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cutgate.config.key import load_key
 from cutgate.config.load import load_robot, load_site
 from cutgate.config.model import Site
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.state import Memory
-from cutgate.protocol.permit import load_key
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo

@@ -1,5 +1,6 @@
 """Which bus is used where none is named, and how a bus is opened."""
 
+import errno
 import socket
 
 import can
@@ -209,14 +210,28 @@ def test_a_socketcan_failure_in_recv_is_raised_again_every_time(latching, monkey
         bus.send(can.Message())
 
 
-def test_a_socketcan_failure_in_send_stays_but_a_full_buffer_passes(latching, monkeypatch):
+FULL = [
+    can.CanOperationError("Transmit buffer full"),  # python-can's own word: the socket is not writable
+    can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS),
+    can.CanOperationError("Failed to transmit: Resource temporarily unavailable", errno.EAGAIN),
+]
+
+
+@pytest.mark.parametrize("full", FULL, ids=str)
+def test_a_full_transmit_queue_is_no_failure_and_says_that_nothing_was_sent(latching, monkeypatch, full):
     bus = latching()
-    errors = raising(can.CanOperationError("Transmit buffer full"), can.CanOperationError("deleted", 6))
-    monkeypatch.setattr(SocketcanBus, "send", errors)
+    monkeypatch.setattr(SocketcanBus, "send", raising(full, full))
     monkeypatch.setattr(SocketcanBus, "_recv_internal", lambda *_: (None, True))
-    with pytest.raises(can.CanOperationError, match="full"):
-        bus.send(can.Message())
+    for _ in range(2):
+        with pytest.raises(can.CanTimeoutError, match="the transmit queue is full"):
+            bus.send(can.Message())
     assert bus._recv_internal(0) == (None, True)
+    bus.send(can.Message())
+
+
+def test_any_other_socketcan_failure_in_send_is_raised_again_every_time(latching, monkeypatch):
+    bus = latching()
+    monkeypatch.setattr(SocketcanBus, "send", raising(can.CanOperationError("deleted", errno.ENXIO)))
     for _ in range(2):
         with pytest.raises(can.CanOperationError, match="deleted"):
             bus.send(can.Message())

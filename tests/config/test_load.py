@@ -1,5 +1,6 @@
 """Robot and site files: what is read, what is refused and how it is said."""
 
+import builtins
 import hashlib
 import os
 import re
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from cutgate.config.load import (
     MAX_SHOWN,
+    SETTINGS_LIMIT,
     InputError,
     Problem,
     _readable,
@@ -20,6 +22,7 @@ from cutgate.config.load import (
     parse_json,
     parse_toml,
     read_bytes,
+    read_settings,
     robot_from_bytes,
     shown,
     site_from_bytes,
@@ -348,6 +351,64 @@ def test_a_file_is_read_up_to_its_limit_and_not_beyond(tmp_path):
         read_bytes(tmp_path / "f", 99)
 
 
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(
+        InputError, match=f"size is {1 << 40} bytes, must be <= 64000000 bytes; raise file_size"
+    ):
+        read_bytes(tmp_path / "sparse")
+
+
+@pytest.mark.parametrize("load", [load_robot, load_site, read_settings])
+def test_a_settings_file_has_a_bound_of_its_own(load, tmp_path):
+    comment = ("#" * 99 + "\n").encode()
+    (tmp_path / "f").write_bytes(EXAMPLE.encode() + comment * 1000)
+    size = len(EXAMPLE) + 100_000
+    with pytest.raises(
+        InputError, match=f"f: size is {size} bytes, must be <= 100000 bytes; it holds something"
+    ):
+        load(tmp_path / "f")
+    data = EXAMPLE.encode().ljust(SETTINGS_LIMIT, b"\n")
+    assert robot_from_bytes("f", data) == robot_from_bytes("f", EXAMPLE.encode())
+    with pytest.raises(InputError, match="size is 100001 bytes"):
+        robot_from_bytes("f", data + b"\n")
+
+
+def unparsed(monkeypatch):
+    """From here on nothing may reach the parser."""
+    monkeypatch.setattr(tomllib, "loads", lambda _text: pytest.fail("parsed"))
+
+
+@pytest.mark.parametrize(
+    "key", ["a" + ".a" * 101, "a . 'b' " * 102, '"".' * 101 + "a", "[" + "a." * 101 + "a]"]
+)
+def test_a_key_of_endless_parts_is_refused_before_it_is_parsed(key, monkeypatch):
+    unparsed(monkeypatch)
+    dots = key.count(".")
+    with pytest.raises(InputError, match=f"f.toml: line 3 is a line of {dots} dots, must be <= 100 dots"):
+        parse_toml("f.toml", f"a = 1\n# {'.' * 100}\n{key} = 1".encode())
+
+
+def test_a_line_of_numbers_is_no_key():
+    text = "a = [" + ", ".join(["1.5"] * 100) + "]\n"
+    assert parse_toml("f.toml", text.encode()) == {"a": [1.5] * 100}
+
+
+def test_an_error_that_quotes_thousands_of_characters_still_names_its_place():
+    text = f"[{'k' * 10_000}]\n[{'k' * 10_000}]\n"
+    with pytest.raises(
+        InputError, match=r"Cannot declare \('kkk.* \.\.\. .*\(at line 2, column 10002\)"
+    ) as caught:
+        parse_toml("f.toml", text.encode())
+    assert len(str(caught.value)) < 400
+
+
+def test_a_document_of_endless_keys_is_refused_by_their_number():
+    with pytest.raises(InputError, match=r"r\.toml: keys is 101 keys, must be <= 100 keys"):
+        validate("r.toml", Robot, dict.fromkeys(map(str, range(101))), "cutgate.robot/1")
+
+
 def test_a_limit_larger_than_the_memory_takes_none_of_it(tmp_path):
     (tmp_path / "f").write_bytes(b"x" * 100)
     assert len(read_bytes(tmp_path / "f", 1 << 62)) == 100
@@ -376,7 +437,7 @@ def test_json_beyond_the_standard_is_refused(text, words):
 
 
 def test_toml_of_endless_nesting_or_digits_is_refused():
-    for text in ("a = " + "[" * 100_000, "a = " + "9" * 5000):
+    for text in ("a = " + "[" * 90_000, "a = " + "9" * 5000):
         with pytest.raises(InputError, match=r"usable TOML|valid TOML"):
             parse_toml("f.toml", text.encode())
 
@@ -394,6 +455,32 @@ def test_values_are_shown_on_one_short_printable_line():
     assert shown(None) == ""
     assert shown("a\nb") == "a\\nb"
     assert len(shown("x" * 1000)) == 60
+    assert shown("x" * 60) == "x" * 60
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("x" * 10_000_000, "x" * 57 + "..."),
+        ("\n" * 10_000_000, "\\n" * 28 + "\\..."),
+        ([1.5] * 10_000_000, "[" + "1.5, " * 11 + "1..."),
+        ([["y" * 10_000_000]], "[['" + "y" * 54 + "..."),
+        (10**1000, "1" + "0" * 56 + "..."),
+        (1 << 1_000_000, "an integer of 1000001 bits"),
+        ([-(1 << 1_000_000)], "[an integer of 1000001 bits]"),
+    ],
+    ids=["text", "line ends", "list", "nested", "digits", "bits", "negative"],
+)
+def test_a_value_of_any_size_is_shown_by_its_beginning(value, text, monkeypatch):
+    monkeypatch.setattr(
+        builtins, "ascii", lambda found: repr(found) if len(found) == 1 else pytest.fail("whole")
+    )
+    assert shown(value) == text
+
+
+def test_an_integer_python_would_not_write_out_is_refused_as_any_other_value():
+    text = EXAMPLE.replace("upper_link_mm = 450.0", "upper_link_mm = 0x1" + "0" * 50_000)
+    assert "arm.upper_link_mm is an integer of 200001 bits" in str(refusal(text))
 
 
 JSONISH = st.recursive(

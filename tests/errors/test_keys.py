@@ -243,7 +243,7 @@ def test_without_a_key_nothing_begins(command, name, capfd, tmp_path):
     assert "cutgate key new" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("mode", [0o640, 0o604, 0o700])
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660])
 @pytest.mark.parametrize("name", ["run", "sim"])
 def test_a_key_that_others_can_read_is_refused(command, name, mode, capfd, tmp_path):
     file = tmp_path / "key"

@@ -4,12 +4,14 @@ import hashlib
 import json
 import os
 import re
+import stat
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.config import ours
 from cutgate.config.constants import REGISTRATIONS_MAX
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.memory import ControllerMemoryError
@@ -121,28 +123,43 @@ def test_a_memory_of_another_version_is_named_as_such(file, schema):
 
 def test_a_memory_that_cannot_be_read_is_refused(file):
     file.mkdir()
-    with pytest.raises(ControllerMemoryError, match="Is a directory"):
+    with pytest.raises(ControllerMemoryError, match="not a regular file"):
         memory.load(file)
 
 
-def test_the_new_memory_is_durable_before_it_replaces_the_old(file, monkeypatch):
-    """File first, then its name, then the directory: after a crash there is the old memory or the new one."""
-    acts = []
-    sync, replace = os.fsync, Path.replace
-
-    def watched_sync(descriptor):
-        acts.append(("sync", Path(f"/proc/self/fd/{descriptor}").readlink().name))
-        sync(descriptor)
-
-    def watched_replace(path, target):
-        acts.append(("replace", path.name))
-        return replace(path, target)
-
-    monkeypatch.setattr(os, "fsync", watched_sync)
-    monkeypatch.setattr(Path, "replace", watched_replace)
+def test_a_memory_is_never_written_through_a_link_at_a_name_that_can_be_guessed(file):
+    """The victim is whatever whoever writes in the folder would like to have overwritten."""
+    victim = file.with_name("victim")
+    victim.write_text("precious", encoding="ascii")
+    for name in (file.name + ".new", f".{file.name}.new"):
+        file.with_name(name).symlink_to(victim)
     memory.save(file, REMEMBERED)
-    new = file.name + ".new"
-    assert acts == [("sync", new), ("replace", new), ("sync", file.parent.name)]
+    memory.save(file, Memory())
+    assert memory.load(file) == Memory()
+    assert victim.read_text(encoding="ascii") == "precious"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+def test_a_memory_behind_a_link_is_refused(file):
+    memory.save(file.with_name("elsewhere"), REMEMBERED)
+    file.symlink_to("elsewhere")
+    with pytest.raises(ControllerMemoryError, match=f"{file.name}: is a symbolic link"):
+        memory.load(file)
+
+
+def test_a_memory_of_another_user_is_refused(file, monkeypatch):
+    memory.save(file, REMEMBERED)
+    mine = os.geteuid()
+    monkeypatch.setattr(ours.os, "geteuid", lambda: mine + 1)
+    with pytest.raises(ControllerMemoryError, match=rf"{file.name}: owner is .*\(uid {mine}\), must be"):
+        memory.load(file)
+
+
+def test_a_memory_that_others_can_write_is_refused(file):
+    memory.save(file, REMEMBERED)
+    file.chmod(0o622)
+    with pytest.raises(ControllerMemoryError, match=f"{file.name}: mode is 0622"):
+        memory.load(file)
 
 
 def test_a_disk_that_fails_leaves_the_old_memory(file, monkeypatch):

@@ -27,7 +27,7 @@ from cutgate.firmware_sim.state import (
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerFault
-from cutgate.protocol.port import Port
+from cutgate.protocol.port import RETRY_S, Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, line_path, pocket
@@ -56,6 +56,8 @@ class Bus:
         self.reads = 0
         self.after = {}
         self.broken = False
+        self.room = 1_000_000
+        """So many frames are taken, then no more."""
         self.descriptor = os.eventfd(0)
 
     def fileno(self):
@@ -68,6 +70,9 @@ class Bus:
             raise can.CanOperationError("gone")
 
     def send(self, message, timeout):
+        if self.room == 0:
+            raise can.CanTimeoutError("full")
+        self.room -= 1
         self.sent.append(message)
 
 
@@ -183,6 +188,42 @@ def test_the_loop_ends_with_its_bus(bench):
     with pytest.raises(can.CanError):
         one.process.run(one.wake)
     assert one.process.controller.cause is StopCause.BUS_FAILED
+
+
+def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(bench, monkeypatch):
+    one = bench(announce_s=5.0)
+    monkeypatch.setattr(one.process, "_clock", lambda: 60.0)
+    one.bus.room = 0
+    one.process.turn()
+    assert one.process.port.waits
+    assert one.process._wait_ms() == 1000.0 * RETRY_S
+    one.bus.room = 1
+    one.process.turn()
+    assert one.process._wait_ms() == pytest.approx(5000.0)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.link.open(1, 0.0)
+    pauses, flush_last = [], one.process.port.flush_last
+    one.bus.room = 0
+
+    def pause(seconds):
+        pauses.append(seconds)
+        one.bus.room = len(pauses) // 3
+
+    monkeypatch.setattr(one.process.port, "flush_last", lambda: flush_last(pause))
+    if fails:
+        monkeypatch.setattr(one.process, "_look_at_clocks", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            one.process.turn()
+    else:
+        os.write(one.waking, b"\0")
+        one.process.run(one.wake)
+    assert pauses == [RETRY_S] * 3
+    assert [message.arbitration_id for message in one.bus.sent] == [IDS[ControllerFault]]
 
 
 def test_words_change_the_wired_inputs(bench):

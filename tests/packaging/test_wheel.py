@@ -117,6 +117,10 @@ def test_a_session_from_a_hostile_folder_takes_nothing_from_it(programs, folder)
         ) as controller:
             assert any("enabling device released" in line for line in controller.stdout)
             placed = ["--robot", "example", "--registration", "registration-first"]
-            run([programs / "cutgate", "run", "hip-stem", *placed, *where], cwd=folder, code=1)
+            run(
+                [programs / "cutgate", "run", "hip-stem", *placed, *where, "--allow-simulated"],
+                cwd=folder,
+                code=1,
+            )
             controller.terminate()
         hub.stdin.close()

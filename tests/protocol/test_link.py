@@ -727,3 +727,54 @@ def test_no_sample_is_called_younger_than_it_is(periods: list[tuple[bool, float,
             assert outcome.sample.measured_s <= measured_s[turn]
             seen += 1
     assert seen == len(periods)
+
+
+# ------------------------------------------------------------------ what never left
+
+
+def test_a_frame_that_never_left_gives_its_counter_to_the_next():
+    runtime, controller = pair()
+    exchange(runtime, controller, 3)
+    runtime.encode(CUT, 0.07)
+    runtime.take_back(IDS[RuntimeHeartbeat])
+    outcome = deliver(runtime, controller, CUT, 0.08)
+    assert (outcome.counter, outcome.lost, outcome.fresh) == (3, 0, True)
+
+
+def test_the_first_frame_too_gives_its_counter_back_and_so_does_the_last_before_it_rolls_over():
+    sender = link(Side.RUNTIME)
+    for turn in range(600):
+        sender.encode(CUT, 0.0)
+        sender.take_back(IDS[RuntimeHeartbeat])
+        _, data = sender.encode(CUT, 0.0)
+        assert data[2] == turn % 256
+
+
+def test_taking_back_what_was_never_made_changes_nothing():
+    sender = link(Side.CONTROLLER)
+    sender.take_back(IDS[Progress])
+    _, data = sender.encode(Progress(1, 0), 0.0)
+    assert data[2] == 0
+
+
+@pytest.mark.parametrize("side", Side)
+def test_a_heartbeat_that_never_left_proves_no_age_though_its_counter_is_echoed(side: Side):
+    """The echo is of a heartbeat 256 periods before, or of none at all."""
+    speaker, hearer = link(side), link(side.peer)
+    deliver(speaker, hearer, BEATS[side], 0.0)  # counter 0 has left, and is echoed from now on
+    other = link(side)
+    other.encode(BEATS[side], 0.0)
+    other.take_back(IDS[type(BEATS[side])])
+    outcome = deliver(hearer, other, BEATS[side.peer], 0.01)
+    assert isinstance(outcome, Accepted)
+    assert not outcome.fresh
+
+
+def test_taking_back_another_frame_leaves_the_heartbeats_their_age():
+    """Fault and heartbeat have counters of their own, which may be equal."""
+    runtime, controller = pair()
+    deliver(controller, runtime, CUTTING, 0.0)
+    controller.encode(Progress(1, 0), 0.0)
+    controller.take_back(IDS[Progress])
+    outcome = deliver(runtime, controller, CUT, 0.01)
+    assert outcome.fresh

@@ -121,7 +121,12 @@ def registered_anew(pair, number):
         ("registration.json", json.dumps(registration).encode()),
     ):
         (folder / name).write_bytes(data)
-    files = read_files(folder / "plan.csv", folder / "robot.toml", folder / "registration.json", None, None)
+    files = read_files(
+        *(folder / name for name in ("plan.csv", "robot.toml", "registration.json")),
+        None,
+        None,
+        allow_simulated=True,
+    )
     return files, make_job(files, now=NOW)
 
 

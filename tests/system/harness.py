@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -25,6 +25,7 @@ from typing import Any, Self
 import can
 
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
+from cutgate.config.key import new_key_file
 from cutgate.protocol import records
 from cutgate.protocol.frames import (
     CONTROL_IDS,
@@ -35,7 +36,7 @@ from cutgate.protocol.frames import (
     RuntimeHeartbeat,
     decode_frame,
 )
-from cutgate.protocol.permit import KEY_BYTES, new_key_file
+from cutgate.protocol.permit import KEY_BYTES
 from cutgate.runtime.audit.inspect import Log, read_log
 from tests.system import children
 from tests.system.children import Script
@@ -50,6 +51,8 @@ heartbeat_ms = 50
 timeout_ms = 500
 [approach]
 approach_clearance_mm = 0.5
+[controller]
+simulated = true
 """
 HEARTBEAT_S, TIMEOUT_S = 0.05, 0.5
 STANDS = "-35.5,79.5,340,-4,30.5"
@@ -476,8 +479,9 @@ class Rig:
         fresh: bool = False,
         terminal: bool = False,
         script: Script | None = None,
+        more: Sequence[str] = (),
     ) -> Child:
-        """The runtime."""
+        """The runtime, with these options besides."""
         here = self.folder
         options = [
             "--robot",
@@ -488,7 +492,7 @@ class Rig:
             str(here / key),
         ]
         options += ["--site", str(here / "site.toml"), "--log-dir", str(here / logs), *self._where]
-        options += ["--json"] * json + ["--fd"] * fd
+        options += ["--json"] * json + ["--fd"] * fd + list(more)
         return self._start(
             "runtime",
             "cutgate.runtime.cli",

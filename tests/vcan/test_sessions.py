@@ -3,7 +3,9 @@
 import json
 import subprocess
 import sys
-from contextlib import closing
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import can
@@ -14,7 +16,7 @@ from cutgate.protocol.frames import BULK_IDS, ControllerFault
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.commands.app import execute
 from tests.system.harness import FAST, POSES, Observer, Rig, registration, state_of
-from tests.vcan.conftest import ip
+from tests.vcan.conftest import ip, refused_frames, slow_down
 
 pytestmark = [
     pytest.mark.processes,
@@ -93,6 +95,62 @@ def test_an_interface_that_fails_in_mid_cut_stops_both_sides(tmp_path, own_inter
         assert state_of(sim) == "INHIBITED (BUS_FAILED)"
         assert rig.log().of("/audit/decision")[-1]["first_out"] == "BUS_FAILED"
         assert "the bus failed: Error receiving: Network is down" in run.told
+        assert_sound(rig.logs()[-1], capsys)
+
+
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+def test_a_full_transmit_queue_holds_up_neither_upload_nor_cut(tmp_path, narrow_interface, capsys, fd):
+    with Rig(tmp_path, "socketcan", narrow_interface) as rig:
+        run, sim = rig.run(json=True, fd=fd, fresh=True), rig.sim(scale=FAST, fd=fd, fresh=True)
+        run.line("permitted:")
+        assert refused_frames(narrow_interface) > 0, "the queue was full, and nobody noticed"
+        rig.begin(sim, run)
+        assert run.exit() == 0
+        assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+        assert_sound(rig.logs()[-1], capsys)
+
+
+@contextmanager
+def crowded(interface: str) -> Iterator[list[int]]:
+    """Another node that fills the transmit queue again and again with the least urgent frames; how often it has."""
+    ended, fills = threading.Event(), [0]
+
+    def fill() -> None:
+        with open_bus("socketcan", interface) as bus:
+            while not ended.wait(0.02):
+                fills[0] += 1
+                try:
+                    while True:
+                        bus.send(MARK, timeout=0)
+                except can.CanTimeoutError:
+                    pass
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    try:
+        yield fills
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_a_queue_that_another_node_fills_while_it_cuts_holds_up_neither_cut_nor_stop(
+    tmp_path, narrow_interface, capsys
+):
+    with Rig(tmp_path, "socketcan", narrow_interface) as rig:
+        sim, run = cutting(rig)
+        slow_down(
+            narrow_interface, "100kbit"
+        )  # ten frames in 13 ms: filled each 20 ms the queue is seldom empty
+        before = refused_frames(narrow_interface)
+        with crowded(narrow_interface) as fills:
+            rig.until(lambda: fills[0] > 100)
+            run.say("stop")
+            assert run.exit() == 3
+        # Each filling ended with one frame of the crowd's own that was refused: what is more was ours.
+        assert refused_frames(narrow_interface) - before > fills[0]
+        rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.OPERATOR_STOP)
+        assert rig.at_rest(sim) == "INHIBITED (OPERATOR_STOP)"
         assert_sound(rig.logs()[-1], capsys)
 
 

@@ -20,6 +20,7 @@ import can
 from pages import Rows
 from paths import EXAMPLES
 
+from cutgate.config.key import load_key, new_key_file
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.firmware_sim.hil.plugin import hub_process
@@ -42,7 +43,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted
 from cutgate.protocol.parameters import counts_nearest
-from cutgate.protocol.permit import KEY_BYTES, load_key, new_key_file
+from cutgate.protocol.permit import KEY_BYTES
 from cutgate.protocol.port import Passed, Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, RuntimeCode, StopCause, StopCode

@@ -5,11 +5,11 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.state import Memory
-from cutgate.protocol.permit import KeyFileError, load_key
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.directory import HEAD, Head, Listed, previous_session
 from cutgate.runtime.session import withdrawn
@@ -52,7 +52,7 @@ def _head(data: bytes) -> None:
 
 
 def _key(data: bytes) -> None:
-    key = attempt(KeyFileError, load_key, _written("key", data))
+    key = attempt(InputError, load_key, _written("key", data))
     expect(key is None or len(key) == 32, "a key is 32 bytes")
 
 

@@ -4,6 +4,8 @@ import os
 import select
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from contextlib import contextmanager, suppress
 
@@ -11,6 +13,8 @@ import can
 import pytest
 
 from cutgate.config.bus import open_bus
+from cutgate.config.key import new_key_file
+from cutgate.firmware_sim import command
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
 from cutgate.firmware_sim.hil.plugin import hub_process
@@ -283,6 +287,37 @@ def false_hub(path, *answers):
         finally:
             done.set()
             thread.join(WAIT_S)
+
+
+OTHERS_HUB = """
+import os, sys
+from pathlib import Path
+from cutgate.firmware_sim.bus.hub import Hub
+os.setgid(65534)
+os.setuid(65534)
+with Hub(Path(sys.argv[1])) as hub:
+    print("ready", flush=True)
+    hub.serve()
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes another user, and can join another's hub")
+def test_root_joins_nobodys_hub_also_where_its_socket_is_named(place, capfd):
+    place.chmod(0o777)
+    path, key = place / "bus.sock", place / "site.key"
+    new_key_file(key, bytes(32))
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHERS_HUB, str(path)], stdout=subprocess.PIPE, text=True
+    ) as hub:
+        try:
+            assert hub.stdout.readline() == "ready\n"
+            where = ["--interface", "cutgate", "--channel", str(path)]
+            assert command.main(["--robot", "example", "--key", str(key), *where]) == 2
+        finally:
+            hub.terminate()
+    said = capfd.readouterr().err
+    assert "uid 65534), must be" in said
+    assert str(path) in said
 
 
 WELCOME = wire.Record(wire.Kind.WELCOME).pack()

@@ -7,12 +7,12 @@ import re
 import socket
 import stat
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import can
 import pytest
 
-from cutgate.firmware_sim.bus import candump, wire
+from cutgate.firmware_sim.bus import candump, peer, wire
 from cutgate.firmware_sim.bus import hub as hub_module
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
 from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served
@@ -262,13 +262,69 @@ def test_one_client_too_many_is_refused(path, join, monkeypatch):
             join(path)
 
 
-def test_a_crowd_that_never_says_hello_is_turned_away(path, monkeypatch):
+def test_a_crowd_that_never_says_hello_keeps_nobody_out(path, join, monkeypatch):
+    hub = Hub(path, report=lambda _: None)  # it listens with the full length of its queue of connections
+    monkeypatch.setattr(hub_module, "HELLO_S", 1000.0)
+    monkeypatch.setattr(hub_module, "MAX_CLIENTS", 4)
+    with running(hub), ExitStack() as stack:
+        silent = [stack.enter_context(raw_client(path)) for _ in range(2 * hub_module.MAX_CLIENTS)]
+        one, two = join(path), join(path)
+        one.send(frame(7))
+        assert two.recv(WAIT_S).arbitration_id == 7
+        for sock in silent[: hub_module.MAX_CLIENTS]:  # the oldest have made room
+            assert b"too many connections without a HELLO" in sock.recv(1000)
+            assert sock.recv(1000) == b""
+        silent[-1].send(HELLO)
+        assert wire.parse(silent[-1].recv(100)).kind is Kind.WELCOME
+
+
+def test_who_says_no_hello_is_dropped_soon_and_who_joined_never(path, join, monkeypatch):
     told = []
-    hub = Hub(path, report=told.append)  # it listens with the full length of its queue of connections
-    monkeypatch.setattr(hub_module, "MAX_CLIENTS", 1)
-    with running(hub), raw_client(path), raw_client(path), raw_client(path) as third:
-        assert b"too many connections" in third.recv(100)
-    assert len(told) == 1
+    with running(Hub(path, report=told.append)):
+        joined, other = join(path), join(path)
+        monkeypatch.setattr(hub_module, "HELLO_S", 0.05)
+        with raw_client(path) as silent, raw_client(path) as another:
+            for sock in (silent, another):
+                assert b"no HELLO within 0.05 s" in sock.recv(1000)
+                assert sock.recv(1000) == b""
+        other.send(frame(7))
+        assert joined.recv(WAIT_S).arbitration_id == 7
+    assert [re.sub(r"[0-9]+ .process [0-9]+.", "N", line) for line in told] == [
+        "client N refused: it said no HELLO within 0.05 s"
+    ] * 2
+
+
+def test_a_hub_where_nobody_is_silent_waits_for_no_clock(path, join):
+    hub = Hub(path)
+    with running(hub):
+        join(path)
+        assert hub._patience_ms() is None
+
+
+def test_a_client_of_another_user_is_refused_and_named(path, monkeypatch):
+    told = []
+    mine = os.geteuid()
+    with running(Hub(path, report=told.append)):
+        monkeypatch.setattr(peer.os, "geteuid", lambda: mine + 1)
+        with raw_client(path) as sock:
+            assert wire.parse(sock.recv(1000)).kind is Kind.REFUSED
+            assert sock.recv(1000) == b""
+        monkeypatch.undo()
+    assert re.fullmatch(
+        rf"client 1 .process {os.getpid()}. refused: it is run by .*uid {mine}\), must be .*uid {mine + 1}\) .*",
+        told[0],
+    )
+
+
+def test_a_hub_of_another_user_is_not_joined_and_named(path, monkeypatch):
+    mine = os.geteuid()
+    with running(Hub(path)):
+        monkeypatch.setattr(peer.os, "geteuid", lambda: mine + 1)
+        with pytest.raises(
+            can.CanInitializationError, match=rf"not ours, it is run by .*uid {mine}\), must be"
+        ):
+            can.Bus(interface="cutgate", channel=str(path), ignore_config=True)
+        monkeypatch.undo()
 
 
 def test_a_client_that_leaves_makes_room_and_disturbs_nobody(path, join):

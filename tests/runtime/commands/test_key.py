@@ -2,7 +2,7 @@
 
 import stat
 
-from cutgate.protocol.permit import load_key
+from cutgate.config.key import load_key
 from cutgate.runtime.commands import app as cli
 
 

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples"
 ROBOT = EXAMPLES / "robot.toml"
 PLAN = EXAMPLES / "hip-stem.plan.json"
+SHORT = EXAMPLES / "tibial.plan.json"
 FIRST, SECOND = EXAMPLES / "registration-first.json", EXAMPLES / "registration-second.json"
 
 MOUNTED = ["--robot", str(ROBOT)]
@@ -173,8 +174,9 @@ BAD = {
     ),
     "folder as plan": ([EXAMPLES.with_suffix(".json"), *MOUNTED], ["no such file"]),
     "robot as plan": ([ROBOT, *MOUNTED], ["robot.toml", ".toml", ".json or .csv"]),
-    "plan as robot": ([PLAN, "--robot", PLAN], ["hip-stem.plan.json", "TOML"]),
-    "plan as registration": ([PLAN, *MOUNTED, "--registration", PLAN], ["schema", "cutgate.plan/1"]),
+    "plan as robot": ([PLAN, "--robot", SHORT], ["tibial.plan.json", "TOML"]),
+    "plan as registration": ([PLAN, *MOUNTED, "--registration", SHORT], ["schema", "cutgate.plan/1"]),
+    "long plan as robot": ([PLAN, "--robot", PLAN], ["hip-stem.plan.json", "size", "<= 100000 bytes"]),
     "registration as plan": ([FIRST, *MOUNTED], ["schema", "cutgate.registration/1", "cutgate.plan/1"]),
     "G-code": (["path.ngc", *MOUNTED], ["path.ngc", ".ngc", ".json or .csv"]),
     "APT": (["path.apt", *MOUNTED], ["path.apt", ".apt"]),

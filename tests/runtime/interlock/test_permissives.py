@@ -28,9 +28,9 @@ ALONE = [
             scale,
             p.plant_speed,
             scale,
-            "1 on a real controller, up to 1000 in simulation only",
+            "1, no simulation is allowed",
         )
-        for scale in (0.0, -1.0, 1000.1, math.inf, math.nan)
+        for scale in (0.0, -1.0, 0.001, 0.999, 1.001, 60.0, 1000.0, 1000.1, math.inf, math.nan)
     ),
     ("job.limits", b"other", p.limits_approved, None, None),
     ("job.calibration", b"other", p.calibration_approved, None, None),
@@ -228,11 +228,36 @@ def test_without_a_configured_bound_the_age_is_shown_and_holds():
     assert (one.holds, one.text, one.bound) == (True, "100 s", "no bound is configured")
 
 
+SIMULATION = altered(READY, "job.simulation_allowed_by", "site.toml")
+
+
 @pytest.mark.parametrize("scale", [0.001, 1.0, 60.0, 1000.0])
-def test_a_simulated_plant_says_how_fast_it_runs_and_the_log_shows_it(scale):
-    judged = p.plant_speed(altered(READY, "session.time_scale", scale), NOW)
-    assert judged.holds
-    assert (judged.value, "in simulation only" in judged.bound) == (scale, True)
+def test_a_simulated_plant_runs_at_any_speed_where_the_site_allows_it_and_the_log_shows_both(scale):
+    judged = p.plant_speed(altered(SIMULATION, "session.time_scale", scale), NOW)
+    assert judged.holds is True
+    assert (judged.value, judged.bound) == (scale, "up to 1000, a simulation is allowed by site.toml")
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, 1000.1, math.inf, math.nan])
+def test_no_speed_that_is_none_is_allowed_in_a_simulation(scale):
+    assert p.plant_speed(altered(SIMULATION, "session.time_scale", scale), NOW).holds is False
+
+
+def test_a_plant_that_keeps_the_clock_s_time_needs_no_word_of_the_site():
+    judged = p.plant_speed(READY, NOW)
+    assert (judged.holds, judged.value, judged.bound) == (True, 1.0, "1, no simulation is allowed")
+
+
+def test_who_is_refused_for_its_speed_is_told_how_a_simulation_is_allowed():
+    remedy = p.plant_speed(altered(READY, "session.time_scale", 50.0), NOW).remedy
+    assert "simulated = true under [controller] in site.toml" in remedy
+    assert "--allow-simulated" in remedy
+
+
+@pytest.mark.parametrize("which", [p.IDENTITY, p.FOR_RESET, p.COLLECTED, p.FOR_PERMIT, p.FOR_START])
+def test_another_speed_than_the_clock_s_is_refused_wherever_something_is_enabled(which):
+    assert p.all_hold(which, READY, NOW)
+    assert not p.all_hold(which, altered(READY, "session.time_scale", 50.0), NOW)
 
 
 def test_any_controller_will_do_where_no_serial_number_is_configured():

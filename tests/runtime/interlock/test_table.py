@@ -625,6 +625,7 @@ def test_the_start_begins_the_monitor_of_the_very_trajectory_that_was_permitted(
     other = replace(TRAJECTORY)
     verdict = replace(VERDICT, trajectory=other)
     state = altered(in_phase(Phase.AUTHORISING_START, verdict=verdict), "session.time_scale", scale)
+    state = altered(state, "job.simulation_allowed_by", "site.toml")
     after, _ = step(state, PENDING, NOW)
     assert after.tracking == TrackingMonitor.begin(other, TIMING, scale, NOW)
     assert after.tracking.trajectory is other

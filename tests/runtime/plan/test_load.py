@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.load import InputError
+from cutgate.runtime.plan import csv
 from cutgate.runtime.plan.load import load_plan, load_registration, plan_from_bytes, registration_from_bytes
 
 EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -299,10 +300,72 @@ def test_more_poses_than_the_limit_are_refused():
 
 
 def test_a_file_over_the_size_limit_is_refused(tmp_path):
-    for name, load in (("p.json", load_plan), ("p.csv", load_plan), ("r.json", load_registration)):
+    for name in ("p.json", "p.csv"):
         (tmp_path / name).write_text(" " * 100, encoding="utf-8")
-        message = message_of(lambda name=name, load=load: load(tmp_path / name, size_limit=99))
-        assert "size is 100 bytes, must be <= 99 bytes" in message
+        message = message_of(lambda name=name: load_plan(tmp_path / name, size_limit=99))
+        assert "size is 100 bytes, must be <= 99 bytes; raise file_size_limit_mb in site.toml" in message
+
+
+def test_a_registration_has_a_bound_of_its_own(tmp_path):
+    data = json.dumps(REGISTRATION).encode().ljust(100_000)
+    assert registration_from_bytes(Path("r.json"), data).id == "r"
+    (tmp_path / "r.json").write_bytes(data + b" ")
+    for act in (
+        lambda: load_registration(tmp_path / "r.json"),
+        lambda: registration_from_bytes(Path("r.json"), data + b" "),
+    ):
+        assert "size is 100001 bytes, must be <= 100000 bytes; it holds something else" in message_of(act)
+
+
+CROWDS = [
+    ('{"poses": [' + "[], " * 1002 + "[]]}", "1004 times '['", 1003),
+    ('{"poses": [' + "{}, " * 999 + "{}]}", "1001 times '{'", 1000),
+    ('{"poses": [' + "1, " * 1019 + "1]}", "1019 times ','", 1018),
+    ('{"id": "' + "," * 1019 + '"}', "1019 times ','", 1018),
+]
+
+
+@pytest.mark.parametrize(("text", "found", "bound"), CROWDS, ids=["lists", "objects", "numbers", "text"])
+def test_what_would_take_more_memory_than_the_longest_path_is_refused_before_it_is_parsed(
+    text, found, bound, monkeypatch
+):
+    monkeypatch.setattr(json, "loads", lambda *_, **__: pytest.fail("parsed"))
+    message = message_of(lambda: plan_from_bytes(Path("p.json"), text.encode(), 3))
+    assert f"p.json is {found}, must be <= {bound} for 3 poses; it holds something else" in message
+
+
+def test_the_longest_path_is_not_a_crowd():
+    plan = changed(PLAN, ["poses"], [PLAN["poses"][0]] * 5000)
+    data = json.dumps(changed(plan, ["id"], "[{,:" * 50)).encode()
+    assert len(plan_from_bytes(Path("p.json"), data, 5000).tips_mm) == 5000
+
+
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_lines_are_counted_before_any_becomes_text(end, monkeypatch):
+    text = "x,y,z,i,j,k\n" + "\n".join(["0,0,0,0,0,1"] * 3) + end
+    assert len(plan_from_bytes(Path("p.csv"), text.encode(), 3).tips_mm) == 3
+    monkeypatch.setattr(csv, "decode", lambda *_: pytest.fail("read"))
+    message = message_of(lambda: plan_from_bytes(Path("p.csv"), text.encode(), 2))
+    assert "p.csv: poses is 3 poses, must be <= 2 poses; raise pose_limit" in message
+    assert "1000000 poses" in message_of(lambda: plan_from_bytes(Path("p.csv"), b"\n" * 1_000_001, 10))
+
+
+def is_number(cell: str) -> bool:
+    """Oracle: float() reads it, and nothing stands there that only Python or IEEE 754 writes."""
+    if set(cell.lower()) & set("_ainfty") or not cell.isascii():
+        return False
+    try:
+        float(cell.strip(" \t"))
+    except ValueError:
+        return False
+    return cell.strip(" \t") == cell.strip()
+
+
+@given(
+    st.text(alphabet="0123456789+-.eE \t_nx,", max_size=12) | st.floats().map(str) | st.integers().map(str)
+)
+def test_a_number_is_what_float_reads_without_its_extras(cell):
+    assert bool(csv._CELL.fullmatch(cell)) is is_number(cell)
 
 
 def error_of(act) -> InputError | None:

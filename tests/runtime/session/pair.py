@@ -237,7 +237,12 @@ def _job(directory: Path, bone_x_mm: float) -> tuple[InputFiles, SessionJob]:
     ):
         (directory / name).write_bytes(data)
     files = read_files(
-        directory / "plan.csv", directory / "robot.toml", directory / "registration.json", None, None
+        directory / "plan.csv",
+        directory / "robot.toml",
+        directory / "registration.json",
+        None,
+        None,
+        allow_simulated=True,
     )
     return files, make_job(files, now=NOW)
 

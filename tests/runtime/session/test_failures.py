@@ -320,7 +320,7 @@ def test_a_memory_that_cannot_be_written_latches(cutting, monkeypatch):
     def fail(*_):
         raise OSError("full")
 
-    monkeypatch.setattr("cutgate.firmware_sim.memory._replace", fail)
+    monkeypatch.setattr("cutgate.firmware_sim.memory.replace_durably", fail)
     cutting.controller_terminal.type("bone-motion")
     cutting.turn()
     assert (cutting.controller.state, cutting.controller.cause) == (

@@ -53,6 +53,32 @@ def test_the_configuration_is_both_files(files, tmp_path):
     assert len(digests) == 3
 
 
+def test_the_configuration_is_what_loosens_a_check_too(files, tmp_path):
+    """The option of the command line is in no file: it has a part of its own in the digest."""
+    bare, allowing = site(tmp_path, ""), site(tmp_path, "[controller]\nsimulated = true\n")
+    given = [
+        replace(files, site=which, allow_simulated=option)
+        for which in (None, bare, allowing)
+        for option in (False, True)
+    ]
+    assert len({make_job(one, now=NOW).configuration for one in given}) == 6
+    assert [make_job(one, now=NOW).simulation_allowed_by for one in given] == [
+        "",
+        "--allow-simulated",
+        "",
+        "--allow-simulated",
+        "site.toml",
+        "--allow-simulated and site.toml",
+    ]
+
+
+def test_a_configuration_without_such_an_option_has_the_digest_it_always_had(files, tmp_path):
+    chosen = site(tmp_path, "")
+    plain = replace(files, site=chosen, allow_simulated=False)
+    digest = hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + chosen.sha256).digest()
+    assert configuration_digest(plain) == digest
+
+
 def test_the_sites_settings_become_deadlines(files, tmp_path):
     chosen = site(
         tmp_path,

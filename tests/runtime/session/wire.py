@@ -100,12 +100,18 @@ class Node:
         self.broken = False
         self.deaf = self.mute = False
         """The bus cannot be read, or not be written, any more."""
+        self.room: int | None = None
+        """So many frames fit into the transmit queue, which is empty again by the next turn; None: any number."""
+        self._left = 0
+        self.refused = 0
+        """How many frames found no room."""
         self._descriptor = os.eventfd(0)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         assert timeout == 0, "a loop must not wait in recv"
         if self.broken or self.deaf:
             raise can.CanOperationError("the bus is gone")
+        self._left = self.room or 0  # a turn begins
         self._wire.deliver()
         return self.inbox.popleft() if self.inbox else None
 
@@ -113,6 +119,11 @@ class Node:
         assert timeout == 0, "a loop must not wait in send"
         if self.broken or self.mute:
             raise can.CanOperationError("the bus is gone")
+        if self.room is not None:
+            if self._left == 0:
+                self.refused += 1
+                raise can.CanTimeoutError("the transmit queue is full")
+            self._left -= 1
         self._wire.pass_on(self, message)
 
     def put(self, can_id: int, data: bytes) -> None:

@@ -1,0 +1,64 @@
+"""The pre-shared key's file: 32 random bytes as hexadecimal digits, which only its owner may read."""
+
+import os
+from pathlib import Path
+from typing import Final
+
+from cutgate.config.load import InputError
+from cutgate.config.ours import MODE, create_ours, read_ours
+from cutgate.protocol.permit import KEY_BYTES
+
+FILE_BYTES_MAX: Final = 2 * KEY_BYTES + 2
+"""The digits and one line end."""
+
+
+def new_key_file(path: Path, key: bytes) -> None:
+    """Write a new key file, mode 0600 whatever the umask, and make it durable. Never overwrites.
+
+    Raises:
+        InputError: the key is not 32 bytes, or the file exists or cannot be written; then none is left there.
+    """
+    if len(key) != KEY_BYTES:
+        raise InputError(path, "", f"a key of {len(key)} bytes", f"{KEY_BYTES} bytes")
+    try:
+        descriptor = create_ours(path)
+    except FileExistsError:
+        remedy = "name another file or remove it"
+        raise InputError(path, "", None, "exists and is never overwritten", remedy) from None
+    except OSError as error:
+        raise _unwritten(path, error) from None
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            os.fchmod(descriptor, MODE)
+            file.write(key.hex().encode("ascii") + b"\n")
+            file.flush()
+            os.fsync(descriptor)
+    except OSError as error:
+        path.unlink()
+        raise _unwritten(path, error) from None
+
+
+def _unwritten(path: Path, error: OSError) -> InputError:
+    remedy = "name a file in a folder that exists and has room"
+    return InputError(path, "", None, f"cannot be written ({error.strerror})", remedy)
+
+
+def load_key(path: Path) -> bytes:
+    """The 32 bytes of a key file that is ours alone.
+
+    Raises:
+        InputError: missing, a link, another's, open to others, or not 64 hexadecimal digits.
+    """
+    try:
+        text = read_ours(path, FILE_BYTES_MAX, secret=True).strip()
+    except FileNotFoundError:
+        remedy = f"make one with: cutgate key new {path}"
+        raise InputError(path, "", None, "there is no such key file", remedy) from None
+    remedy = "make a new one with: cutgate key new"
+    try:
+        key = bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        raise InputError(path, "", None, "is not hexadecimal", remedy) from None
+    if len(key) != KEY_BYTES:
+        raise InputError(path, "", f"a key of {len(key)} bytes", f"{KEY_BYTES} bytes", remedy)
+    return key

@@ -14,6 +14,9 @@ from cutgate.protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_M
 
 FOLD_DEG: Final = 180.0
 
+WRIST_DEG_MIN: Final = 0.001
+"""A thousand counts of a reported joint: below, no controller tells a kept deadband from a missed one."""
+
 Real = Annotated[float, Strict(), AllowInfNan(False)]
 Integer = Annotated[int, Strict()]
 Text = Annotated[str, Strict(), Field(min_length=1, max_length=200)]
@@ -132,7 +135,7 @@ class DeadbandSetting(Strictly):
     """How far every boundary is kept away from; the path tolerances widen it."""
 
     arm_mm: Annotated[Real, Field(gt=0, le=1000)]
-    wrist_deg: Annotated[Real, Field(gt=0, le=90)]
+    wrist_deg: Annotated[Real, Field(ge=WRIST_DEG_MIN, le=90)]
     path_tolerance_mm: Annotated[Real, Field(ge=0, le=100)] = 0.0
     path_tolerance_deg: Annotated[Real, Field(ge=0, le=45)] = 0.0
 

@@ -32,15 +32,12 @@ GOOD: Final = "bold green"
 BAD: Final = "bold red"
 
 
-def print_verdict(
-    console: Console, verdict: Verdict, guidance: Guidance | None, digests: Digests, facts: dict[str, str]
-) -> None:
-    """Prints everything about one verdict.
+def print_verdict(console: Console, verdict: Verdict, digests: Digests, facts: dict[str, str]) -> None:
+    """Prints everything about one verdict but how to move the bone (`print_guidance`), which takes longer to find.
 
     Args:
         console: where to.
         verdict: the answer.
-        guidance: how to move the bone; None where it was not asked for or there is none.
         digests: what the verdict was made for.
         facts: further lines, label and value, for example the plan and the registration.
     """
@@ -48,14 +45,19 @@ def print_verdict(
     parts: list[RenderableType] = [boundaries_table(verdict)]
     if verdict.speed:
         parts.append(speed_table(verdict))
-    if guidance is not None:
-        parts.append(guidance_lines(guidance))
     if verdict.reasons:
         parts.append(reason_lines(verdict))
     parts.append(_facts({**_path_facts(verdict), **facts, **_digest_facts(digests)}))
     for part in parts:
         console.print()
         console.print(part)
+    console.file.flush()
+
+
+def print_guidance(console: Console, guidance: Guidance) -> None:
+    """Prints how to move the bone."""
+    console.print()
+    console.print(guidance_lines(guidance))
 
 
 def headline(verdict: Verdict) -> Text:

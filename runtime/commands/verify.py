@@ -14,7 +14,7 @@ from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import output, working
-from cutgate.runtime.commands.verdict_view import print_verdict
+from cutgate.runtime.commands.verdict_view import print_guidance, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
@@ -51,13 +51,10 @@ class Method(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A verdict and what it was made for.
+    """A verdict and what it was made for."""
 
-    ``guidance`` is present only for an inadmissible path of the certified method.
-    """
-
+    problem: Problem
     verdict: Verdict
-    guidance: Guidance | None
     digests: Digests
     poses: int
     elapsed_ms: float
@@ -81,8 +78,7 @@ def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -
     branch = verdict.branch
     path = with_branch(prepared.path, branch.q0_turns, branch.roll_turns) if branch else prepared.path
     digests = Digests(path.digest, digest(limits), digest(calibration), prepared.registration_sha256)
-    guidance = _guidance(problem, verdict, prepared) if method is Method.certified else None
-    return Checked(verdict, guidance, digests, len(path), elapsed_ms)
+    return Checked(problem, verdict, digests, len(path), elapsed_ms)
 
 
 def read(
@@ -125,12 +121,12 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
     typer.echo(f"{file}: proof of {len(proof.body())} bytes, check it with `cutgate recheck`", err=True)
 
 
-def _guidance(problem: Problem, verdict: Verdict, prepared: Prepared) -> Guidance | None:
-    """How to move the bone, where the path is not admitted."""
-    if verdict.admissible:
+def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
+    """How to move the bone, where the certified method does not admit the path."""
+    if checked.verdict.admissible or checked.verdict.method != Method.certified:
         return None
     with working("looking for the smallest move of the bone"):
-        return guide(problem, verdict, prepared.quantise)
+        return guide(checked.problem, checked.verdict, prepared.quantise)
 
 
 def verify(
@@ -157,18 +153,21 @@ def verify(
     arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
     checked = check(prepared, arm, method)
     if certificate is not None:
-        _write_proof(certificate, off_line_problem(prepared, arm), checked.verdict)
+        _write_proof(certificate, checked.problem, checked.verdict)
     if json:
         document = verdict_document(
             checked.verdict,
             poses=checked.poses,
-            guidance=checked.guidance,
+            guidance=_guidance(checked, prepared),
             digests=checked.digests,
             elapsed_ms=checked.elapsed_ms,
         )
         typer.echo(document_text(document))
     else:
-        print_verdict(output(), checked.verdict, checked.guidance, checked.digests, _facts(prepared, checked))
+        console = output()
+        print_verdict(console, checked.verdict, checked.digests, _facts(prepared, checked))
+        if (guidance := _guidance(checked, prepared)) is not None:
+            print_guidance(console, guidance)
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 

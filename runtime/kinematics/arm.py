@@ -100,6 +100,16 @@ def elbow_angle(r: Floats, a0: float, a1: float) -> Floats:
     return out
 
 
+def heading_offset(r: Floats, a0: float, a1: float) -> Floats:
+    """Angle from the line shoulder-wrist to the forearm, right elbow, at radius r; NaN out of reach.
+
+    The law of cosines, its difference of squares factored: as well conditioned as `elbow_sine`.
+    """
+    across = 2.0 * a0 * a1 * elbow_sine(r, a0, a1)
+    out: Floats = np.arctan2(across, r * r + (a1 - a0) * (a1 + a0))
+    return out
+
+
 def shoulder_offset(elbow: Floats, a0: float, a1: float) -> Floats:
     """Angle beta from the upper link to the line shoulder-wrist, right elbow."""
     out: Floats = np.arctan2(a1 * np.sin(elbow), a0 + a1 * np.cos(elbow))

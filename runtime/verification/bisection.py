@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.verification.acceleration import joint_accelerations
 from cutgate.runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
@@ -88,6 +89,10 @@ class Survey:
     cut_fraction: Floats
 
 
+ROUND, INTERVAL = 5000, 6
+"""Work of each round of a survey and of each interval in it, as `Effort` counts it."""
+
+
 def budget(segments: int) -> int:
     """Intervals that a survey may look at before it splits no more and leaves the rest undecided."""
     return 64 * segments + 200_000
@@ -133,8 +138,19 @@ class _Cuts:
         return segment[order], fraction[order]
 
 
-def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, aim: Aim) -> Survey:
-    """Enclose the minimum of every wanted column over the whole path."""
+def survey(
+    geometry: Geometry,
+    segments: Segments,
+    chain: Chain,
+    scope: Scope,
+    aim: Aim,
+    effort: Effort | None = None,
+) -> Survey:
+    """Enclose the minimum of every wanted column over the whole path.
+
+    Raises:
+        EffortSpentError: the work is more than what bounds it.
+    """
     best = _of_the_poses(geometry, segments, chain, scope)
     certified = np.full(COLUMNS, np.inf)
     cuts = _Cuts()
@@ -152,6 +168,8 @@ def survey(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, a
             parts = chain.intervals(start, min(start + BLOCK, len(chain)), COLUMNS)
         else:
             break
+        if effort is not None:
+            effort.spend(ROUND + INTERVAL * len(parts))
         spent += len(parts)
         floor = np.maximum(aim.enough(best.value), np.minimum(aim.target, best.value))
         bounds, rates, cut = lower_bounds(geometry, segments, scope, parts, floor)

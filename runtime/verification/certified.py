@@ -24,6 +24,7 @@ from cutgate.runtime.verification.branch import Candidate, candidates, choose
 from cutgate.runtime.verification.chain import Chain, build
 from cutgate.runtime.verification.closed_form import Extremes, extremes
 from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
@@ -84,24 +85,45 @@ GAP_MISSED = {"speed": 0.25, "acceleration": np.inf}
 FINE_RATE = 5e-4
 
 
-def verify(problem: Problem) -> Verdict:
-    """Verify a path at its deadbands, for all its points, arm and wrist together."""
+POSES, POSE = 15_000, 3
+"""Work beside the surveys, whole and for each pose, as `Effort` counts it."""
+
+
+def verify(problem: Problem, effort: Effort | None = None) -> Verdict:
+    """Verify a path at its deadbands, for all its points, arm and wrist together.
+
+    Args:
+        problem: the path.
+        effort: bound on the work; without it the verdict's own bounds alone end it.
+
+    Raises:
+        EffortSpentError: it takes more work than that; nothing is then decided.
+    """
     wrong = defects(problem)
     if wrong:
         return refused(problem, wrong, "certified")
+    if effort is not None:
+        effort.spend(POSES + POSE * len(problem.tips_mm))
     geometry, segments = canonical(problem)
-    chain = build(geometry, segments)
+    chain = build(geometry, segments, effort)
     limits = extremes(geometry, segments, chain.poses)
-    return _Verification(problem, geometry, segments, chain, limits).verdict()
+    return _Verification(problem, geometry, segments, chain, limits, effort).verdict()
 
 
 class _Verification:
     """One run; its methods are the steps of `verdict`, in order."""
 
     def __init__(
-        self, problem: Problem, geometry: Geometry, segments: Segments, chain: Chain, limits: Extremes
+        self,
+        problem: Problem,
+        geometry: Geometry,
+        segments: Segments,
+        chain: Chain,
+        limits: Extremes,
+        effort: Effort | None,
     ) -> None:
         self.problem = problem
+        self.effort = effort
         self.geometry = geometry
         self.segments = segments
         self.chain = chain
@@ -177,7 +199,8 @@ class _Verification:
             roll_defined=self.roll_defined,
             shoulder_shift=shift,
         )
-        done = survey(self.geometry, self.segments, self.chain, scope, Aim(gap, share, missed, target, fine))
+        aim = Aim(gap, share, missed, target, fine)
+        done = survey(self.geometry, self.segments, self.chain, scope, aim, self.effort)
         self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
         self.budget += done.budget

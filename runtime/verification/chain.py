@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
 from cutgate.runtime.verification.points import Points, at, at_poses, join
 
@@ -18,6 +19,9 @@ BLOCK = 8192
 
 SMALLEST_SPLIT = 2.0**-20
 """No piece is split below this part of its segment in the search for the winding."""
+
+SPLIT = 3
+"""Work of looking at a piece for that, as `Effort` counts it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +135,19 @@ def sweep(first: Floats, second: Floats) -> Floats:
     return out
 
 
-def build(geometry: Geometry, segments: Segments) -> Chain:
+def build(geometry: Geometry, segments: Segments, effort: Effort | None = None) -> Chain:
     """Evaluate all poses and lift bearing and azimuth along the path.
 
     The bearing's sweep over an interval is the angle between its ends if the hull of its curve leaves
     the column out; intervals of which that is not known are split until it is.
+
+    Raises:
+        EffortSpentError: splitting takes more work than what bounds it.
     """
     chain = _whole(geometry, segments)
     while True:
+        if effort is not None:
+            effort.spend(SPLIT * len(chain))
         sag = sagitta(geometry, segments.theta[chain.segment] * (chain.s1 - chain.s0))
         size = _lengths(chain.points.centre) + sag
         splittable = (chain.s1 - chain.s0 > SMALLEST_SPLIT) & (size > geometry.pad_mm)

@@ -17,8 +17,9 @@ from cutgate.runtime.verification.points import Points, at
 Floats = NDArray[np.float64]
 
 PITCH_PAD = 1e-11
-"""Bound on the rounding of the smallest pitch, rad: its place on a great circle of angle theta is known to
-min(epsilon / theta, theta) <= 1.5e-8, which changes a pitch of m >= 1e-5 by the square of that over 2 m."""
+"""Bound on the rounding of the smallest pitch m, rad. Within theta of its place the axes' horizontal parts, of which
+the place is computed (`_peak`), are at most m + theta, so it is known to some epsilon (m + theta)^2 / theta and lies
+within theta: that changes m by at most some epsilon (m + theta), whatever m is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +96,24 @@ def extremes(geometry: Geometry, segments: Segments, poses: Points) -> Extremes:
 def _critical(geometry: Geometry, segments: Segments, rows: Ints) -> list[Floats]:
     """Fractions where z' = 0 (two) and where the great circle is highest and lowest."""
     theta = segments.theta[rows]
-    first, last = segments.axis[rows, 2], segments.axis[rows + 1, 2]
-    tangent = (last - np.cos(theta) * first) / np.sin(theta)
-    peak = np.arctan2(tangent, first)
+    u, v = segments.axis[rows], segments.axis[rows + 1]
+    tangent = (v - np.cos(theta)[:, None] * u) / np.sin(theta)[:, None]
+    peak = _peak(u, tangent)
     rise = segments.tip[rows + 1, 2] - segments.tip[rows, 2]
-    swing = geometry.tool_mm * theta * np.hypot(first, tangent)
+    swing = geometry.tool_mm * theta * np.hypot(u[:, 2], tangent[:, 2])
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = np.arcsin(rise / swing)  # NaN where the height is monotone
     angles = (peak + sine, peak + np.pi - sine, peak, peak + np.pi)
     return [np.mod(angle, 2.0 * np.pi) / theta for angle in angles]
+
+
+def _peak(u: Floats, tangent: Floats) -> Floats:
+    """Angle from u along its great circle to where that is highest: cos and sin as u_z to t_z.
+
+    Near the vertical t_z is nothing but rounding; there it comes of the horizontal parts, as u.t = 0.
+    """
+    level = np.einsum("ij,ij->i", u[:, :2], tangent[:, :2])
+    steep = np.abs(u[:, 2]) > 0.5
+    rise = np.where(steep, -level / np.where(steep, u[:, 2], 1.0), tangent[:, 2])
+    out: Floats = np.arctan2(rise, u[:, 2])
+    return out

@@ -29,11 +29,11 @@ def verdict_document(
     Args:
         verdict: what the verifier answered.
         poses: how many poses the path has.
-        guidance: how to move the bone, where it was computed.
+        guidance: how to move the bone, where it was computed; one that is not settled leaves null and a note.
         digests: of the records and files the verdict was made for.
         elapsed_ms: of the verification alone.
     """
-    return {
+    document = {
         "schema": SCHEMA,
         "verdict": "admissible" if verdict.admissible else "inadmissible",
         "method": verdict.method,
@@ -62,7 +62,7 @@ def verdict_document(
         "boundaries": {name: _boundary(boundary) for name, boundary in verdict.boundaries.items()},
         "speed": _speed(verdict),
         "acceleration": [_rate(line) for line in verdict.acceleration],
-        "guidance": guidance and _guidance(guidance),
+        "guidance": guidance_document(guidance) if guidance and guidance.settled else None,
         "digests": {
             "path": digests.path.hex(),
             "limits": digests.limits.hex(),
@@ -71,6 +71,9 @@ def verdict_document(
         },
         "elapsed_ms": _number(elapsed_ms),
     }
+    if guidance and not guidance.settled:
+        document["guidance_note"] = guidance.text
+    return document
 
 
 def document_text(document: dict[str, Any]) -> str:
@@ -112,9 +115,14 @@ def _rate(line: SpeedLine) -> dict[str, Any]:
     }
 
 
-def _guidance(guidance: Guidance) -> dict[str, Any]:
+def guidance_document(guidance: Guidance) -> dict[str, Any]:
     """The combined move and each boundary's own; what is not known of other translations is absent."""
-    proved = {"none_possible": guidance.none_possible, "at_least_mm": guidance.at_least_mm}
+    proved = {
+        "none_possible": guidance.none_possible,
+        "at_least_mm": guidance.at_least_mm,
+        "reserve_mm": guidance.reserve_mm,
+        "reserve_deg": guidance.reserve_deg,
+    }
     return {
         "translation_mm": None if guidance.translation_mm is None else _vector(guidance.translation_mm),
         "yaw_deg": _number(guidance.yaw_deg),

@@ -79,8 +79,8 @@ def attained(geometry: Geometry, scope: Scope, points: Points) -> Floats:
     elif not geometry.workspace.full_turn:
         out[:, LEFT:ROLL_MIN] = sides[:, LEFT:]
     if scope.roll_defined:
-        out[:, ROLL_MIN] = points.roll - points.widening
-        out[:, ROLL_MAX] = -(points.roll + points.widening)
+        out[:, ROLL_MIN] = points.roll - points.widening[:, 0]
+        out[:, ROLL_MAX] = -(points.roll + points.widening[:, 1])
     if scope.wound:
         out[:, Q0_MIN] = points.shoulder
         out[:, Q0_MAX] = -points.shoulder
@@ -182,8 +182,8 @@ def _bound_angles(parts: Intervals, angles: Angles, bounds: Floats) -> None:
     with np.errstate(invalid="ignore"):
         least = np.fmax(np.minimum(a.roll, b.roll) - bow, np.minimum(a.azimuth, b.azimuth) - middle - sway)
         most = np.fmin(np.maximum(a.roll, b.roll) + bow, np.maximum(a.azimuth, b.azimuth) - middle + sway)
-        bounds[:, ROLL_MIN] = least - angles.widening - angles.pad - angles.azimuth_pad
-        bounds[:, ROLL_MAX] = -(most + angles.widening + angles.pad + angles.azimuth_pad)
+        bounds[:, ROLL_MIN] = least - angles.widening[:, 0] - angles.pad - angles.azimuth_pad
+        bounds[:, ROLL_MAX] = -(most + angles.widening[:, 1] + angles.pad + angles.azimuth_pad)
         low, high = _shoulder_range(parts, angles)
         bounds[:, Q0_MIN], bounds[:, Q0_MAX] = low, -high
 

@@ -52,7 +52,7 @@ class Geometry:
         arcs: its four arcs.
         arm_mm: deadband of the arm and the slide, residual and tolerance included.
         wrist_rad: deadband of the wrist, residual and tolerance included.
-        error_mm: residual and tolerance of the wrist centre alone.
+        error_mm: residual and tolerance of the wrist centre alone, in slide coordinates.
         error_rad: residual and tolerance of the axis alone.
         pad_mm: bound on the rounding of a computed distance.
     """
@@ -117,8 +117,8 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
     mirror = np.array((1.0, side, 1.0))
     segments = _segments(problem.tips_mm * mirror, problem.axes * mirror, problem)
     tilt = calibration.slide_tilt * mirror[:2]
-    error_mm = calibration.residual_mm + problem.deadband.path_tolerance_mm
-    error_rad = calibration.residual_rad + problem.deadband.path_tolerance_rad
+    stretch = math.sqrt(1.0 + float(tilt @ tilt))
+    error_mm, error_rad = errors(problem)
     largest = workspace.a0 + workspace.a1 + problem.tool_length_mm + float(np.abs(problem.tips_mm).max())
     geometry = Geometry(
         side=side,
@@ -126,7 +126,7 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         upper=upper,
         offset=calibration.joint_offset * flip,
         tilt=tilt,
-        stretch=math.sqrt(1.0 + float(tilt @ tilt)),
+        stretch=stretch,
         tool_mm=problem.tool_length_mm,
         workspace=workspace,
         arcs=() if workspace.empty else workspace.arcs,
@@ -137,6 +137,19 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         pad_mm=ROUNDINGS * EPSILON * largest,
     )
     return geometry, segments
+
+
+def errors(problem: Problem) -> tuple[float, float]:
+    """How far wrist centre (mm, slide coordinates) and tool axis (rad) may be off: residual and tolerance together.
+
+    The ball about a wrist centre lies in a disc of slide coordinates larger by the shear of the slide's lean.
+    """
+    calibration, deadband = problem.calibration, problem.deadband
+    stretch = math.sqrt(1.0 + float((calibration.slide_tilt**2).sum()))
+    return (
+        (calibration.residual_mm + deadband.path_tolerance_mm) * stretch,
+        calibration.residual_rad + deadband.path_tolerance_rad,
+    )
 
 
 def _segments(tip: Floats, axis: Floats, problem: Problem) -> Segments:

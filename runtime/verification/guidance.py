@@ -4,6 +4,9 @@ A hint cures the worst place of one boundary to first order; it says nothing of 
 The combined move is the smallest translation, or, where none is found, a turn about the vertical by the
 smallest angle found and the smallest translation with it. It is shown only with what the certified method
 says of the moved and re-quantised path. That no translation helps is said only where it is proved.
+
+All work is counted (`Effort`), that of the certified method included, and bounded as a whole: a second or so,
+whatever the path. Where it is spent before anything is found or proved, that is the answer.
 """
 
 from __future__ import annotations
@@ -12,13 +15,14 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.effort import Effort, EffortSpentError
 from cutgate.runtime.verification.geometry import Geometry, canonical
 from cutgate.runtime.verification.placing import Placing, Reserve
 from cutgate.runtime.verification.points import Points, at
@@ -46,11 +50,20 @@ STEP_DEG = 0.1
 COARSE_STEPS, FINE_STEPS = 50, 5
 """Turns are tried every 5 deg, then narrowed down to 0.5 deg."""
 
-TURN_FINEST_MM, TURN_EVALUATIONS = 0.5, 4000
-"""How hard it is tried at each turn whether any translation fits with it."""
+WORK: Final = 8_000_000
+"""Bound on all work of one answer, in points looked at (`Effort`)."""
 
-TURNS_EVALUATIONS = 40_000
-"""The same for all turns together, so that the answer never takes longer than half a minute."""
+WORK_ALONE, WORK_PROOF = 5 * WORK // 8, WORK // 16
+"""Of that: for the smallest translation alone, and for each proof that none helps; turns have what is left."""
+
+SEARCHED = 0.6
+"""The part of what is left that may go into a search; the rest is for the certified method to verify its answer."""
+
+QUANTISED = 2
+"""Work of moving and quantising a pose."""
+
+TURN_FINEST_MM, TURN_WORK = 0.5, WORK // 32
+"""How hard it is tried at each turn whether any translation fits with it."""
 
 TURNS_VERIFIED = 6
 """So many turns are given to the certified method; where it admits none of them, more are not tried."""
@@ -64,6 +77,8 @@ ON_THE_ARC_MM = 1e-6
 NEW_REGISTRATION = "a moved bone needs a new registration, which voids every permit given before"
 
 NOT_FOUND = "no translation found that makes the whole path admissible; that there is none is not proved"
+
+SPENT = "the search ended where the work it may take was spent"
 
 OTHERWISE = "tilt the bone, or part the path"
 
@@ -98,7 +113,9 @@ class Guidance:
         text: what was found and proved, in sentences.
         none_possible: True if it is proved that no translation alone makes the path admissible, False
             if one does, None if neither is known.
-        at_least_mm: with a translation alone: proved length of the shortest that keeps the same reserve.
+        at_least_mm: with a translation alone: proved length of the shortest that keeps the reserve; rounded down.
+        reserve_mm: what that proof keeps beyond the deadband of arm and slide.
+        reserve_deg: and beyond that of the roll.
     """
 
     translation_mm: Vector | None
@@ -110,6 +127,13 @@ class Guidance:
     text: str
     none_possible: bool | None = None
     at_least_mm: float | None = None
+    reserve_mm: float | None = None
+    reserve_deg: float | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether a verified move is shown, or that no translation helps is proved; else only `text` says anything."""
+        return self.verified or self.none_possible is True
 
 
 def guide(problem: Problem, verdict: Verdict, quantise: Quantise) -> Guidance | None:
@@ -171,6 +195,35 @@ def _reserve(mm: float) -> Reserve:
     return Reserve(mm, math.radians(RESERVE_DEG) * mm / RESERVES_MM[0])
 
 
+def _down(value: float, step: float) -> float:
+    """To whole steps, never up: what is said of a lower bound."""
+    return math.floor(value / step) * step if math.isfinite(value) else value
+
+
+@dataclass(frozen=True, slots=True)
+class _Shortest:
+    """How short no translation is that keeps a reserve, and the reserve; infinite where none at all keeps it."""
+
+    at_least_mm: float
+    reserve_mm: float
+    reserve_deg: float
+
+    @classmethod
+    def of(cls, at_least_mm: float, reserve: Reserve, *, roll: bool) -> _Shortest:
+        """From what a search proved; ``roll`` says whether the roll counted in it."""
+        return cls(_down(at_least_mm, 0.001), reserve.arm_mm, math.degrees(reserve.roll_rad) if roll else 0.0)
+
+    @property
+    def sentence(self) -> str:
+        """With every reserve that the proof rests on."""
+        shorter = f" shorter than {_down(self.at_least_mm, STEP_MM):.1f} mm"
+        roll = f" and {self.reserve_deg:g} deg beyond that of the roll" if self.reserve_deg else ""
+        return (
+            f"no translation{shorter if math.isfinite(self.at_least_mm) else ''} keeps {self.reserve_mm:g} mm "
+            f"beyond the deadband of arm and slide{roll} (proved)"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class _Proof:
     """That no translation helps, in a sentence; ``for_turns``: nor with any turn about the vertical."""
@@ -188,7 +241,11 @@ class _Combined:
         self.quantise = quantise
         self.pivot = pivot_of(problem)
         self.too_fast = False
-        self.evaluations_left = TURNS_EVALUATIONS
+        self.fits_somewhere = False
+        self.spent = False
+        self.effort = Effort(WORK)
+        self.shortest: _Shortest | None = None
+        self.lift_mm = (-math.inf, math.inf)
 
     def guidance(self) -> Guidance:
         """The smallest translation, else the smallest turn with a translation, else why there is none."""
@@ -197,7 +254,7 @@ class _Combined:
             return self._nothing(unchanged, none_possible=True)
         if canonical(self.problem)[0].workspace.empty:
             return self._nothing("the joint limits leave the arm no workspace", none_possible=True)
-        alone = self._translated(0.0)
+        alone = self._translated(0.0, self.effort.part(WORK_ALONE))
         if alone is not None:
             return alone
         if self.too_fast:
@@ -207,15 +264,22 @@ class _Combined:
 
     def _not_by_translation(self) -> Guidance:
         """What is proved of translations alone, and the smallest turn that helps."""
-        proof = self._proof()
+        proof = None if self.fits_somewhere else self._proof()
         if proof is not None and proof.for_turns:
             return self._nothing(f"{proof.text}: {OTHERWISE}", none_possible=True)
         turned = self._turned()
-        first, none_possible = (NOT_FOUND, None) if proof is None else (proof.text, True)
+        first, none_possible = (self._not_found(), None) if proof is None else (proof.text, True)
         if turned is not None:
             return replace(turned, text=f"{first}; {turned.text}", none_possible=none_possible)
         both = f"no turn about the vertical with a translation was found either: {OTHERWISE}"
-        return self._nothing(f"{first}; {both}", none_possible=none_possible)
+        spent = f"; {SPENT}" if self.spent else ""
+        return self._nothing(f"{first}; {both}{spent}", none_possible=none_possible)
+
+    def _not_found(self) -> str:
+        """That no translation was found, and how short there is none."""
+        if self.shortest is None or not self.shortest.at_least_mm >= STEP_MM:
+            return NOT_FOUND
+        return f"{NOT_FOUND}; {self.shortest.sentence}"
 
     def _nothing(self, text: str, *, none_possible: bool | None) -> Guidance:
         return Guidance(
@@ -230,25 +294,39 @@ class _Combined:
         remedy = "declare another hold_roll_deg" if set(names) <= set(_ROLL) else "tilt the registration"
         return f"no translation and no turn about the vertical changes {', '.join(names)} (proved): {remedy}"
 
-    def _translated(self, yaw_deg: float) -> Guidance | None:
-        """The smallest translation, with a turn, that the certified method admits."""
+    def _translated(self, yaw_deg: float, effort: Effort) -> Guidance | None:
+        """The smallest translation, with a turn, that the certified method admits; None also where the work is spent."""
+        try:
+            return self._searched(yaw_deg, effort)
+        except EffortSpentError:
+            self.spent = True
+            return None
+
+    def _searched(self, yaw_deg: float, effort: Effort) -> Guidance | None:
+        effort.spend(QUANTISED * len(self.problem.tips_mm))
         turned = moved(self.problem, yaw_deg, self.pivot, (0.0, 0.0, 0.0))
-        for reserve in RESERVES_MM:
-            placing = Placing(turned, _reserve(reserve))
+        for reserve in map(_reserve, RESERVES_MM):
+            placing = Placing(turned, reserve, effort=effort.part(SEARCHED * effort.left))
             found = smallest_translation(placing)
+            self.spent |= placing.effort.spent >= placing.effort.most
+            shortest = _Shortest.of(found.at_least_mm, reserve, roll=placing.follows_roll)
+            if yaw_deg == 0.0 and self.shortest is None:
+                self.shortest = shortest
             if found.translation_mm is None:
                 return None
+            self.fits_somewhere |= yaw_deg == 0.0
             shift = _steps(found.translation_mm * (1.0, placing.geometry.side, 1.0))
-            clearance = self._verified(yaw_deg, shift)
+            clearance = self._verified(yaw_deg, shift, effort)
             if clearance is not None:
-                return self._shown(yaw_deg, shift, clearance, reserve, found.at_least_mm)
+                return self._shown(yaw_deg, shift, clearance, shortest)
         return None
 
-    def _verified(self, yaw_deg: float, shift: Vector) -> float | None:
+    def _verified(self, yaw_deg: float, shift: Vector, effort: Effort) -> float | None:
         """Smallest proven clearance of the arm on the moved path; None if it is not admitted."""
+        effort.spend(QUANTISED * len(self.problem.tips_mm))
         path = moved(self.problem, yaw_deg, self.pivot, shift)
         tips, axes = self.quantise(path.tips_mm, path.axes)
-        verdict = certified.verify(replace(path, tips_mm=tips, axes=axes, branch=None))
+        verdict = certified.verify(replace(path, tips_mm=tips, axes=axes, branch=None), effort)
         cured = [b for b in verdict.boundaries.values() if b.name in (*ARM_BOUNDARIES, *_ROLL)]
         self.too_fast = verdict.branch is not None and not any(
             b.violated for b in verdict.boundaries.values()
@@ -257,13 +335,12 @@ class _Combined:
             return None
         return min(b.certified for b in cured if b.name in ARM_BOUNDARIES and b.certified is not None)
 
-    def _shown(
-        self, yaw_deg: float, shift: Vector, clearance: float, reserve: float, least: float
-    ) -> Guidance:
-        beyond = clearance - self.verdict.deadband_arm_mm
+    def _shown(self, yaw_deg: float, shift: Vector, clearance: float, shortest: _Shortest) -> Guidance:
+        beyond = _down(clearance - self.verdict.deadband_arm_mm, 0.01)
         text = f"the whole moved path keeps at least {beyond:.2f} mm beyond the arm deadband (proved)"
-        if yaw_deg == 0.0:
-            text += f"; no translation shorter than {least:.1f} mm keeps {reserve:g} mm beyond it (proved)"
+        alone = yaw_deg == 0.0
+        if alone:
+            text += f"; {shortest.sentence}"
         else:
             text += "; it is the smallest turn found, cutgate reach shows what larger ones allow"
         return Guidance(
@@ -274,8 +351,10 @@ class _Combined:
             predicted_clearance_mm=clearance,
             verified=True,
             text=f"{text}; {NEW_REGISTRATION}",
-            none_possible=False if yaw_deg == 0.0 else None,
-            at_least_mm=least if yaw_deg == 0.0 else None,
+            none_possible=False if alone else None,
+            at_least_mm=shortest.at_least_mm if alone else None,
+            reserve_mm=shortest.reserve_mm if alone else None,
+            reserve_deg=shortest.reserve_deg if alone else None,
         )
 
     def _proof(self) -> _Proof | None:
@@ -284,7 +363,7 @@ class _Combined:
         arm = "wherever it stands, a pose violates inner, outer, left or right"
         roll = "wherever the arm reaches every pose, the roll leaves its limits"
         if self._none_fits(shoulder=False):
-            low, high = Placing(self.problem, Reserve()).lift_mm
+            low, high = self.lift_mm
             why = tall if low > high else arm if self._none_fits(roll=False, shoulder=False) else roll
             return _Proof(
                 f"no translation helps, with or without a turn about the vertical (proved): {why}",
@@ -298,15 +377,24 @@ class _Combined:
         return None
 
     def _none_fits(self, *, roll: bool = True, shoulder: bool = True) -> bool:
-        placing = Placing(self.problem, Reserve(), roll=roll, shoulder=shoulder)
+        effort = self.effort.part(WORK_PROOF)
+        try:
+            placing = Placing(self.problem, Reserve(), roll=roll, shoulder=shoulder, effort=effort)
+        except EffortSpentError:
+            self.spent = True
+            return False
+        self.lift_mm = placing.lift_mm
         return smallest_translation(placing, any_will_do=True).none_fits
 
     def _turned(self) -> Guidance | None:
         """The smallest turn found, either way, for which the certified method admits a translation."""
-        for steps in islice(self._turns(), TURNS_VERIFIED):
-            found = self._translated(round(steps * STEP_DEG, 3))
-            if found is not None:
-                return found
+        try:
+            for steps in islice(self._turns(), TURNS_VERIFIED):
+                found = self._translated(round(steps * STEP_DEG, 3), self.effort)
+                if found is not None:
+                    return found
+        except EffortSpentError:
+            self.spent = True
         return None
 
     def _turns(self) -> Iterator[int]:
@@ -326,15 +414,10 @@ class _Combined:
         return sign * high
 
     def _fits(self, steps: int) -> bool:
-        if self.evaluations_left <= 0:
-            return False
-        placing = Placing(
-            moved(self.problem, steps * STEP_DEG, self.pivot, (0.0, 0.0, 0.0)), _reserve(RESERVES_MM[0])
-        )
-        found = smallest_translation(
-            placing, any_will_do=True, finest_mm=TURN_FINEST_MM, evaluations=TURN_EVALUATIONS
-        )
-        self.evaluations_left -= found.looked_at
+        self.effort.spend(QUANTISED * len(self.problem.tips_mm))
+        turned = moved(self.problem, steps * STEP_DEG, self.pivot, (0.0, 0.0, 0.0))
+        placing = Placing(turned, _reserve(RESERVES_MM[0]), effort=self.effort.part(TURN_WORK))
+        found = smallest_translation(placing, any_will_do=True, finest_mm=TURN_FINEST_MM)
         return found.translation_mm is not None
 
 

@@ -60,7 +60,7 @@ class Angles:
     elbow2: Floats  # on |q1''|
     azimuth2: Floats  # on |azimuth''|
     pitch2: Floats  # on |q4''|
-    widening: Floats
+    widening: Floats  # of the roll for the errors, shape (m, 2), as in `points.roll_widening`
     pad: Floats  # rounding of q0, q1 and the heading
     azimuth_pad: Floats  # rounding of the azimuth
     elbow_sine: Floats  # least sin q1
@@ -110,12 +110,30 @@ def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: 
             elbow2=elbow2,
             azimuth2=2.0 * square * normal_hi / sine**3,
             pitch2=square * normal_hi * normal_hi / sine**3,
-            widening=roll_widening(geometry, bend, sine),
+            widening=_widening(geometry, (nearest, farthest), sine),
             pad=pad,
             azimuth_pad=azimuth_pad,
             elbow_sine=bend,
             pitch_sine=sine,
         )
+
+
+def _widening(geometry: Geometry, radii: tuple[Floats, Floats], pitch_sine: Floats) -> Floats:
+    """The largest `roll_widening` between two radii, shape (m, 2): it is the larger of both ends'.
+
+    As d heading / d a0 = 1 / (a1 sin q1), a widening is the integral of that over the links between, and for every
+    link a0 1 / sin q1 is convex in r: with u = cos q1 = (r^2 - a0^2 - a1^2) / (2 a0 a1) the second derivative of
+    (1 - u^2)^-1/2 has the sign of (1 + 2 u^2) r^2 / (a0 a1) + u (1 - u^2), and r^2 / (a0 a1) >= 2 + 2 u leaves
+    (1 + u)(3 u^2 + u + 2) >= 0.
+    """
+    nearest, farthest = radii
+    ends = [roll_widening(geometry, r, pitch_sine) for r in radii]
+    out: Floats = np.maximum(*ends)
+    if geometry.error_mm > 0.0:  # what rounds r and the links turns both headings, at the places of the disc
+        space, d = geometry.workspace, geometry.error_mm
+        least = np.minimum(*(elbow_sine(r, space.a0, space.a1) for r in (nearest - d, farthest + d)))
+        out += (2.0 * geometry.pad_mm / (space.a1 * np.where(least > 0.0, least, 0.0)))[:, None]
+    return out
 
 
 def _norm(points: Floats) -> Floats:

@@ -20,6 +20,7 @@ from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, should
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.chain import BLOCK, sagitta, sweep
 from cutgate.runtime.verification.closed_form import extremes
+from cutgate.runtime.verification.effort import CALL, Effort
 from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Ints, Segments, canonical
 from cutgate.runtime.verification.points import Points, at_poses, join, roll_widening
 from cutgate.runtime.verification.problem import Problem
@@ -50,6 +51,12 @@ SAMPLE = 64
 FIRST = 24
 """Of the sample, so many are tried first: they are enough to exclude most discs."""
 
+BUILD, BUILD_POINT, BUILD_BLOCK = 6000, 6, 100
+"""Work of setting up, whole, for each point and for each block of the path."""
+
+TURNS_MAX = 8
+"""So many turns of the shoulder are looked at one by one; where more are possible, none is excluded by its sides."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
@@ -67,6 +74,7 @@ class Placing:
         lift_mm: least and largest lift that the slide allows; least > largest where there is none.
         centres: wrist centres in slide coordinates, shape (n, 2).
         sample: numbers of points that stand for all, those most likely to object first.
+        effort: what all its work is counted on.
 
     Args:
         problem: a path with usable numbers.
@@ -74,13 +82,26 @@ class Placing:
         roll: whether the roll's limits count.
         shoulder: whether the shoulder's limits count, not only their span. Without them nothing changes if
             bone and arm turn together about the column, so that a proof holds for every turn of the bone.
+        effort: bound on all its work; none if left out.
+
+    Raises:
+        EffortSpentError: here and in each method, where the work is more than the bound leaves.
     """
 
     def __init__(
-        self, problem: Problem, reserve: Reserve, *, roll: bool = True, shoulder: bool = True
+        self,
+        problem: Problem,
+        reserve: Reserve,
+        *,
+        roll: bool = True,
+        shoulder: bool = True,
+        effort: Effort | None = None,
     ) -> None:
+        self.effort = Effort() if effort is None else effort
+        self.effort.spend(BUILD + BUILD_POINT * len(problem.tips_mm))
         geometry, segments = canonical(_dense(problem))
         n = len(segments.tip)
+        self.effort.spend(BUILD_POINT * max(n - len(problem.tips_mm), 0))
         points = join([at_poses(geometry, segments, slice(i, i + BLOCK)) for i in range(0, n, BLOCK)])
         self.geometry = geometry if shoulder else _unlimited_shoulder(geometry)
         self._shoulder = shoulder
@@ -102,7 +123,7 @@ class Placing:
         self._azimuth = (
             None if held or not roll else points.azimuth[0] + np.concatenate(([0.0], np.cumsum(steps)))
         )
-        self._start, self._ball = _blocks(geometry, segments, points)
+        self._start, self._ball = _blocks(geometry, segments, points, self.effort)
         self._block = np.searchsorted(self._start, np.arange(n), side="right") - 1
         even = np.linspace(0, n - 1, min(SAMPLE, n)).astype(np.int64)
         angles = np.arange(FIRST) * TURN / FIRST
@@ -116,6 +137,11 @@ class Placing:
         space = self.geometry.workspace
         reach = space.radius(space.q1_lo) - self.keep_mm + self.pad_mm
         return -reach - self.centres.min(axis=0), reach - self.centres.max(axis=0)
+
+    @property
+    def at_once(self) -> int:
+        """So many shifts are looked at in one go: that bounds the memory."""
+        return max(1, 2**20 // (len(self.sample) + len(self._start)))
 
     def excluded(self, shifts: Floats, radii: Floats) -> tuple[Bools, Floats]:
         """Discs of shifts of which it is proved that none fits.
@@ -161,8 +187,11 @@ class Placing:
         """Whether the points of the sample keep their deadbands and the reserve after shifts (k, 2)."""
         fit: Bools = self.arm_margins(shifts, self.sample).min(axis=1, initial=np.inf) >= 0.0
         for joint in self._followed:
-            least, most, _ = self._angle_range(joint, shifts, np.zeros(len(shifts)), self.sample)
+            nothing = np.zeros(len(shifts))
+            least, most, _ = self._angle_range(joint, shifts, nothing, self.sample)
             fit &= self._turns_fit(joint, least.max(axis=1), most.min(axis=1))
+            if joint == 0:
+                fit &= self._sides_allow(shifts, nothing, self.sample, least, most)
         return fit
 
     def fits(self, shift: Floats) -> bool:
@@ -175,18 +204,25 @@ class Placing:
             least, most, _ = self._angle_range(joint, one, np.zeros(1), rows)
             objecting += [int(np.nanargmax(least[0])), int(np.nanargmin(most[0]))]
             fit = fit and bool(self._turns_fit(joint, least.max(axis=1), most.min(axis=1))[0])
-        if fit and self._shoulder and self.geometry.workspace.full_turn:
-            fit = self._sides_fit(shift)
+            if joint == 0 and fit:
+                fit = bool(self._sides_allow(one, np.zeros(1), rows, least, most)[0])
+                objecting += self._nearest_to_limits(shift, least[0], most[0])
         if not fit:
             self.sample = _distinct(np.concatenate((np.array(objecting), self.sample)))
         return fit
 
     def arm_margins(self, shifts: Floats, rows: Ints) -> Floats:
         """Signed distance of points to the planar boundary beyond what is to be kept, mm, shape (k, rows)."""
+        self.effort.spend(CALL + len(shifts) * len(rows))
         points = (self.centres[rows][None, :, :] + shifts[:, None, :]).reshape(-1, 2)
         distance = signed_distance(points, self.geometry.workspace)
         out: Floats = distance.reshape(len(shifts), len(rows)) - self.keep_mm
         return out
+
+    @property
+    def follows_roll(self) -> bool:
+        """Whether the roll's limits count: not where it is left out, nor where it is held."""
+        return self._azimuth is not None
 
     @property
     def _followed(self) -> tuple[int, ...]:
@@ -197,9 +233,11 @@ class Placing:
     def _turns_exclude(self, joint: int, shifts: Floats, radii: Floats, rows: Ints) -> Bools:
         """Discs of shifts for which no choice of whole turns keeps a joint within its limits."""
         least, most, clear = self._angle_range(joint, shifts, radii, rows, proving=True)
-        least = np.where(np.isnan(least), -np.inf, least).max(axis=1)
-        most = np.where(np.isnan(most), np.inf, most).min(axis=1)
-        return clear & ~self._turns_fit(joint, least, most)
+        least, most = np.where(np.isnan(least), -np.inf, least), np.where(np.isnan(most), np.inf, most)
+        fit = self._turns_fit(joint, least.max(axis=1), most.min(axis=1))
+        if joint == 0:
+            fit &= self._sides_allow(shifts, radii, rows, least, most)
+        return clear & ~fit
 
     def _turns_fit(self, joint: int, least: Floats, most: Floats) -> Bools:
         """Whether a whole number of turns lies between, ends included; NaN is none.
@@ -220,6 +258,7 @@ class Placing:
         rho turns the heading psi by at most rho / (a1 sin q1) and the shoulder by rho / (a0 sin q1).
         ``clear`` says for each disc whether the winding about the column is known.
         """
+        self.effort.spend(CALL + len(shifts) * (len(rows) + len(self._start)))
         g, space = self.geometry, self.geometry.workspace
         bearing, clear = self._bearing(shifts, radii, rows)
         r = np.hypot(*np.moveaxis(self.centres[rows][None, :, :] + shifts[:, None, :], 2, 0))
@@ -231,30 +270,26 @@ class Placing:
             slack = radii[:, None] / (link * np.minimum(*sines))
         slack = np.where(radii[:, None] == 0.0, 0.0, slack)
         if joint == 0:
-            angle, spare = shoulder, np.zeros(len(rows))
+            angle, spare = shoulder, np.zeros((len(rows), 2))
         else:
             angle = self._azimuth_of(rows) - shoulder - elbow
-            spare = self._roll_spare(elbow_sine(r, space.a0, space.a1), rows, proving=proving)
-        lower, upper = float(g.lower[joint]) + spare, float(g.upper[joint]) - spare
+            spare = self._roll_spare(r, rows, proving=proving)
+        lower, upper = float(g.lower[joint]) + spare[..., 0], float(g.upper[joint]) - spare[..., 1]
         return (lower - slack - angle) / TURN, (upper + slack - angle) / TURN, clear
 
     def _azimuth_of(self, rows: Ints) -> Floats:
         return np.zeros(len(rows)) if self._azimuth is None else self._azimuth[rows]
 
-    def _roll_spare(self, elbow: Floats, rows: Ints, *, proving: bool) -> Floats:
-        """What the roll keeps from its limits; for a proof not more than the least it can come to."""
-        g = self.geometry
-        sine = self._sine[rows]
+    def _roll_spare(self, r: Floats, rows: Ints, *, proving: bool) -> Floats:
+        """What the roll keeps from its limits, shape (..., rows, 2); for a proof not more than the least of it."""
+        g, sine = self.geometry, self._sine[rows]
+        keep = g.wrist_rad + self.reserve.roll_rad
         if not proving:
-            return (
-                g.wrist_rad
-                + self.reserve.roll_rad
-                + roll_widening(g, elbow, np.broadcast_to(sine, elbow.shape))
-            )
+            return keep + roll_widening(g, r, sine)
         with np.errstate(divide="ignore"):
             rounding = np.minimum(WIRE_RAD + WIRE_RAD / sine, math.pi)
-        least = roll_widening(replace(g, error_mm=0.0), np.ones(len(rows)), sine)
-        return g.wrist_rad + self.reserve.roll_rad + np.where(np.isfinite(least), least, 0.0) - rounding
+        least = roll_widening(replace(g, error_mm=0.0), sine, sine)
+        return keep + np.where(np.isfinite(least), least, 0.0) - rounding[:, None]
 
     def _bearing(self, shifts: Floats, radii: Floats, rows: Ints) -> tuple[Floats, Bools]:
         """Polar angle of shifted points, followed along the path; and whether that is known in each disc.
@@ -272,13 +307,48 @@ class Placing:
         points = self.centres[rows][None, :, :] + shifts[:, None, :]
         return lifted[:, block] + _sweep(anchors[:, block], points), clear
 
-    def _sides_fit(self, shift: Floats) -> bool:
-        """Left and right of a shoulder of a turn or more: they count within half a turn of their limit."""
-        g, rows = self.geometry, np.arange(len(self.centres))
-        least, most, _ = self._angle_range(0, shift[None, :], np.zeros(1), rows)
-        turns = range(math.ceil(float(least.max())), math.floor(float(most.min())) + 1)
-        left, right = (distance_to_arc(self.centres + shift, arc) >= self.keep_mm for arc in g.arcs[2:])
-        return any(bool(((left | (most[0] - k > 0.5)) & (right | (k - least[0] > 0.5))).all()) for k in turns)
+    def _sides_allow(self, shifts: Floats, radii: Floats, rows: Ints, least: Floats, most: Floats) -> Bools:
+        """Whether some whole turn of a shoulder of a turn or more leaves every point off left and right, (k,).
+
+        They count within half a turn of their limit; in a disc of shifts only where that is so for all of it.
+
+        Args:
+            shifts: centres of the discs, shape (k, 2).
+            radii: shape (k,), mm.
+            rows: points.
+            least: fewest turns that the points ask for over the discs, shape (k, rows).
+            most: most turns, likewise.
+        """
+        out = np.ones(len(shifts), dtype=np.bool_)
+        if not self._shoulder or len(shifts) == 0:
+            return out
+        first, last = np.ceil(least.max(axis=1)), np.floor(most.min(axis=1))
+        if not float(last.max() - first.min()) < TURNS_MAX:
+            return out
+        left, right = (d < self.keep_mm - radii[:, None] for d in self._to_limits(shifts, rows))
+        out[:] = False
+        for turn in np.arange(first.min(), last.max() + 1.0):
+            near = (left & (most - turn <= 0.5)) | (right & (turn - least <= 0.5))
+            out |= (first <= turn) & (turn <= last) & ~near.any(axis=1)
+        return out
+
+    def _to_limits(self, shifts: Floats, rows: Ints) -> tuple[Floats, Floats]:
+        """Distances of points to the arcs left and right, mm, each of shape (k, rows)."""
+        self.effort.spend(CALL + 2 * len(shifts) * len(rows))
+        points = (self.centres[rows][None, :, :] + shifts[:, None, :]).reshape(-1, 2)
+        left, right = (
+            distance_to_arc(points, arc).reshape(len(shifts), len(rows)) for arc in self.geometry.arcs[2:]
+        )
+        return left, right
+
+    def _nearest_to_limits(self, shift: Floats, least: Floats, most: Floats) -> list[int]:
+        """The points nearest to left and right where these count, in the first turn that the points allow."""
+        turn = math.ceil(float(least.max()))
+        distances = self._to_limits(shift[None, :], np.arange(len(self.centres)))
+        counts = (most - turn <= 0.5, turn - least <= 0.5)
+        return [
+            int(np.argmin(np.where(near, d[0], np.inf))) for d, near in zip(distances, counts, strict=True)
+        ]
 
 
 def _sweep(first: Floats, second: Floats) -> Floats:
@@ -319,7 +389,7 @@ def _dense(problem: Problem) -> Problem:
     return replace(problem, tips_mm=np.vstack((tip, tips[-1:])), axes=np.vstack((axis, axes[-1:])))
 
 
-def _blocks(geometry: Geometry, segments: Segments, points: Points) -> tuple[Ints, Floats]:
+def _blocks(geometry: Geometry, segments: Segments, points: Points, effort: Effort) -> tuple[Ints, Floats]:
     """Cut the path into blocks: first point of each, and the ball about it that holds the block, mm.
 
     A block includes the next one's first point.
@@ -328,11 +398,15 @@ def _blocks(geometry: Geometry, segments: Segments, points: Points) -> tuple[Int
     largest = max(space.radius(space.q1_hi) / 2.0, (space.a0 + space.a1) / 20.0)
     sag = np.append(sagitta(geometry, segments.theta), 0.0)
     start, ball, i, last = [], [], 0, len(points) - 1
+    size = BLOCK
     while i < last:
-        stop = min(i + BLOCK, last)
+        size = min(2 * size, BLOCK)
+        effort.spend(BUILD_BLOCK + size // 8)
+        stop = min(i + size, last)
         away = np.hypot(*(points.centre[i : stop + 1] - points.centre[i]).T)
         beyond = np.flatnonzero(away > largest)
         stop = i + max(int(beyond[0]) - 1, 1) if len(beyond) else stop
+        size = stop - i  # blocks are much alike: no more than twice the last is looked at
         start.append(i)
         ball.append(float(away[: stop - i + 1].max() + sag[i:stop].max()))
         i = stop

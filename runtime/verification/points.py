@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
+from cutgate.runtime.kinematics.arm import TURN, elbow_angle, heading_offset, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
 from cutgate.runtime.workspace.planar import distance_to_arc
@@ -32,7 +32,8 @@ class Points:
         azimuth: of the tool axis; likewise.
         elbow: q1, rad; NaN out of reach.
         beta: angle from upper link to the line shoulder-wrist; NaN out of reach.
-        widening: how much more than its deadband the roll needs here for the errors.
+        widening: how much more than its deadband the errors make the roll keep from its lower and its upper
+            limit here, rad, shape (m, 2).
     """
 
     centre: Floats
@@ -100,7 +101,7 @@ def _evaluate(geometry: Geometry, tip: Floats, axis: Floats) -> Points:
         bearing = elbow = beta = nothing
         distances = np.full((len(tip), 4), np.nan)
         inside = np.zeros(len(tip), dtype=np.bool_)
-        widening = nothing
+        widening = np.full((len(tip), 2), np.nan)
     else:
         r = np.hypot(centre[:, 0], centre[:, 1])
         bearing = np.arctan2(centre[:, 1], centre[:, 0])
@@ -108,7 +109,7 @@ def _evaluate(geometry: Geometry, tip: Floats, axis: Floats) -> Points:
         beta = shoulder_offset(elbow, space.a0, space.a1)
         distances = np.stack([distance_to_arc(centre, arc) for arc in geometry.arcs], axis=1)
         inside = _inside(geometry, r, bearing - beta)
-        widening = roll_widening(geometry, elbow_sine(r, space.a0, space.a1), sine)
+        widening = roll_widening(geometry, r, sine)
     return Points(
         centre=centre,
         axis_xy=axis[:, :2],
@@ -133,16 +134,34 @@ def _inside(geometry: Geometry, r: Floats, q0: Floats) -> Bools:
         return radial & (np.mod(q0 - space.q0_lo, TURN) <= space.q0_hi - space.q0_lo)
 
 
-def roll_widening(geometry: Geometry, elbow_sine: Floats, pitch_sine: Floats) -> Floats:
-    """How far the errors can turn the roll beyond the error of the axis itself, rad.
+def roll_widening(geometry: Geometry, r: Floats, pitch_sine: Floats) -> Floats:
+    """How far the errors can turn the roll down and up beyond the error of the axis itself, rad.
 
-    The axis may be off by the angle e, which turns its azimuth by at most asin(sin e / sin q4); the
-    wrist centre by d mm, which turns the heading by d / (a1 sin q1). Infinite where undefined.
+    The axis may be off by the angle e, which turns its azimuth by at most asin(sin e / sin q4). The wrist centre c
+    may be off by up to d mm; a displaced one with forearm heading psi has its elbow at c - a1 e(psi) less the same
+    displacement, on the circle of radius a0 about the column, so that c - a1 e(psi) itself lies between the radii
+    a0 - d and a0 + d. The headings of the whole disc are therefore exactly those with which arms of an upper link
+    from a0 - d to a0 + d reach c, and the extreme ones belong to the shortest and the longest: no bound, the value.
+
+    Args:
+        geometry: canonical arm.
+        r: distance of the wrist centre from the column, mm, any shape.
+        pitch_sine: sin q4, of a shape that fits r's.
+
+    Returns:
+        What the least roll loses and what the largest gains, of r's shape and (2,); infinite where the disc reaches
+        a straight or a folded elbow, or the cone a pole.
     """
     if geometry.error_mm == 0.0 and geometry.error_rad == 0.0:
-        return np.zeros_like(pitch_sine)
+        return np.zeros((*r.shape, 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = math.sin(geometry.error_rad) / pitch_sine
         azimuth = np.where(ratio <= 1.0, np.arcsin(np.minimum(ratio, 1.0)), np.inf) - geometry.error_rad
-        heading = geometry.error_mm / (geometry.workspace.a1 * elbow_sine)
-    return azimuth + np.where(np.isnan(heading), np.inf if geometry.error_mm > 0.0 else 0.0, heading)
+    a0, a1, d = geometry.workspace.a0, geometry.workspace.a1, geometry.error_mm
+    if d == 0.0:
+        return np.stack((azimuth, azimuth), axis=-1)
+    within = (r - d > abs(a0 - a1)) & (r + d < a0 + a1)
+    shorter, same, longer = (heading_offset(r, link, a1) for link in (a0 - d, a0, a0 + d))
+    heading = np.where(within[..., None], np.stack((longer - same, same - shorter), axis=-1), np.inf)
+    out: Floats = azimuth[..., None] + heading
+    return out

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.verification.closed_form import Extreme, Extremes
 from cutgate.runtime.verification.enclosures import ACCELERATION, SPEED
-from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Segments
+from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Segments, errors
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
@@ -120,10 +120,7 @@ def slide_and_pitch(geometry: Geometry, limits: Extremes, held: float | None) ->
 
 def refused(problem: Problem, wrong: tuple[str, ...], method: Method) -> Verdict:
     """The verdict on a problem whose numbers cannot be verified: every boundary undefined, hence violated."""
-    wrist = (
-        problem.deadband.wrist_rad + problem.calibration.residual_rad + problem.deadband.path_tolerance_rad
-    )
-    arm = problem.deadband.arm_mm + problem.calibration.residual_mm + problem.deadband.path_tolerance_mm
+    arm, wrist = np.add(errors(problem), (problem.deadband.arm_mm, problem.deadband.wrist_rad)).tolist()
     nothing = {name: boundary(name, None, arm, wrist, ()) for name in BOUNDARIES}
     unknown = {
         quantity: tuple(

@@ -3,17 +3,20 @@
 The length of the translation that belongs to a shift ``p`` is the distance of the origin from the straight
 segment ``(p + h tilt, h)`` over the lifts h that the slide allows, hence 1-Lipschitz in p. Squares of shifts
 are worked off by the least length in them; one is dropped when it is proved that no shift in it fits, or
-that none is shorter than the best found. Nothing left proves that no translation fits.
+that none is shorter than the best found. Nothing left proves that no translation fits. All work is counted
+(`Effort` of the placing); where that is spent, what has been seen until then proves as much as it can.
 """
 
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.verification.effort import EffortSpentError
 from cutgate.runtime.verification.placing import Placing
 
 Floats = NDArray[np.float64]
@@ -31,9 +34,6 @@ SQUARES = 12
 BATCH = 128
 """Squares divided at once."""
 
-EVALUATIONS = 12_000
-"""Squares looked at before the search gives up; it then proves as much as it has seen."""
-
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -43,12 +43,10 @@ class Found:
         translation_mm: shape (3,), canonical frame (right elbow); None if none was found.
         at_least_mm: every translation after which all points fit is at least this long; infinite where
             it is proved that there is none.
-        looked_at: how many squares were looked at.
     """
 
     translation_mm: Floats | None
     at_least_mm: float
-    looked_at: int = 0
 
     @property
     def none_fits(self) -> bool:
@@ -83,26 +81,21 @@ class _Squares:
 
 
 def smallest_translation(
-    placing: Placing,
-    *,
-    any_will_do: bool = False,
-    finest_mm: float = FINEST_MM,
-    evaluations: int = EVALUATIONS,
+    placing: Placing, *, any_will_do: bool = False, finest_mm: float = FINEST_MM
 ) -> Found:
     """The smallest translation after which all points of a path keep their deadbands and the reserve.
 
     Args:
-        placing: the path's conditions.
+        placing: the path's conditions, and the bound on the work.
         any_will_do: stop at the first translation that fits.
         finest_mm: radius down to which discs of shifts are divided.
-        evaluations: bound on the discs looked at.
     """
     least, most = placing.lift_mm
     if least > most + 2.0 * placing.pad_mm:
         return Found(None, math.inf)
     if not least <= most:  # within rounding: no lift is known to fit, none is proved not to
         return Found(None, 0.0)
-    return _Search(placing, finest_mm).run(any_will_do=any_will_do, evaluations=evaluations)
+    return _Search(placing, finest_mm).run(any_will_do=any_will_do)
 
 
 class _Search:
@@ -114,22 +107,26 @@ class _Search:
         self.best: Floats | None = None
         self.length = math.inf
         self.given_up = math.inf
-        self.looked_at = 0
+        self.squares = self._first()
 
-    def run(self, *, any_will_do: bool, evaluations: int) -> Found:
-        """Divide the square with the shortest translation first, until nothing can improve the best."""
+    def run(self, *, any_will_do: bool) -> Found:
+        """Divide until nothing can improve the best, or the work is spent: the squares left then stay open."""
+        with suppress(EffortSpentError):
+            self._divide(any_will_do=any_will_do)
+        least = float(self.squares.least.min(initial=math.inf))
+        least = min(self.given_up, least, max(self.length - TOLERANCE_MM, 0.0))
+        return Found(None if self.best is None else self._translation(self.best), least)
+
+    def _divide(self, *, any_will_do: bool) -> None:
+        """Divide the square with the shortest translation first. A square leaves the open ones when it is decided."""
         shortest = min(max(0.0, self.placing.lift_mm[0]), self.placing.lift_mm[1])  # no shift of the tips
         self._try(-shortest * self.placing.geometry.tilt[None, :])
-        squares = self._look(self._first())
-        while len(squares) and self.looked_at < evaluations and not (any_will_do and self.best is not None):
-            squares = squares.take(squares.least < self.length - TOLERANCE_MM)
+        self.squares = self._look(self.squares)
+        while len(self.squares) and not (any_will_do and self.best is not None):
+            squares = self.squares = self.squares.take(self.squares.least < self.length - TOLERANCE_MM)
             order = np.argsort(squares.least, kind="stable")
             near, rest = squares.take(order[:BATCH]), squares.take(order[BATCH:])
-            squares = rest.joined(self._look(self._divided(near)))
-        least = min(
-            self.given_up, float(squares.least.min(initial=math.inf)), max(self.length - TOLERANCE_MM, 0.0)
-        )
-        return Found(None if self.best is None else self._translation(self.best), least, self.looked_at)
+            self.squares = rest.joined(self._look(self._divided(near)))
 
     def _first(self) -> _Squares:
         """Squares that cover the domain; none if it is empty."""
@@ -154,10 +151,15 @@ class _Search:
 
     def _look(self, squares: _Squares) -> _Squares:
         """Use the centres that fit, drop what is excluded; the squares that remain to be divided."""
-        squares = squares.take(squares.least < self.length - TOLERANCE_MM)
-        if len(squares) == 0:
-            return squares
-        self.looked_at += len(squares)
+        rest = squares.take(np.zeros(len(squares), dtype=np.bool_))
+        while len(squares):
+            squares = squares.take(squares.least < self.length - TOLERANCE_MM)
+            some = np.arange(len(squares)) < self.placing.at_once
+            rest, squares = rest.joined(self._undecided(squares.take(some))), squares.take(~some)
+        return rest
+
+    def _undecided(self, squares: _Squares) -> _Squares:
+        """What `_look` does, for as many as are looked at in one go."""
         excluded, margin = self.placing.excluded(squares.centre, squares.radius)
         self._try(squares.centre[(margin >= 0.0) & ~excluded])
         squares = squares.take(~excluded)

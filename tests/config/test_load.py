@@ -193,6 +193,7 @@ BAD_ROBOTS = [
     ("acceleration = [5.0,", "acceleration = [-5.0,", "limits.acceleration.0", "-5.0", "> 0"),
     ("arm_mm = 5.0", "arm_mm = 0.0", "deadband.arm_mm", "0.0", "> 0"),
     ("wrist_deg = 2.0", "", "deadband.wrist_deg", "missing", "given"),
+    ("wrist_deg = 2.0", "wrist_deg = 0.000001", "deadband.wrist_deg", "1e-06", ">= 0.001"),
     (
         "wrist_deg = 2.0",
         "wrist_deg = 2.0\npath_tolerance_mm = -1.0",

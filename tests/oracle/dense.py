@@ -26,7 +26,9 @@ COLUMNS = (
     *(f"speed{joint}" for joint in range(5)),
 )
 """What is followed along the path, small is bad: mm and deg; joint speeds are negative. The roll's two are
-the least and minus the largest continuous roll, its widening taken off."""
+the least and minus the largest continuous roll to which the errors bring it, less the error of the axis itself."""
+
+ROLL_COLUMNS = tuple(COLUMNS.index(name) for name in ("roll_min", "roll_max"))
 
 CORNERS = 33
 NEWTON_STEPS = 3
@@ -39,25 +41,30 @@ ROUNDING = 2e-12
 """Of the change of a joint over that step, mm and rad; taken off, so that tiny segments do not seem fast."""
 
 WINDOWS, ZOOM_POINTS, ZOOM_ROUNDS = 4, 9, 7
+DIRECTIONS, DIRECTION_POINTS, DIRECTION_ROUNDS = 16, 7, 5
+"""In which directions wrist centre and axis are moved by their errors: all around, then closer around the best."""
 
 
 @dataclass
 class Samples:
-    """Evaluated poses; arrays over m samples, true joints q (m, 5), unsigned distances to the sides (m, 4)."""
+    """Evaluated poses; arrays over m samples, true joints q (m, 5), unsigned distances to the sides (m, 4).
+
+    ``strays`` (m, 2): how far the errors can bring the roll down, and up, less the error of the axis itself.
+    """
 
     segment: np.ndarray
     s: np.ndarray
     q: np.ndarray
     sides: np.ndarray
     inside: np.ndarray
-    widening: np.ndarray
+    strays: np.ndarray
 
 
 class Dense:
     """All margins of a path at many sampled poses."""
 
     def __init__(self, problem, per_segment=200):
-        c, arm = problem.calibration, problem.arm
+        c, d, arm = problem.calibration, problem.deadband, problem.arm
         self.problem = problem
         self.sign = 1.0 if arm.elbow == "right" else -1.0
         self.a0 = arm.upper_mm + c.upper_link_error_mm
@@ -67,6 +74,9 @@ class Dense:
         bent = (0.0, math.pi) if self.sign > 0 else (-math.pi, 0.0)
         self.q1 = (max(self.lo[1], bent[0]), min(self.hi[1], bent[1]))
         self.full = self.hi[0] - self.lo[0] >= 2 * math.pi
+        # A ball about the wrist centre lies, sheared by the slide's lean, in a disc that much larger.
+        self.error_mm = (c.residual_mm + d.path_tolerance_mm) * math.hypot(1.0, *c.slide_tilt)
+        self.error_rad = c.residual_rad + d.path_tolerance_rad
         self.turn, self.normal, self.seconds = self._segments()
         n = len(problem.tips_mm) - 1
         self.samples = self.at(
@@ -104,22 +114,26 @@ class Dense:
         """True joints by the law of cosines; NaN out of reach; also the planar wrist centre."""
         w = tip + self.problem.tool_length_mm * axis
         xy = w[:, :2] - w[:, 2:] * np.asarray(self.problem.calibration.slide_tilt)
-        square = (xy**2).sum(axis=1)
-        with np.errstate(invalid="ignore"):
-            q1 = self.sign * np.arccos((square - self.a0**2 - self.a1**2) / (2 * self.a0 * self.a1))
-        elbow = np.arctan2(self.a1 * np.sin(q1), self.a0 + self.a1 * np.cos(q1))
-        q0 = np.arctan2(xy[:, 1], xy[:, 0]) - elbow
+        q0, q1 = self.arm(xy)
         q3 = np.arctan2(axis[:, 1], axis[:, 0]) - q0 - q1
         q4 = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2])
         return xy, np.stack((q0, q1, w[:, 2], q3, q4), axis=1)
 
-    def at(self, segment, s):
-        """Evaluate fractions (m,) of segments (m,)."""
+    def arm(self, xy):
+        """Shoulder and elbow that bring the wrist centre there, (..., 2); NaN out of reach."""
+        square = (xy**2).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            q1 = self.sign * np.arccos((square - self.a0**2 - self.a1**2) / (2 * self.a0 * self.a1))
+        elbow = np.arctan2(self.a1 * np.sin(q1), self.a0 + self.a1 * np.cos(q1))
+        return np.arctan2(xy[..., 1], xy[..., 0]) - elbow, q1
+
+    def at(self, segment, s, strays=None):
+        """Evaluate fractions (m,) of segments (m,); ``strays``: the rows of which the strays are wanted, else all."""
         xy, q = self.joints(*self.poses(segment, s))
         sides = np.stack([self.side_distance(xy, name) for name in SIDES], axis=1)
         bent = (q[:, 1] >= self.q1[0]) & (q[:, 1] <= self.q1[1])
         turned = np.mod(q[:, 0] - self.lo[0], 2 * math.pi) <= self.hi[0] - self.lo[0]
-        return Samples(segment, s, q, sides, bent & turned, self._widening(q))
+        return Samples(segment, s, q, sides, bent & turned, self.strays(xy, q, strays))
 
     def _close_in_on_jumps(self):
         """Halve the steps over which a joint turns by more than LARGEST_JUMP, so that turns can be counted."""
@@ -171,13 +185,48 @@ class Dense:
             )  # beyond an end, the end is the best sample
         return np.minimum(best, np.abs(lever * np.exp(1j * t) - goal))
 
-    def _widening(self, q):
-        """What the errors take from the roll, rad."""
-        c, d = self.problem.calibration, self.problem.deadband
-        e, mm = c.residual_rad + d.path_tolerance_rad, c.residual_mm + d.path_tolerance_mm
-        with np.errstate(divide="ignore", invalid="ignore"):
-            lost = mm / (self.a1 * np.abs(np.sin(q[:, 1]))) if mm > 0 else 0.0
-            return np.arcsin(np.sin(e) / np.sin(q[:, 4])) - e + lost if e > 0 else lost + np.zeros(len(q))
+    def strays(self, xy, q, rows=None):
+        """How far the errors bring the roll down and up, less the error of the axis itself, rad, (m, 2).
+
+        The wrist centre is moved over the disc of its error and the axis over its cone; infinite where one of them
+        may become singular, NaN where not wanted.
+        """
+        out = np.zeros((len(q), 2))
+        if rows is not None:
+            out[~rows] = np.nan
+        rows = np.arange(len(q)) if rows is None else np.flatnonzero(rows)
+        if self.error_mm > 0:
+            out[rows] += self._heading_strays(xy[rows])
+        if self.error_rad > 0:
+            out[rows] += self._azimuth_stray(q[rows, 4])[:, None] - self.error_rad
+        return out
+
+    def _heading_strays(self, xy):
+        """How far up, and down, q0 + q1 goes while the wrist centre moves about: the roll goes the other way."""
+        heading = sum(self.arm(xy))[:, None]
+        bearing = np.arctan2(xy[:, 1], xy[:, 0])[:, None]
+
+        def change(direction):
+            offset = self.error_mm * np.stack(
+                (np.cos(bearing + direction), np.sin(bearing + direction)), axis=-1
+            )
+            return (
+                np.remainder(sum(self.arm(xy[:, None, :] + offset)) - heading + math.pi, 2 * math.pi)
+                - math.pi
+            )
+
+        return np.stack((highest(change, len(xy)), highest(lambda d: -change(d), len(xy))), axis=1)
+
+    def _azimuth_stray(self, pitch):
+        """How far the azimuth goes while the axis moves about its cone: as far either way."""
+        sine, cosine = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
+        c, s = math.cos(self.error_rad), math.sin(self.error_rad)
+
+        def change(direction):
+            return np.arctan2(s * np.sin(direction), c * sine + s * cosine * np.cos(direction))
+
+        polar = np.minimum(pitch, math.pi - pitch) <= self.error_rad
+        return np.where(polar, math.inf, highest(change, len(pitch)))
 
     def signed(self, x):
         """Signed distances to the sides, (m, 4): outside the nearest of them counts as negative."""
@@ -192,7 +241,7 @@ class Dense:
         z, q4 = x.q[:, 2], x.q[:, 4]
         slide = np.stack((self.hi[2] - z, z - self.lo[2]), axis=1)
         pitch = np.stack((q4 - self.lo[4], self.hi[4] - q4, np.minimum(q4, math.pi - q4)), axis=1)
-        turns = np.stack((q3 - x.widening, -q3 - x.widening, q0, -q0), axis=1)
+        turns = np.stack((q3 - x.strays[:, 0], -q3 - x.strays[:, 1], q0, -q0), axis=1)
         return np.hstack((self.signed(x), slide, np.degrees(pitch), np.degrees(turns), -self.speeds(x)))
 
     def speeds(self, x):
@@ -233,9 +282,10 @@ class Dense:
         last = np.where(segment[after] == segment[row], s[after], s[row])
         segment = segment[row]
         part, window = np.linspace(0, 1, ZOOM_POINTS), np.arange(len(row))
+        strays = np.repeat(np.isin(column, ROLL_COLUMNS) | (columns != self.columns), ZOOM_POINTS)
         for _ in range(ZOOM_ROUNDS):
             inner = first[:, None] + (last - first)[:, None] * part
-            x = self.at(np.repeat(segment, ZOOM_POINTS), inner.ravel())
+            x = self.at(np.repeat(segment, ZOOM_POINTS), inner.ravel(), strays)
             found = columns(x, *self.lift(x))
             found = np.where(np.isnan(found), np.inf, found)
             best = np.minimum(best, found.min(axis=0))
@@ -285,3 +335,30 @@ class Dense:
         shift = math.degrees(self.lifted(joint, 0)[0]) - start
         first = math.ceil((math.degrees(self.lo[joint]) - low - shift) / 360)
         return list(range(first, math.floor((math.degrees(self.hi[joint]) - high - shift) / 360) + 1))
+
+
+def highest(function, rows):
+    """Largest value of a function of a direction for each of m rows, by trying directions; infinite where one is NaN.
+
+    Args:
+        function: directions (m, k), rad, to values (m, k).
+        rows: m.
+    """
+    step = 2 * math.pi / DIRECTIONS
+    tried = np.tile(np.arange(DIRECTIONS) * step, (rows, 1))
+    values = function(tried)
+    undefined, values = np.isnan(values).any(axis=1), np.nan_to_num(values, nan=-math.inf)
+    row, best = np.arange(rows), values.max(axis=1)
+    around = tried[row, values.argmax(axis=1)][:, None]
+    for _ in range(DIRECTION_ROUNDS):
+        tried = around + np.linspace(-step, step, DIRECTION_POINTS)
+        values = np.nan_to_num(function(tried), nan=-math.inf)
+        best, around = np.maximum(best, values.max(axis=1)), tried[row, values.argmax(axis=1)][:, None]
+        step = 2 * step / (DIRECTION_POINTS - 1)
+    low, middle, high = np.nan_to_num(function(around + step * np.array((-1, 0, 1)))).T
+    bend = low - 2 * middle + high
+    peak = np.where(
+        bend < 0, (low - high) / np.where(bend < 0, 2 * bend, 1.0), 0.0
+    )  # of the parabola through them
+    last = function(around + step * np.clip(peak, -1, 1)[:, None])[:, 0]
+    return np.where(undefined, math.inf, np.fmax(best, last))

@@ -83,6 +83,14 @@ class GuidancePart(Part):
     verified: bool
     none_possible: bool = False
     at_least_mm: Annotated[Real, Field(ge=0)] = 0.0
+    reserve_mm: Annotated[Real, Field(ge=0)] = 0.0
+    reserve_deg: Annotated[Real, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _a_bound_comes_with_its_reserves(self):
+        together = {"at_least_mm", "reserve_mm", "reserve_deg"}
+        assert self.model_fields_set & together in (set(), together)
+        return self
 
 
 class DigestsPart(Part):
@@ -104,5 +112,11 @@ class VerdictDocument(Part):
     speed: list[SpeedPart]
     acceleration: list[SpeedPart]  # beside the contract's keys; empty where no limits are given
     guidance: GuidancePart | None
+    guidance_note: Annotated[str, Field(min_length=1)] | None = None
     digests: DigestsPart
     elapsed_ms: Annotated[Real, Field(ge=0)]
+
+    @model_validator(mode="after")
+    def _a_note_stands_in_place_of_guidance(self):
+        assert self.guidance is None or self.guidance_note is None
+        return self

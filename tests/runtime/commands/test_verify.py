@@ -1,13 +1,20 @@
 """``cutgate verify`` as people and programs call it."""
 
 import json
+import math
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
 from cutgate.runtime.commands import app as cli
+from cutgate.runtime.commands import screen
+from cutgate.runtime.commands import verify as command
+from cutgate.runtime.verification import guidance
+from cutgate.runtime.verification.guidance import guide
 from tests.runtime.commands.contract import VerdictDocument
 from tests.tool_paths import tool_path
 
@@ -108,6 +115,63 @@ def test_for_people_the_answer_comes_first_and_the_way_out_is_shown(cutgate):
     assert any("needs a new registration" in line for line in lines)
     assert max(map(len, lines)) <= 100
     assert "\x1b" not in out
+
+
+def test_for_people_the_whole_verdict_is_there_before_the_way_out_is_looked_for(cutgate, monkeypatch, capsys):
+    before = []
+
+    def late(*given):
+        before.append(capsys.readouterr().out)
+        return guide(*given)
+
+    monkeypatch.setattr(command, "guide", late)
+    code, after, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", FIRST)
+    assert code == 1
+    assert before[0].startswith("INADMISSIBLE: outer short by")
+    assert all(
+        word in before[0] for word in ("wrist_singularity", "Reasons", "elapsed", "registration SHA-256")
+    )
+    assert after.strip().startswith("How to move the bone")
+
+
+def test_a_way_out_that_is_looked_for_long_is_announced_beside_the_verdict(cutgate, monkeypatch, capsys):
+    heard = []
+
+    def slow(*given):
+        for _ in range(5000):
+            heard.append(capsys.readouterr().err)
+            if "looking for the smallest move of the bone" in "".join(heard):
+                return guide(*given)
+            threading.Event().wait(0.002)
+        raise AssertionError("not announced")
+
+    monkeypatch.setattr(command, "guide", slow)
+    monkeypatch.setattr(screen, "PATIENCE_S", 0.0)
+    assert cutgate("verify", PLAN, *MOUNTED, "--registration", FIRST)[0] == 1
+
+
+def test_for_programs_it_is_one_document_and_what_is_not_proved_is_null_with_a_note(verdict, monkeypatch):
+    monkeypatch.setattr(guidance, "WORK", 1000)
+    code, found = verdict(PLAN, *MOUNTED, "--registration", FIRST)
+    assert (code, found.guidance) == (1, None)
+    assert "that there is none is not proved" in found.guidance_note
+
+
+def test_a_path_once_searched_without_end_is_answered_in_ten_seconds_of_processor_time(cutgate, tmp_path):
+    """It goes once around the column, for a shoulder of 361 deg."""
+    turn = [2 * math.pi * k / 24 for k in range(25)]
+    rows = [
+        f"{620 * math.cos(t)},{620 * math.sin(t)},100,{math.cos(t) / 2},{math.sin(t) / 2},{0.75**0.5}"
+        for t in turn
+    ]
+    (tmp_path / "circle.csv").write_text("\n".join(("x,y,z,i,j,k", *rows, "")), encoding="utf-8")
+    robot = ROBOT.read_text(encoding="utf-8").replace("q0_deg = [-80.0, 80.0]", "q0_deg = [-180.0, 181.0]")
+    (tmp_path / "robot.toml").write_text(robot, encoding="utf-8")
+    began = time.process_time()
+    code, out, _ = cutgate("verify", tmp_path / "circle.csv", "--robot", tmp_path / "robot.toml")
+    assert time.process_time() - began < 10.0
+    assert code == 1
+    assert "No translation of the bone cures this path: proved." in out
 
 
 def test_for_people_every_boundary_speed_and_digest_is_listed(cutgate):

@@ -8,14 +8,17 @@ import pytest
 from rich.console import Console
 
 from cutgate.runtime.commands import screen
-from cutgate.runtime.commands.verdict_view import print_verdict
+from cutgate.runtime.commands.verdict_view import print_guidance, print_verdict
 from cutgate.runtime.verification.guidance import Guidance, Move
 from tests.runtime.verification.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
 
 
 def printed(verdict=VERDICT, guidance=None) -> str:
     out = io.StringIO()
-    print_verdict(Console(file=out, width=100, no_color=True), verdict, guidance, DIGESTS, {"plan": "p"})
+    console = Console(file=out, width=100, no_color=True)
+    print_verdict(console, verdict, DIGESTS, {"plan": "p"})
+    if guidance is not None:
+        print_guidance(console, guidance)
     return out.getvalue()
 
 

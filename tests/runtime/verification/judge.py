@@ -190,9 +190,7 @@ def at_its_deadbands(case):
     margins = case.best
     if margins is None:
         return
-    c, d = case.problem.calibration, case.problem.deadband
-    arm = margins[0] - c.residual_mm - d.path_tolerance_mm
-    wrist = (margins[1] * DEG) - c.residual_rad - d.path_tolerance_rad
+    arm, wrist = margins[0] - case.dense.error_mm, margins[1] * DEG - case.dense.error_rad
     kept, missed, little = (arm - ROOM, wrist - ROOM * DEG), 2 * ORACLE, 1e-9
     in_no_time = not np.isfinite(case.least).all()  # a turn on the spot with a tool of no length
     if not min(kept) > 0 or in_no_time:

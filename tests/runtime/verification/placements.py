@@ -23,16 +23,15 @@ def admitted(problem, translations, *, reserve_mm=0.0, reserve_rad=0.0):
     bent = (q[:, 1] >= oracle.q1[0]) & (q[:, 1] <= oracle.q1[1])
     turned = np.mod(q[:, 0] - oracle.lo[0], 2 * math.pi) <= oracle.hi[0] - oracle.lo[0]
     nothing = np.zeros(len(q))
-    x = Samples(nothing, nothing, q, sides, bent & turned, oracle._widening(q))
-    c, d = problem.calibration, problem.deadband
-    keep = d.arm_mm + c.residual_mm + d.path_tolerance_mm + reserve_mm
+    x = Samples(nothing, nothing, q, sides, bent & turned, oracle.strays(xy, q))
+    keep = problem.deadband.arm_mm + oracle.error_mm + reserve_mm
     bounding = oracle.signed(x)[:, : 2 if oracle.full else 4].min(axis=1)
     slide = np.minimum(oracle.hi[2] - q[:, 2], q[:, 2] - oracle.lo[2])
     fits = (np.minimum(bounding, slide) >= keep).reshape(k, n)
-    wrist = d.wrist_rad + c.residual_rad + d.path_tolerance_rad + reserve_rad
-    spare = wrist + x.widening.reshape(k, n)
+    wrist = problem.deadband.wrist_rad + oracle.error_rad + reserve_rad
+    down, up = (wrist + x.strays[:, side].reshape(k, n) for side in (0, 1))
     roll = np.unwrap(q[:, 3].reshape(k, n), axis=1)
-    return fits.all(axis=1) & _some_turn(roll, oracle.lo[3] + spare, oracle.hi[3] - spare)
+    return fits.all(axis=1) & _some_turn(roll, oracle.lo[3] + down, oracle.hi[3] - up)
 
 
 def _some_turn(angle, lower, upper):

@@ -258,15 +258,17 @@ def test_where_no_turn_is_found_either_it_is_said_beside_what_is_proved(monkeypa
         monkeypatch.setattr(guidance._Combined, "_proof", lambda _: None)
     _, found = advice(problem(*wrist_path([[780.0, 300.0, 200.0], [880.0, 300.0, 200.0]], LEAN), **THIN))
     assert (found.translation_mm, found.none_possible, found.verified) == (None, proved, False)
-    assert ("(proved)" in found.text) is (proved is True)
+    assert ("no translation helps (proved)" in found.text) is (proved is True)
+    assert found.settled is (proved is True)
     assert "no turn about the vertical with a translation was found either: tilt the bone" in found.text
 
 
 def test_the_search_for_a_turn_ends_when_its_work_is_used_up(monkeypatch):
-    monkeypatch.setattr(guidance, "TURNS_EVALUATIONS", 1)
+    monkeypatch.setattr(guidance, "WORK", 300_000)
     _, found = advice(problem(*wrist_path([[780.0, 300.0, 200.0], [880.0, 300.0, 200.0]], LEAN), **THIN))
     assert (found.translation_mm, found.none_possible) == (None, True)
     assert "no turn about the vertical with a translation was found either" in found.text
+    assert guidance.SPENT in found.text
 
 
 def test_a_turn_that_leaves_a_tilt_violated_is_not_tried(monkeypatch):
@@ -288,7 +290,12 @@ def test_every_move_says_that_it_voids_the_registration_and_how_short_it_could_b
     _, found = advice(spot(890.0, 100.0))
     assert (found.none_possible, found.yaw_deg) == (False, 0.0)
     assert 0.0 < found.at_least_mm <= np.linalg.norm(found.translation_mm) + 0.1
-    assert f"no translation shorter than {found.at_least_mm:.1f} mm keeps 0.2 mm" in found.text
+    shown = math.floor(found.at_least_mm * 10.0) / 10.0
+    assert (found.reserve_mm, found.reserve_deg) == (0.2, pytest.approx(0.1))
+    assert (
+        f"no translation shorter than {shown:.1f} mm keeps 0.2 mm beyond the deadband of arm and slide and "
+        "0.1 deg beyond that of the roll (proved)"
+    ) in found.text
     assert "needs a new registration, which voids every permit" in found.text
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified, search
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.guidance import moved
 from cutgate.runtime.verification.placing import Placing, Reserve
 from cutgate.runtime.verification.problem import Arm, Calibration
@@ -24,9 +25,9 @@ def strokes(x, y, z=200.0, *, lean=60 * DEG, azimuth=(0.2, 0.23, 0.25, 0.28), **
     return problem(*wrist_path(at, axis(lean, np.array(azimuth))), **changes)
 
 
-def searched(path, reserve=RESERVE, **options):
+def searched(path, reserve=RESERVE, effort=None, **options):
     """The answer of the search in the robot frame."""
-    placing = Placing(path, reserve)
+    placing = Placing(path, reserve, effort=effort)
     found = smallest_translation(placing, **options)
     if found.translation_mm is None:
         return found, None
@@ -106,8 +107,22 @@ def test_exactly_as_tall_as_the_slide_is_neither_found_nor_proved_impossible():
 
 
 def test_a_search_that_is_cut_short_proves_nothing():
-    found, translation = searched(NOWHERE["roll"], Reserve(), evaluations=1)
-    assert (translation, found.none_fits) == (None, False)
+    """Wherever that is, be it one point before its end."""
+    whole = Effort()
+    assert searched(NOWHERE["roll"], Reserve(), effort=whole)[0].none_fits
+    for work in (whole.spent // 4, whole.spent // 2, whole.spent - 1):
+        found, translation = searched(NOWHERE["roll"], Reserve(), effort=Effort(work))
+        assert (translation, found.none_fits) == (None, False)
+    assert searched(NOWHERE["roll"], Reserve(), effort=Effort(whole.spent))[0].none_fits
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_a_search_that_is_cut_short_proves_is_no_more_than_what_the_whole_one_does(name):
+    whole, _ = searched(CASES[name])
+    for work in (12_000, 30_000, 60_000, 100_000, 200_000):
+        found, translation = searched(CASES[name], effort=Effort(work))
+        assert found.at_least_mm <= whole.at_least_mm + TOLERANCE_MM
+        assert translation is None or np.linalg.norm(translation) >= whole.at_least_mm
 
 
 def test_discs_that_are_given_up_undecided_prove_nothing():

@@ -332,6 +332,27 @@ def _ratio(entry: Mapping[str, Any]) -> float:
     return -math.inf if certified is None else float(certified / entry["deadband"])
 
 
+class Guidance(AuditRecord):
+    """Where to move the bone, after an inadmissible verdict; for people, it decides nothing.
+
+    Logs of 0.1.0 hold it in the verdict's document.
+    """
+
+    TOPIC: ClassVar[str] = "/audit/guidance"
+
+    document: str | None = None
+    """``guidance`` of ``cutgate.verdict/1`` as JSON text; absent where none came in time."""
+    note: str | None = None
+    """Why it is absent."""
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Self:
+        """From the contract's verdict document."""
+        found = document["guidance"]
+        text = None if found is None else json.dumps(found, allow_nan=False, separators=(",", ":"))
+        return cls(document=text, note=document.get("guidance_note"))
+
+
 class Permit(AuditRecord):
     """A permit, start or reset on its way. ``authorised`` alone never means that it left."""
 
@@ -454,7 +475,7 @@ class CanTransfer(Record):
 
 
 MODELS: Final[tuple[type[Record], ...]] = (
-    Open, Decision, Collected, Verdict, Boundary, Approach, Permit, Controller, Fault, Operator, Process, Attachment, Close,
+    Open, Decision, Collected, Verdict, Boundary, Approach, Guidance, Permit, Controller, Fault, Operator, Process, Attachment, Close,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

@@ -33,10 +33,11 @@ from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_
 from cutgate.runtime.exits import READER_GONE
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
+from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
 from cutgate.runtime.session.journal import Journal, plain
 from cutgate.runtime.session.loop import Session, wake_pipe
-from cutgate.runtime.session.worker import Request, Worker
+from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.document import document_text
 
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
@@ -90,6 +91,7 @@ def run(
             files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
             job = make_job(files, now=utc_now())
+            check = Check(job, files.robot.value)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     fd = fd or files.settings.bus.fd
@@ -105,7 +107,7 @@ def run(
             if withdrawn_in is not None:
                 view.note(f"this registration was withdrawn in {withdrawn_in}: register the bone anew")
             state = Interlock(job, registration_withdrawn=withdrawn_in is not None)
-            session, paths = _session(files, state, secret, bus, name, log, view, signals, fd=fd)
+            session, paths = _session(files, check, state, secret, bus, name, log, view, signals, fd=fd)
         finally:
             bus.shutdown()
         if not json:
@@ -119,6 +121,7 @@ def run(
 
 def _session(
     files: Files,
+    check: Check,
     state: Interlock,
     key: bytes,
     bus: can.BusABC,
@@ -139,11 +142,11 @@ def _session(
         transfer_timeout_s=timing.reply_timeout_s,
         fd=fd,
     )
-    worker = Worker(state.job.path)
+    worker = Worker.start(state.job.path)
     clean = False
     session = Session(
         state,
-        request=Request(0, b"", b"", b"", b"", state.job.registration, files.robot.value, timing),
+        check=check,
         key=key,
         port=Port(bus, endpoint, journal.frame),
         journal=journal,
@@ -157,6 +160,7 @@ def _session(
         journal.processes(worker.pid)
         session.run(signals.wake)
         clean = True
+        session.guidance(signals.wake)
     finally:
         worker.close()
         if session.state.registration_withdrawn and not state.registration_withdrawn:

@@ -23,9 +23,10 @@ from cutgate.runtime.interlock.state import (
     Said,
     Word,
 )
+from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
-from cutgate.runtime.session.worker import Answer
 from cutgate.runtime.verification.approach import Approach, summary
+from cutgate.runtime.verification.guidance import Guidance
 
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10
@@ -151,12 +152,17 @@ class SessionView:
             self.note(prompt, "yellow" if missing else GOOD)
 
     def verdict(self, answer: Answer) -> None:
-        """The worker's verdict, with every boundary and, if it is no, where to move the bone."""
+        """The verdict, with every boundary."""
         self._output.print(lambda: Group(headline(answer.proved), boundaries_table(answer.proved)))
         if (approach := answer.approach) is not None:
             self._output.print(lambda: approach_line(approach), soft_wrap=True)
-        if (guidance := answer.guidance) is not None:
-            self._output.print(lambda: Group("", guidance_lines(guidance)))
+
+    def guidance(self, found: Guidance | None, note: str) -> None:
+        """Where to move the bone; else why nothing is said of it."""
+        if found is None:
+            self.note(f"no move of the bone is shown: {note}", "yellow")
+            return
+        self._output.print(lambda: Group("", guidance_lines(found)))
 
     def progress(self, segment: int, segments: int) -> None:
         """A line every ten percent."""
@@ -183,13 +189,13 @@ def outcome_lines(state: Interlock, paths: Paths) -> Group:
     reason = f": {printable(state.reason)}" if state.reason else ""
     lines: list[RenderableType] = ["", Text.assemble((word, style), reason)]
     if state.job.simulation_allowed_by:
-        lines.append(Text(_simulation(state), BAD))
+        lines.append(Text(printable(_simulation(state)), BAD))
     if state.controller is not None:
         seen = _controller(state.controller.state, state.controller.cause)
         lines.append(Text(f"controller: last seen {seen}, before the session ended"))
     not_closed = "" if paths.closed else f"  NOT CLOSED: {paths.reason}"
-    lines.append(Text(f"audit log:  {printable(str(paths.log))}{printable(not_closed)}"))
-    lines.append(Text(f"raw frames: {printable(str(paths.candump))}"))
+    lines.append(Text(printable(f"audit log:  {paths.log}{not_closed}")))
+    lines.append(Text(printable(f"raw frames: {paths.candump}")))
     return Group(*lines)
 
 

@@ -91,6 +91,8 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
     console.print(table)
     if verdict["guidance"]:
         console.print(escape(_guidance(verdict["guidance"])))
+    elif "guidance_note" in verdict:
+        console.print(escape(f"Guidance: none, {_text(verdict, 'guidance_note')}"))
 
 
 def _approach(console: Console, approach: Mapping[str, Any]) -> None:

@@ -15,6 +15,7 @@ from cutgate.runtime.audit.records import (
     Collected,
     Decision,
     Fault,
+    Guidance,
     Open,
     Operator,
     Permit,
@@ -46,6 +47,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
             Verdict,
             Boundary,
             Approach,
+            Guidance,
             Permit,
             Fault,
             Operator,
@@ -63,7 +65,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         "messages": log.report.messages,
         "head": log.report.head,
         "opened": _entry(opened, start_ns) | {"utc_ns": _nanoseconds(opened.get("utc"))},
-        "verdicts": _verdicts(timed[Verdict], timed[Boundary]),
+        "verdicts": _verdicts(timed[Verdict], timed[Boundary], timed[Guidance]),
         "approaches": timed[Approach],
         "decisions": timed[Decision],
         "collected": timed[Collected],
@@ -83,24 +85,39 @@ def failing(decision: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [entry for entry in entries if isinstance(entry, dict) and entry.get("holds") is not True]
 
 
-def _verdicts(verdicts: list[dict[str, Any]], boundaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each verdict with the boundaries recorded from it until the next one."""
+def _verdicts(
+    verdicts: list[dict[str, Any]], boundaries: list[dict[str, Any]], guidance: list[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Each verdict with the boundaries, and the guidance, recorded from it until the next one."""
     found = []
     for number, verdict in enumerate(verdicts):
         start = verdict["offset_s"]
         end = verdicts[number + 1]["offset_s"] if number + 1 < len(verdicts) else float("inf")
-        own = [entry for entry in boundaries if start <= entry["offset_s"] < end]
-        found.append({**verdict, "boundaries": own, "guidance": _guidance(verdict)})
+        own, told = (
+            [entry for entry in entries if start <= entry["offset_s"] < end]
+            for entries in (boundaries, guidance)
+        )
+        note = next((entry["note"] for entry in told if "note" in entry), None)
+        noted = {} if note is None else {"guidance_note": note}
+        found.append({**verdict, "boundaries": own, "guidance": _guidance(verdict, told), **noted})
     return found
 
 
-def _guidance(verdict: Mapping[str, Any]) -> dict[str, Any] | None:
-    """How the bone was to be moved, from the verdict's document; None where it says nothing."""
+def _guidance(verdict: Mapping[str, Any], told: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """How the bone was to be moved, by its own record or, in logs of 0.1.0, by the verdict's document; else None."""
+    for document in (_json(verdict).get("guidance"), *map(_json, told)):
+        if isinstance(document, dict) and document:
+            return document
+    return None
+
+
+def _json(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The document of a record; empty where it has none that can be read."""
     try:
-        guidance = json.loads(verdict["document"])["guidance"]
+        document = json.loads(record["document"])
     except (KeyError, TypeError, ValueError, RecursionError):
-        return None
-    return guidance if isinstance(guidance, dict) else None
+        return {}
+    return document if isinstance(document, dict) else {}
 
 
 def _first(log: Log, model: type[AuditRecord]) -> dict[str, Any]:

@@ -1,6 +1,11 @@
-"""The verified course of the arm, for the tracking monitor: computed in the worker, once, from what was verified."""
+"""The reference trajectory of the arm, for the tracking monitor, from what this side itself has verified.
+
+From entry to exit it is known before the session opens (`between`), whatever the number of poses; the joint lines at
+its ends are put to it once the start joints are measured (`from_start`), step by step between two turns of the loop.
+"""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,6 +16,7 @@ from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Floats, ReferenceTrajectory
 from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
+from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.geometry import VERTICAL
 from cutgate.runtime.verification.problem import Problem
 
@@ -27,17 +33,35 @@ AGREE: Final = np.array(
     (math.radians(0.01), math.radians(0.01), 0.01, math.radians(0.01), math.radians(0.01))
 )
 """How far the joints at entry and exit may be from those that the permit binds."""
+ROWS: Final = 1 << 15
+"""Knots or poses copied in one step: well under a millisecond."""
 _CHORD: Final = np.array((CHORD_RAD, CHORD_RAD, CHORD_MM, CHORD_RAD, CHORD_RAD))
 
 
-def course_of(
-    problem: Problem, start_joints_u: tuple[int, ...], bound: records.Approach
-) -> ReferenceTrajectory:
-    """The course from the start joints through the cut and back.
+@dataclass(frozen=True, slots=True, eq=False)
+class Between:
+    """The trajectory from entry to exit; its times count from the entry.
+
+    Attributes:
+        times_s: as in `ReferenceTrajectory`, shape (m,).
+        joints: likewise, shape (m, 5).
+        poses_s: likewise.
+        links_mm: likewise.
+        speed: of each joint on the joint lines, rad/s and mm/s, shape (5,).
+    """
+
+    times_s: Floats
+    joints: Floats
+    poses_s: Floats
+    links_mm: tuple[float, float]
+    speed: Floats
+
+
+def between(problem: Problem, bound: records.Approach) -> Between:
+    """The trajectory from entry to exit.
 
     Args:
         problem: the verified cut, with its joint branch.
-        start_joints_u: where the arm stands, 1e-6 deg | mm.
         bound: approach and retract as the permit binds them.
 
     Raises:
@@ -47,26 +71,44 @@ def course_of(
     theta = turn_angles(axes[:-1], axes[1:])
     length_mm = np.maximum(np.linalg.norm(np.diff(tips, axis=0), axis=1), problem.tool_length_mm * theta)
     pieces = np.maximum(np.ceil(np.maximum(length_mm / PIECE_MM, theta / PIECE_RAD)), 1.0).astype(np.int64)
-    pieces, straight = _followed(problem, tips, axes, theta, pieces)
-    straight = _in_branch(problem, straight, int(pieces[0]))
-    _agree(straight, bound)
-    start = joints_to_memory(start_joints_u)
-    joints = np.concatenate((start[None], straight, start[None]))
-    line_s = np.abs(joints[[1, -1]] - joints[[0, -2]]) / problem.speed * 100.0 / bound.speed_percent
+    pieces, joints = _followed(problem, tips, axes, theta, pieces)
+    joints = _in_branch(problem, joints, int(pieces[0]))
+    _agree(joints, bound)
     seconds = np.repeat(length_mm / problem.feed_mm_s / pieces, pieces)
-    steps = np.concatenate(([0.0, line_s[0].max()], seconds, [line_s[1].max()]))
-    times_s = np.cumsum(steps)
+    times_s = np.concatenate(([0.0], np.cumsum(seconds)))
     kept = _kept(times_s, joints)
     calibration = problem.calibration
-    return ReferenceTrajectory(
+    return Between(
         times_s=times_s[kept],
         joints=joints[kept],
-        poses_s=times_s[np.cumsum(pieces)[: len(problem.tips_mm)] + 1],
+        poses_s=times_s[np.cumsum(pieces)[: len(problem.tips_mm)]],
         links_mm=(
             problem.arm.upper_mm + calibration.upper_link_error_mm,
             problem.arm.forearm_mm + calibration.forearm_link_error_mm,
         ),
+        speed=problem.speed * bound.speed_percent / 100.0,
     )
+
+
+def from_start(inner: Between, start_joints_u: tuple[int, ...]) -> Steps[ReferenceTrajectory]:
+    """The whole trajectory: from the start joints to the entry, through the cut, and from the exit back to them.
+
+    Args:
+        inner: from entry to exit.
+        start_joints_u: where the arm stands, 1e-6 deg | mm.
+    """
+    start, knots = joints_to_memory(start_joints_u), len(inner.times_s)
+    there_s, back_s = (float((np.abs(inner.joints[at] - start) / inner.speed).max()) for at in (0, -1))
+    times_s, joints, poses_s = np.zeros(knots + 2), np.empty((knots + 2, 5)), np.empty(len(inner.poses_s))
+    joints[[0, -1]] = start
+    for i in range(0, max(knots, len(poses_s)), ROWS):
+        these = slice(i, i + ROWS)
+        times_s[1:-1][these] = inner.times_s[these] + there_s
+        joints[1:-1][these] = inner.joints[these]
+        poses_s[these] = inner.poses_s[these] + there_s
+        yield
+    times_s[-1] = times_s[-2] + back_s
+    return ReferenceTrajectory(times_s, joints, poses_s, inner.links_mm)
 
 
 def _with_entry_and_exit(problem: Problem, bound: records.Approach) -> tuple[Floats, Floats]:
@@ -123,9 +165,9 @@ def _joints(problem: Problem, tips: Floats, axes: Floats) -> Floats:
 
 
 def _kept(times_s: Floats, joints: Floats) -> NDArray[np.bool_]:
-    """The knots that are needed: one each KNOT_S, and every one that is off the chord between its neighbours."""
+    """The knots that are needed: both ends, one each KNOT_S, and every one off the chord between its neighbours."""
     kept = np.diff(np.floor(times_s / KNOT_S), prepend=-1.0) > 0.0
-    kept[[0, 1, -2, -1]] = True
+    kept[[0, -1]] = True
     for _ in range(THINNINGS):
         chord = np.stack([np.interp(times_s, times_s[kept], joints[kept, j]) for j in range(5)], axis=1)
         off = (np.abs(joints - chord) > _CHORD).any(axis=1)
@@ -153,5 +195,5 @@ def _agree(joints: Floats, bound: records.Approach) -> None:
         off = np.abs(joints[at] - joints_to_memory(counts))
         if not (off <= AGREE).all():
             raise ValueError(
-                f"the course's joints at the {name} are not the verified ones: off by {off.tolist()}"
+                f"the trajectory's joints at the {name} are not the verified ones: off by {off.tolist()}"
             )

@@ -282,6 +282,10 @@ class Journal:
         for boundary in audit.boundaries_of(document):
             self.log.write(boundary)
 
+    def guidance(self, document: dict[str, Any]) -> None:
+        """Where to move the bone, once the verdict's document says it, or why it does not."""
+        self.log.write(audit.Guidance.of(document))
+
     def approach(
         self,
         document: dict[str, Any],

@@ -75,9 +75,13 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.table import step
 from cutgate.runtime.interlock.tracking import Deviation
+from cutgate.runtime.session.check import Answer, Check, disagreement, with_guidance
 from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.messages import Broken, Claim, Guided
 from cutgate.runtime.session.space import estimated_s
-from cutgate.runtime.session.worker import Answer, Broken, Request, Worker
+from cutgate.runtime.session.worker import Worker
+from cutgate.runtime.verification.approach import Steps
+from cutgate.runtime.verification.guidance import Guidance
 
 EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
     records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
@@ -91,6 +95,11 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
 }
 """What each record from the controller means to the table."""
 
+CHECK_HEARTBEATS = 1 / 8
+"""So long does this side's own check hold up a turn; its steps are far shorter."""
+GUIDANCE_S = 5.0
+"""So long is a move of the bone waited for, after the session; 2 s of processor time are given to its search."""
+
 
 class View(Protocol):
     """Shows the session to a person as it goes."""
@@ -101,7 +110,10 @@ class View(Protocol):
         """One step of the interlock."""
 
     def verdict(self, answer: Answer) -> None:
-        """The verdict of the worker."""
+        """The verdict, as soon as it counts."""
+
+    def guidance(self, found: Guidance | None, note: str) -> None:
+        """Where to move the bone; else why nothing is said of it."""
 
     def progress(self, segment: int, segments: int) -> None:
         """The controller is on this segment."""
@@ -115,7 +127,7 @@ class Session:
 
     Args:
         state: the interlock with its job.
-        request: what the worker is asked once the controller's records are there.
+        check: this side's own verification of the job.
         key: the pre-shared key.
         port: this side of the bus.
         journal: the audit log.
@@ -130,7 +142,7 @@ class Session:
         self,
         state: Interlock,
         *,
-        request: Request,
+        check: Check,
         key: bytes,
         port: Port,
         journal: Journal,
@@ -143,7 +155,11 @@ class Session:
     ) -> None:
         self.state = state
         self.answer: Answer | None = None
-        self._request = request
+        self._check = check
+        self._steps: Steps[Answer] | None = None
+        self._own: Answer | None = None
+        self._claim: Claim | None = None
+        self._listening = True
         self._key = key
         self._port = port
         self._journal = journal
@@ -196,6 +212,8 @@ class Session:
         due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
         if self._port.waits:
             due_s = min(due_s, RETRY_S)
+        if self._steps is not None or self._checked:
+            due_s = 0.0
         ready = {descriptor for descriptor, _ in self._poller.poll(max(0.0, due_s * 1000.0))}
         if wake in ready:
             os.read(wake, 4096)
@@ -225,6 +243,7 @@ class Session:
             self._read_words(ready)
             self._heartbeat(now_s)
             self._port.flush()
+            self._go_on_checking()
             if self._bus_error is not None:
                 raise self._bus_error
         except can.CanError as error:
@@ -330,41 +349,105 @@ class Session:
                     )
 
     def _read_worker(self, ready: set[int]) -> None:
-        if self._worker.fileno() not in ready:
-            return
-        match self._worker.poll():
-            case Answer(verdict=verdict) as answer:
-                if verdict.request == self._request.number:
-                    self._keep(answer)
-                    self._reserve(answer)
-                self._feed(VerdictReady(verdict))
-            case Broken(reason=reason):
-                self._poller.unregister(self._worker.fileno())
-                self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
+        """What the verification process says; and the verdict, once it is known on both sides."""
+        if self._listening and self._worker.fileno() in ready:
+            match self._worker.poll():
+                case Claim() as claim:
+                    self._claim = claim
+                    self._listen_no_more()
+                case Broken(reason=reason):
+                    self._not_verified(reason)
+                case Guided():
+                    self._not_verified("the verification process says what it was not asked")
+        if self._checked:
+            self._judge()
 
-    def _reserve(self, answer: Answer) -> None:
+    def _listen_no_more(self) -> None:
+        """All that is asked of the verification process is here: whatever becomes of it now, it stops no cut."""
+        if self._listening:
+            self._listening = False
+            self._poller.unregister(self._worker.fileno())
+
+    def _not_verified(self, reason: str) -> None:
+        self._listen_no_more()
+        self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
+
+    @property
+    def _checked(self) -> bool:
+        """Whether both sides have said what they found, and nothing has come of it yet."""
+        return self._own is not None and self._claim is not None
+
+    def _go_on_checking(self) -> None:
+        """Some steps of this side's own check: a small part of a heartbeat, when the turn's work is done."""
+        until_s = self._clock() + CHECK_HEARTBEATS * self._port.endpoint.link.heartbeat_s
+        while self._steps is not None and self._clock() < until_s:
+            try:
+                next(self._steps)
+            except StopIteration as end:
+                self._steps, self._own = None, end.value
+                self._reserve(end.value)
+            except ValueError as error:
+                self._steps = None
+                self._not_verified(f"{type(error).__name__}: {error}")
+
+    def _reserve(self, own: Answer) -> None:
         """Space for what an admissible verdict brings from now on; if it is more than was asked for, it is waited for."""
-        trajectory, session, log = answer.verdict.trajectory, self.state.session, self.state.log
+        trajectory, session, log = own.verdict.trajectory, self.state.session, self.state.log
         if trajectory is None or session is None:
             return
         needed = self._journal.reserve(trajectory.end_s / session.time_scale, self.state.job.timing)
         reserved = log.reserved_bytes if needed <= log.needed_bytes else 0
         self._feed(LogChanged(replace(log, reserved_bytes=reserved, needed_bytes=needed)))
 
+    def _judge(self) -> None:
+        """The verdict is this side's own; it counts only if the verification process says the same."""
+        own, claim, self._own, self._claim = self._own, self._claim, None, None
+        assert own is not None and claim is not None  # noqa: S101, PT018 - as _checked says
+        otherwise = disagreement(claim, own.verdict)
+        if otherwise:
+            self._not_verified(otherwise)
+            return
+        self._keep(own)
+        self._feed(VerdictReady(own.verdict))
+
     def _keep(self, answer: Answer) -> None:
-        """The verdict on what was asked: recorded and shown."""
+        """The verdict: recorded and shown."""
         self.answer = answer
         if answer.proof is not None:
             self._journal.log.attach(names.PROOF, "application/octet-stream", answer.proof)
-        self._journal.verdict(answer.document, self._request.tool, answer.verdict.reason)
+        self._journal.verdict(answer.document, self.state.job.tool, answer.verdict.reason)
         if answer.approach_document is not None:
             self._journal.approach(
                 answer.approach_document,
-                self._request.start_joints_u,
+                answer.verdict.start_joints_u,
                 answer.verdict.approach,
                 answer.verdict.approach_reason,
             )
         self._view.verdict(answer)
+
+    def guidance(self, wake: int, timeout_s: float = GUIDANCE_S) -> None:
+        """After a session that ended for an inadmissible cut: where to move the bone, if that is found in time.
+
+        Args:
+            wake: as for `run`; whoever wants to leave is not kept.
+            timeout_s: for so long it is waited.
+        """
+        answer = self.answer
+        if answer is None or answer.verdict.admissible:
+            return
+        self._view.note("looking for the smallest move of the bone")
+        found: Guidance | None = None
+        note = f"not found within {timeout_s:g} s, or not waited for"
+        match self._worker.wait(wake, timeout_s):
+            case Guided(request=answer.verdict.request, guidance=said):
+                found, note = None if said is None else said.value, "nothing is known that could be said"
+            case Broken(reason=reason):
+                note = reason
+            case Claim() | Guided():
+                note = "the verification process says what it was not asked"
+        self.answer = with_guidance(answer, found, note)
+        self._journal.guidance(self.answer.document)
+        self._view.guidance(found, note)
 
     def _read_words(self, ready: set[int]) -> None:
         if self._interrupted:
@@ -449,14 +532,6 @@ class Session:
         """What is proved is what the controller reported and what was uploaded."""
         held = self.state.collected
         assert held.limits is not None and held.calibration is not None and held.tool is not None  # noqa: S101, PT018
-        self._request = replace(
-            self._request,
-            number=wanted.request,
-            start_joints_u=wanted.start_joints_u,
-            limits=held.limits,
-            calibration=held.calibration,
-            tool=held.tool,
-        )
         attached = (
             (names.LIMITS, held.limits),
             (names.CALIBRATION, held.calibration),
@@ -464,7 +539,8 @@ class Session:
         )
         for name, data in attached:
             self._journal.log.attach(name, "application/octet-stream", data)
-        self._worker.submit(self._request)
+        self._worker.submit(self._check.request(wanted.request, wanted.start_joints_u, held))
+        self._steps = self._check.steps(wanted.request, wanted.start_joints_u)
 
     def _heartbeat(self, now_s: float) -> None:
         """One that is due, and one in place of any that has not left: what leaves was made in this turn."""

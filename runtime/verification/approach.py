@@ -13,13 +13,18 @@ exit to start joints; all joints linear in one parameter) are decided here, for 
 
 An arm that begins up to the start tolerance beside the start joints stays so near to the line (`start_offset` in the
 interlock's permissives bounds the wrist centre at every elbow angle), hence the tolerance widens the deadbands.
+
+Only the joint lines depend on where the arm stands. Hence the rest is verified before a session (`straight_lines`),
+and the joint lines, whose cost does not depend on the number of poses, in it: step by step (`joint_lines`), each step
+so short that a loop can take it between two of its turns.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +43,10 @@ from cutgate.runtime.workspace.planar import SIDES, Arc, distance_to_arc, segmen
 
 Floats = NDArray[np.float64]
 
+T = TypeVar("T")
+Steps = Generator[None, None, T]
+"""Work in steps, for whoever has other things to do in between; what it returns is the answer."""
+
 LegName = Literal["approach", "entry", "exit", "retract"]
 
 SCHEMA: Final = "cutgate.approach/1"
@@ -47,6 +56,8 @@ SMALLEST: Final = 2.0**-40
 """No interval is split below this part of the line."""
 BUDGET: Final = 200_000
 """Intervals looked at for one arc of one line; the rest stays undecided, which is refused."""
+BLOCK: Final = 1024
+"""So many of them in one step: under a millisecond."""
 
 _TITLE: Final[dict[LegName, str]] = {
     "approach": "joint line from the start joints to the entry pose",
@@ -89,6 +100,11 @@ class Leg:
     boundaries: dict[str, Boundary]
     reasons: tuple[str, ...]
 
+    @property
+    def violated(self) -> bool:
+        """Whether it lacks anything."""
+        return bool(self.reasons) or any(b.violated for b in self.boundaries.values())
+
 
 @dataclass(frozen=True, slots=True)
 class Approach:
@@ -113,6 +129,36 @@ class Approach:
     reasons: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class StraightLines:
+    """Entry and exit with the lines between them and the cut: all that does not depend on where the arm stands.
+
+    Attributes:
+        geometry: of the cut.
+        held: whether the cut holds a declared roll.
+        entry_um: as in `Approach`.
+        exit_um: likewise.
+        entry: likewise; NaN where there are none.
+        exit: likewise.
+        inward: from the entry pose to the first pose.
+        outward: from the last pose to the exit pose.
+    """
+
+    geometry: Geometry
+    held: bool
+    entry_um: int
+    exit_um: int
+    entry: Floats
+    exit: Floats
+    inward: Leg
+    outward: Leg
+
+    @property
+    def admissible(self) -> bool:
+        """Whether both lines keep every deadband; the joint lines are another question."""
+        return not any(leg.violated for leg in (self.inward, self.outward))
+
+
 def verify(problem: Problem, start: Start) -> Approach:
     """Verify approach and retract of a cut at the deadbands.
 
@@ -120,49 +166,78 @@ def verify(problem: Problem, start: Start) -> Approach:
         problem: the cut with its joint branch. Whether the cut itself is admissible is decided elsewhere.
         start: where the arm stands.
     """
-    wrong = _unfit(problem, start)
+    lines = straight_lines(problem, start.clearance_um)
+    return finished(joint_lines(lines, start))
+
+
+def finished(steps: Steps[T]) -> T:
+    """Take all steps; what came of them."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            answer: T = end.value
+            return answer
+
+
+def straight_lines(problem: Problem, clearance_um: int) -> StraightLines | Approach:
+    """Entry and exit, and the lines between them and the cut; the answer at once where there are none.
+
+    Args:
+        problem: as for `verify`.
+        clearance_um: as in `Start`.
+    """
+    wrong = list(defects(problem))
+    if problem.branch is None:
+        wrong.append("the cut names no joint branch")
+    wrong += _not_at_least_0("approach_clearance", clearance_um)
     if wrong:
-        return _refused(wrong)
+        return _refused(tuple(wrong))
     first, last = _ends(problem)
     if not (np.isfinite(first).all() and np.isfinite(last).all()):
         return _refused(("the cut's first or last pose has no joints: cure the cut first",))
-    entry_um, exit_um = (beyond_um(problem, pose, start.clearance_um) for pose in (0, -1))
+    entry_um, exit_um = (beyond_um(problem, pose, clearance_um) for pose in (0, -1))
     inward, entry = _straight(problem, "entry", (0, entry_um), first)
     outward, leaving = _straight(problem, "exit", (-1, exit_um), last)
     geometry, _ = canonical(problem)
-    held = _held(problem)
+    return StraightLines(geometry, _held(problem), entry_um, exit_um, entry, leaving, inward, outward)
+
+
+def joint_lines(lines: StraightLines | Approach, start: Start) -> Steps[Approach]:
+    """The joint lines between the start joints and entry and exit, and with them the whole answer."""
+    if isinstance(lines, Approach):
+        return lines
+    wrong = _unfit(start)
+    if wrong:
+        return _refused(wrong)
+    geometry, held = lines.geometry, lines.held
     legs = (
-        _joint_line(geometry, start, "approach", entry, held=held),
-        inward,
-        outward,
-        _joint_line(geometry, start, "retract", leaving, held=held),
+        (yield from _joint_line(geometry, start, "approach", lines.entry, held=held)),
+        lines.inward,
+        lines.outward,
+        (yield from _joint_line(geometry, start, "retract", lines.exit, held=held)),
     )
     reasons = tuple(f"{_TITLE[leg.name]}: {reason}" for leg in legs for reason in leg.reasons)
-    violated = any(b.violated for leg in legs for b in leg.boundaries.values())
-    return Approach(not (reasons or violated), entry_um, exit_um, entry, leaving, legs, reasons)
+    admissible = not any(leg.violated for leg in legs)
+    return Approach(admissible, lines.entry_um, lines.exit_um, lines.entry, lines.exit, legs, reasons)
 
 
 def _refused(reasons: tuple[str, ...]) -> Approach:
     return Approach(False, 0, 0, None, None, (), reasons)
 
 
-def _unfit(problem: Problem, start: Start) -> tuple[str, ...]:
-    """What makes the numbers unfit to be verified; any doubt is a defect."""
-    found = list(defects(problem))
-    if problem.branch is None:
-        found.append("the cut names no joint branch")
+def _unfit(start: Start) -> tuple[str, ...]:
+    """What makes the numbers of the start unfit to be verified; any doubt is a defect."""
+    found = []
     if start.joints.shape != (5,) or not np.isfinite(start.joints).all():
         found.append("the start joints are not five finite numbers")
-    found += [
-        f"{name} is {value}, must be finite and at least 0"
-        for name, value in (
-            ("approach_clearance", start.clearance_um),
-            ("start_tolerance_mm", start.tolerance_mm),
-            ("start_tolerance", start.tolerance_rad),
-        )
-        if not 0.0 <= value < math.inf
-    ]
+    found += _not_at_least_0("start_tolerance_mm", start.tolerance_mm)
+    found += _not_at_least_0("start_tolerance", start.tolerance_rad)
     return tuple(found)
+
+
+def _not_at_least_0(name: str, value: float) -> list[str]:
+    return [] if 0.0 <= value < math.inf else [f"{name} is {value}, must be finite and at least 0"]
 
 
 def beyond_um(problem: Problem, pose: int, clearance_um: int) -> int:
@@ -247,7 +322,7 @@ class _Least:
     fraction: float
 
 
-def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *, held: bool) -> Leg:
+def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *, held: bool) -> Steps[Leg]:
     """All joints linear in one parameter between the start joints and a pose's joints."""
     ends = np.stack((start.joints, pose) if name == "approach" else (pose, start.joints))
     line = ends * _flip(geometry) + geometry.offset
@@ -259,7 +334,7 @@ def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *
     if held and geometry.lower[4] <= 0.0:  # as for the cut: below a vertical tool there is no stop
         del values["pitch_min"]
     if inside:
-        values |= _sides(geometry, line, geometry.arm_mm + start.tolerance_mm)
+        values |= yield from _sides(geometry, line, geometry.arm_mm + start.tolerance_mm)
     boundaries = {}
     names: dict[str, _Least | None] = dict.fromkeys(SIDES) if not inside else {}
     for source, least in {**names, **values}.items():
@@ -286,18 +361,19 @@ def _linear(geometry: Geometry, line: Floats) -> dict[str, _Least]:
     return found
 
 
-def _sides(geometry: Geometry, line: Floats, target_mm: float) -> dict[str, _Least]:
+def _sides(geometry: Geometry, line: Floats, target_mm: float) -> Steps[dict[str, _Least]]:
     """Distance to the four arcs; from a full turn on a limit's arc counts within half a turn of the limit."""
     curve = _Curve.of(geometry, line)
     parts: dict[str, tuple[float, float] | None] = dict.fromkeys(SIDES, (0.0, 1.0))
     if geometry.workspace.full_turn:
         parts["left"] = _part_above(line[:, 0], float(geometry.upper[0]) - HALF_TURN)
         parts["right"] = _part_above(-line[:, 0], -float(geometry.lower[0]) - HALF_TURN)
-    return {
-        name: _enclose(curve, arc, part, target_mm, concentric=name in {"inner", "outer"})
-        for (name, part), arc in zip(parts.items(), geometry.arcs, strict=True)
-        if part is not None
-    }
+    found = {}
+    for (name, part), arc in zip(parts.items(), geometry.arcs, strict=True):
+        if part is not None:
+            concentric = name in {"inner", "outer"}
+            found[name] = yield from _enclose(curve, arc, part, target_mm, concentric=concentric)
+    return found
 
 
 def _part_above(ends: Floats, bound: float) -> tuple[float, float] | None:
@@ -349,7 +425,7 @@ class _Curve:
 
 def _enclose(
     curve: _Curve, arc: Arc, part: tuple[float, float], target_mm: float, *, concentric: bool
-) -> _Least:
+) -> Steps[_Least]:
     """The least distance to a clipped arc over a part of the curve, decided at the target.
 
     Intervals whose bound lies below the target, or too far below the least distance found, are halved. Of arcs about
@@ -360,18 +436,13 @@ def _enclose(
     best, place, proven, spent = math.inf, part[0], np.float64(math.inf), 0
     while len(a):
         spent += len(a)
-        pa, pb = curve(a), curve(b)
-        chord, nearest = segment_to_arc(pa, pb, arc)
-        bound = chord - curve.bend / 8.0 * (b - a) ** 2
-        if concentric:
-            off = [np.abs(np.hypot(p[:, 0], p[:, 1]) - arc.radius) for p in (pa, pb)]
-            bound = np.maximum(bound, np.minimum(*off))
-        bound = bound - curve.pad
-        tried = np.concatenate((a, b, a + nearest * (b - a)))
-        found = distance_to_arc(curve(tried), arc)
-        at = int(np.argmin(found))
-        if found[at] < best:
-            best, place = float(found[at]), float(tried[at])
+        bound = np.empty(len(a))
+        for i in range(0, len(a), BLOCK):
+            these = slice(i, i + BLOCK)
+            bound[these], found, at = _looked_at(curve, arc, a[these], b[these], concentric=concentric)
+            if found < best:
+                best, place = found, at
+            yield
         wanting = (bound < best - GAP_MM) | ((bound < target_mm) & (best >= target_mm))
         wanting &= (b - a > SMALLEST) & (spent <= BUDGET)
         proven = np.minimum(proven, bound[~wanting].min(initial=math.inf))  # keeps a NaN
@@ -379,6 +450,22 @@ def _enclose(
         middle = (a + b) / 2.0
         a, b = np.concatenate((a, middle)), np.concatenate((middle, b))
     return _Least(best, float(np.minimum(proven, best)), place)
+
+
+def _looked_at(
+    curve: _Curve, arc: Arc, a: Floats, b: Floats, *, concentric: bool
+) -> tuple[Floats, float, float]:
+    """Lower bounds of the distance on intervals, the least distance found at some places of them, and where."""
+    pa, pb = curve(a), curve(b)
+    chord, nearest = segment_to_arc(pa, pb, arc)
+    bound = chord - curve.bend / 8.0 * (b - a) ** 2
+    if concentric:
+        off = [np.abs(np.hypot(p[:, 0], p[:, 1]) - arc.radius) for p in (pa, pb)]
+        bound = np.maximum(bound, np.minimum(*off))
+    tried = np.concatenate((a, b, a + nearest * (b - a)))
+    found = distance_to_arc(curve(tried), arc)
+    at = int(np.argmin(found))
+    return bound - curve.pad, float(found[at]), float(tried[at])
 
 
 # ---------------------------------------------------------------- the answer
@@ -456,8 +543,8 @@ def worst(verdict: Approach) -> tuple[LegName, Boundary] | None:
     return min(entries, key=margin, default=None)
 
 
-def bound(verdict: Approach, speed_percent: int) -> records.Approach | None:
-    """What a permit binds; None where approach or retract is not admissible."""
+def bound(verdict: Approach | StraightLines, speed_percent: int) -> records.Approach | None:
+    """What a permit binds; None where approach or retract, or of the straight lines one, is not admissible."""
     if not verdict.admissible or verdict.entry is None or verdict.exit is None:
         return None
     return records.Approach(

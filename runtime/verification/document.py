@@ -33,7 +33,7 @@ def verdict_document(
         digests: of the records and files the verdict was made for.
         elapsed_ms: of the verification alone.
     """
-    document = {
+    return {
         "schema": SCHEMA,
         "verdict": "admissible" if verdict.admissible else "inadmissible",
         "method": verdict.method,
@@ -62,7 +62,7 @@ def verdict_document(
         "boundaries": {name: _boundary(boundary) for name, boundary in verdict.boundaries.items()},
         "speed": _speed(verdict),
         "acceleration": [_rate(line) for line in verdict.acceleration],
-        "guidance": guidance_document(guidance) if guidance and guidance.settled else None,
+        **guidance_entries(guidance),
         "digests": {
             "path": digests.path.hex(),
             "limits": digests.limits.hex(),
@@ -71,9 +71,6 @@ def verdict_document(
         },
         "elapsed_ms": _number(elapsed_ms),
     }
-    if guidance and not guidance.settled:
-        document["guidance_note"] = guidance.text
-    return document
 
 
 def document_text(document: dict[str, Any]) -> str:
@@ -113,6 +110,14 @@ def _rate(line: SpeedLine) -> dict[str, Any]:
         "segment": _integer(line.segment),
         "ok": bool(line.ok),
     }
+
+
+def guidance_entries(guidance: Guidance | None, note: str = "") -> dict[str, Any]:
+    """``guidance``; null where none is settled, and with what is known instead, or ``note``, as ``guidance_note``."""
+    if guidance is not None and guidance.settled:
+        return {"guidance": guidance_document(guidance)}
+    known = note if guidance is None else guidance.text
+    return {"guidance": None, **({"guidance_note": known} if known else {})}
 
 
 def guidance_document(guidance: Guidance) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import fcntl
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import termios
 import threading
@@ -28,7 +29,7 @@ from cutgate.runtime.commands import app, run
 from cutgate.runtime.interlock import permissives, table
 from cutgate.runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from cutgate.runtime.session import worker
+from cutgate.runtime.session import prover, worker
 
 SECOND_BLOCK = "second block"
 MOVING = "moving"
@@ -52,6 +53,7 @@ class Script:
         disk_stops_at: from this phase on no sync answers any more.
         space_unanswered: the reservation of space is never answered.
         blind: names of permissives that this defective runtime takes as true.
+        verifier: a program, as text, that runs in place of the verification process.
         unwatched: this defective runtime does not hold measured joints against the verified path either.
     """
 
@@ -65,6 +67,7 @@ class Script:
     space_unanswered: bool = False
     blind: tuple[str, ...] = ()
     unwatched: bool = False
+    verifier: str = ""
 
 
 def serve(streams: Sequence[Connection], program: str, arguments: list[str], script: Script | None) -> None:
@@ -77,8 +80,9 @@ def serve(streams: Sequence[Connection], program: str, arguments: list[str], scr
     sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.argv = [program, *arguments]
     if program == "cutgate.runtime.cli":
-        worker_by_fork()
-        bend(script or Script())
+        script = script or Script()
+        worker.launch = replaced(script.verifier) if script.verifier else Forked
+        bend(script)
         sys.exit(app.execute(arguments))
     command.LISTEN_S = LISTEN_S  # type: ignore[misc]
     sys.exit(controller_side(arguments))
@@ -122,17 +126,48 @@ def serve_a_job(
     os._exit(code if code >= 0 else 128 - code)
 
 
-def worker_by_fork() -> None:
-    """The verification process too is forked instead of started anew; it keeps nothing but its own pipe."""
-    serve_requests, fork_context = worker._serve, multiprocessing.get_context("fork")
+def replaced(verifier: str) -> Callable[[int, int], worker.Process]:
+    """Another program in place of the verification process."""
 
-    def alone(requests: Connection, path: bytes) -> None:
-        os.closerange(3, requests.fileno())
-        os.closerange(requests.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
-        serve_requests(requests, path)
+    def launch(path: int, line: int) -> worker.Process:
+        command = [sys.executable, "-c", verifier]
+        return subprocess.Popen(
+            command, bufsize=0, stdin=path, stdout=line, stderr=subprocess.PIPE, start_new_session=True
+        )
 
-    worker._serve = alone
-    multiprocessing.get_context = lambda _method=None: fork_context  # type: ignore[method-assign, assignment]
+    return launch
+
+
+class Forked:
+    """The verification process too is forked instead of started anew; it keeps nothing but its own two descriptors."""
+
+    stderr = None
+
+    def __init__(self, path: int, line: int) -> None:
+        context = multiprocessing.get_context("fork")
+        self._process = context.Process(target=self._run, args=(path, line), daemon=True)
+        self._process.start()
+        self.pid = self._process.pid or 0
+
+    @staticmethod
+    def _run(path: int, line: int) -> None:
+        os.setsid()
+        os.dup2(path, 0)
+        os.dup2(line, 1)
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        prover.main()
+
+    def poll(self) -> int | None:
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired("verifier", timeout or 0.0)
+        return self._process.exitcode
+
+    def kill(self) -> None:
+        self._process.kill()
 
 
 def bend(script: Script) -> None:

@@ -15,6 +15,8 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/interlock/table.py": ("tests/runtime/interlock/test_table.py",),
     "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
     "runtime/interlock/tracking.py": ("tests/runtime/interlock/test_tracking.py",),
+    "runtime/session/check.py": ("tests/runtime/session/test_check.py",),
+    "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",
@@ -32,7 +34,7 @@ def covered(module: str) -> tuple[bool, str]:
     """Whether the module's own tests pass and reach each branch; with the line of the report."""
     with tempfile.TemporaryDirectory() as folder:
         data = f"COVERAGE_FILE={folder}/data"
-        name = "cutgate." + module.removesuffix(".py").replace("/", ".")
+        name = f"cutgate.{module.removesuffix('.py').replace('/', '.')}"
         pytest = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--cov={name}", "--cov-branch"]
         limits = ["--cov-report=term-missing:skip-covered", "--cov-fail-under=100"]
         done = subprocess.run(  # noqa: S603 - our own interpreter on our own tests

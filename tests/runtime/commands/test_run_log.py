@@ -46,6 +46,7 @@ def test_a_session_whose_log_was_not_closed_exits_3_however_it_ended(
         "read_files": lambda *_, **__: files,
         "_key": lambda *_: bytes(32),
         "make_job": lambda *_, **__: job,
+        "Check": lambda *_: None,
         "_bus": lambda *_, **__: (SimpleNamespace(shutdown=lambda: None), "test/x"),
         "_session": lambda *_, **__: (session, paths),
     }.items():

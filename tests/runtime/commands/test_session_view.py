@@ -8,6 +8,7 @@ from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
 from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
 from cutgate.runtime.verification.approach import Start, verify
+from cutgate.runtime.verification.guidance import Guidance
 from tests.runtime.interlock.builders import NOW, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.test_approach import MIDDLE, cut
 
@@ -66,3 +67,21 @@ def test_verdict_and_outcome_leave_standard_output_to_a_document(capfd):
     told = capfd.readouterr()
     assert told.out == ""
     assert "CUT COMPLETED" in told.err
+
+
+def test_a_move_of_the_bone_is_shown_when_it_comes_and_else_why_there_is_none(capfd):
+    found = Guidance(
+        translation_mm=(-20.0, 1.5, 0.0),
+        yaw_deg=0.0,
+        pivot_mm=(0.0, 0.0, 0.0),
+        moves=(),
+        predicted_clearance_mm=5.3,
+        verified=True,
+        text="a moved bone needs a new registration",
+    )
+    with SessionView(quiet_output=False) as view:
+        view.guidance(found, "")
+        view.guidance(None, "not found within 5 s")
+    told = capfd.readouterr()
+    assert "Move it x -20.0  y +1.5  z +0.0 mm (20.1 mm): verified" in told.out
+    assert "no move of the bone is shown: not found within 5 s" in told.err

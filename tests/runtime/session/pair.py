@@ -5,8 +5,9 @@ Nothing here waits: the disk answers when the test says so, verification is done
 
 import os
 import select
+import socket
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -18,6 +19,7 @@ from unittest import mock
 
 import can
 
+from cutgate.config.model import Robot
 from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim import process as controller_side
@@ -39,14 +41,20 @@ from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
 from cutgate.runtime.audit.replay import Replay, replay
 from cutgate.runtime.audit.written import LostError
-from cutgate.runtime.interlock.state import ENDED, DeviceCycle, Interlock, Phase, Word
+from cutgate.runtime.interlock.state import ENDED, Collected, DeviceCycle, Interlock, Phase, Verdict, Word
 from cutgate.runtime.interlock.state import Job as SessionJob
+from cutgate.runtime.session import prover
+from cutgate.runtime.session.check import Answer as Own
+from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.job import VERIFIER, make_job, read_files
 from cutgate.runtime.session.job import Files as InputFiles
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session, wake_pipe
-from cutgate.runtime.session.worker import Answer, Broken, Request, prove
+from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, framed
+from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.approach import Steps, finished
+from cutgate.runtime.verification.guidance import Guidance
 from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
@@ -142,48 +150,94 @@ _environment = cache(audit_log._environment)
 
 
 @cache
-def _proved(request: Request) -> Answer:
-    return prove(request)
+def _answers(request: Request) -> tuple[Answer, ...]:
+    return tuple(prover.answers(request))
 
 
-def proved(request: Request) -> Answer:
-    """What the worker would answer; each path is proved once for all tests."""
-    answer = _proved(replace(request, number=0))
-    return replace(answer, verdict=replace(answer.verdict, request=request.number))
+def answers(request: Request) -> list[Answer]:
+    """What the verification process answers; each path is verified once for all tests."""
+    return [
+        said.model_copy(update={"request": request.number}) for said in _answers(replace(request, number=0))
+    ]
 
 
-@dataclass
-class Prover:
-    """The verification process without the process."""
+def claim_of(verdict: Verdict) -> Claim:
+    """What a verification process says that has found this."""
+    named = {name: getattr(verdict, name).hex() for name in ("path", "limits", "calibration", "tool")}
+    return Claim(
+        request=verdict.request,
+        admissible=verdict.admissible,
+        **named,
+        start_joints_u=verdict.start_joints_u,
+        approach=Bound.of(verdict.approach),
+    )
 
-    answer: Callable[[Request], Answer | Broken | None] = proved
-    asked: list[Request] = field(default_factory=list)
-    answers: deque[Answer | Broken] = field(default_factory=deque)
-    pid: int = 4242
 
-    def __post_init__(self) -> None:
-        self._reading, self._writing = os.pipe2(os.O_NONBLOCK)
+@cache
+def check_of(job: SessionJob, robot: Robot) -> Check:
+    """The runtime's own verification of a job, made once for all tests."""
+    return Check(job, robot)
 
-    def fileno(self) -> int:
-        return self._reading
+
+class Altered(Check):
+    """The runtime's own verification gone wrong: another verdict than it has found."""
+
+    def __init__(self, check: Check, altered: Callable[[Own], Own]) -> None:
+        self._check, self._altered = check, altered
+
+    def request(self, *asked: Any) -> Request:
+        return self._check.request(*asked)
+
+    def steps(self, request: int, start_joints_u: tuple[int, ...]) -> Steps[Own]:
+        return self._altered((yield from self._check.steps(request, start_joints_u)))
+
+
+class NoProcess:
+    """Stands for a process that is not there."""
+
+    pid, stderr = 4242, None
+
+    def poll(self) -> int | None:
+        return None
+
+    def wait(self, timeout: float | None = None) -> int:
+        return 0
+
+    def kill(self) -> None:
+        """Nothing to kill."""
+
+
+class Prover(Worker):
+    """The verification process without the process: what it says crosses a socket all the same."""
+
+    def __init__(self) -> None:
+        ours, self._theirs = socket.socketpair()
+        super().__init__(NoProcess(), Line(ours))
+        self.answer: Callable[[Request], Iterable[Answer | bytes] | None] = answers
+        self.asked: list[Request] = []
+
+    @classmethod
+    def start(cls, path: bytes = b"") -> "Prover":
+        """As the runtime would start it."""
+        return cls()
 
     def submit(self, request: Request) -> None:
         self.asked.append(request)
-        answer = self.answer(request)
-        if answer is not None:
-            self.give(answer)
+        self.give(*(self.answer(request) or ()))
 
-    def give(self, answer: Answer | Broken) -> None:
-        self.answers.append(answer)
-        os.write(self._writing, b"\0")
+    def give(self, *said: Answer | bytes) -> None:
+        """It says this."""
+        for each in said:
+            self._theirs.sendall(each if isinstance(each, bytes) else framed(each.model_dump_json().encode()))
 
-    def poll(self) -> Answer | Broken | None:
-        os.read(self._reading, 1)
-        return self.answers.popleft() if self.answers else None
+    def die(self) -> None:
+        """It ends."""
+        self._theirs.close()
+        self.answer = lambda _request: None
 
     def close(self) -> None:
-        os.close(self._reading)
-        os.close(self._writing)
+        self._theirs.close()
+        super().close()
 
 
 @dataclass
@@ -193,7 +247,8 @@ class Notes:
     notes: list[str] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     effects: list[Any] = field(default_factory=list)
-    verdicts: list[Answer] = field(default_factory=list)
+    verdicts: list[Own] = field(default_factory=list)
+    guided: list[tuple[Guidance | None, str]] = field(default_factory=list)
     segments: list[tuple[int, int]] = field(default_factory=list)
 
     def step(
@@ -203,8 +258,11 @@ class Notes:
             self.phases.append(after.phase)
         self.effects += effects
 
-    def verdict(self, answer: Answer) -> None:
+    def verdict(self, answer: Own) -> None:
         self.verdicts.append(answer)
+
+    def guidance(self, found: Guidance | None, note: str) -> None:
+        self.guided.append((found, note))
 
     def progress(self, segment: int, segments: int) -> None:
         self.segments.append((segment, segments))
@@ -252,6 +310,13 @@ def job_of(tmp_path_factory: Any, bone_x_mm: float = ADMISSIBLE_MM) -> tuple[Inp
     directory = tmp_path_factory.getbasetemp() / f"inputs-{bone_x_mm:g}"
     directory.mkdir(exist_ok=True)
     return _job(directory, bone_x_mm)
+
+
+def request_of(tmp_path_factory: Any, bone_x_mm: float = ADMISSIBLE_MM, number: int = 5) -> Request:
+    """What the verification process is asked."""
+    files, job = job_of(tmp_path_factory, bone_x_mm)
+    held = Collected(job.limits, job.calibration, job.tool)
+    return check_of(job, files.robot.value).request(number, STANDS, held)
 
 
 # ---------------------------------------------------------------- the pair
@@ -360,30 +425,31 @@ class Pair:
         self.wire.nodes[RUNTIME].inbox.clear()
         self.session = Session(
             Interlock(self.job),
-            request=Request(
-                0,
-                self.job.path,
-                b"",
-                b"",
-                b"",
-                self.job.registration,
-                self.files.robot.value,
-                self.job.timing,
-            ),
+            check=check_of(self.job, self.files.robot.value),
             key=KEY,
             port=Port(self.wire.nodes[RUNTIME], self._endpoint(Side.RUNTIME), self.journal.frame),  # type: ignore[arg-type]
             journal=self.journal,
-            worker=self.prover,  # type: ignore[arg-type]
+            worker=self.prover,
             view=self.notes,
             words=self.terminal.reader,
             checkpoint_deadline_s=5.0,
             clock=self.clock,
             random=Generator(f"runtime {self.sessions}"),
         )
-        wake = wake_pipe()
+        self.wake = wake = wake_pipe()
         self.closing += [lambda: os.close(wake[0]), lambda: os.close(wake[1])]
         self.journal.processes(self.prover.pid)
         self.session.begin(wake[0])
+        return self
+
+    def verdict_altered(self, altered: Callable[[Verdict], Verdict]) -> "Pair":
+        """The runtime's own verification and the verification process both go wrong, and in the same way."""
+        assert self.session is not None
+        check = Altered(self.session._check, lambda own: replace(own, verdict=altered(own.verdict)))
+        self.session._check = check
+        self.prover.answer = lambda request: [
+            claim_of(finished(check.steps(request.number, request.start_joints_u)).verdict)
+        ]
         return self
 
     def _log(self) -> AuditLog:

@@ -17,7 +17,7 @@ from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
 from tests.altering import altered
-from tests.runtime.session.pair import STANDS, proved
+from tests.runtime.session.pair import STANDS, answers
 from tests.runtime.session.test_session import first_frames
 
 ELSEWHERE = (30_000_000, 40_000_000, 400_000_000, 120_000_000, 90_000_000)
@@ -144,7 +144,7 @@ def test_an_arm_that_moved_during_the_verification_is_not_permitted_before_it_is
     pair.to(Phase.VERIFYING)
     pair.process._happen(FaultName.OFF_START)
     pair.run(0.1)
-    pair.prover.give(proved(pair.prover.asked[0]))
+    pair.prover.give(*answers(pair.prover.asked[0]))
     pair.to(Phase.ADMITTED).run(0.5)
     assert pair.phase is Phase.ADMITTED
     assert not first_frames(pair, records.Permit)
@@ -161,12 +161,6 @@ def test_an_arm_that_slips_while_the_permit_is_on_its_way_is_refused_by_the_cont
     assert pair.state.reason == "the controller refused the permit: START_JOINTS"
 
 
-def lying(request, field, value):
-    """The worker's answer with one bound field altered: a runtime that holds the key and permits something else."""
-    answer = proved(request)
-    return replace(answer, verdict=altered(answer.verdict, field, value(answer.verdict)))
-
-
 @pytest.mark.parametrize(
     ("field", "value", "refusal"),
     [
@@ -181,7 +175,8 @@ def lying(request, field, value):
     ids=["entry nearer", "entry further", "no exit", "exit further", "entry joints", "exit joints", "speed"],
 )
 def test_an_altered_approach_is_refused_by_the_controller(pair, field, value, refusal):
-    pair.begin().prover.answer = lambda request: lying(request, field, value)
+    """A runtime that holds the key, and permits something else than was verified."""
+    pair.begin().verdict_altered(lambda verdict: altered(verdict, field, value(verdict)))
     assert pair.end() is Phase.REFUSED
     assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
     assert standing(pair) == STANDS

@@ -1,4 +1,4 @@
-"""The course that the arm is watched against, beside the controller's own kinematics and plant."""
+"""The reference trajectory that the arm is held against, beside the controller's own kinematics and plant."""
 
 import math
 from dataclasses import replace
@@ -12,27 +12,27 @@ from cutgate.firmware_sim.plant import Leg, Plant, PlantState, StoredPath
 from cutgate.protocol import records
 from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD
-from cutgate.runtime.session.course import KNOT_S, course_of
-from cutgate.runtime.session.worker import prove
+from cutgate.runtime.session.course import KNOT_S, between, from_start
+from cutgate.runtime.verification.approach import finished
 from cutgate.runtime.verification.recorded import problem_from_records
-from tests.runtime.session.pair import STANDS
-from tests.runtime.session.test_worker import request
+from tests.runtime.session.pair import STANDS, check_of, job_of, request_of
 
 
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory):
-    return request(tmp_path_factory)
+    return request_of(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def bound(asked):
-    return prove(asked).verdict.approach
+def bound(tmp_path_factory):
+    files, job = job_of(tmp_path_factory)
+    return finished(check_of(job, files.robot.value).steps(0, STANDS)).verdict.approach
 
 
 def course_for(asked, bound, path=None):
     path = path or asked.path
     problem = problem_from_records(path, asked.limits, asked.calibration, asked.tool, asked.robot)
-    return course_of(problem, STANDS, bound)
+    return finished(from_start(between(problem, bound), STANDS))
 
 
 def test_the_controllers_plant_is_on_the_course_at_every_moment_at_full_speed(asked, bound):

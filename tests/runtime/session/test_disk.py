@@ -51,12 +51,12 @@ def test_a_decision_that_does_not_become_durable_in_time_is_an_audit_failure(pai
     pair.prover.answer, answer = (lambda request: None), pair.prover.answer
     pair.to(Phase.VERIFYING)
     if before is Phase.PERMITTED:
-        pair.prover.give(answer(pair.prover.asked[0]))
+        pair.prover.give(*answer(pair.prover.asked[0]))
         pair.to(Phase.PERMITTED)
         pair.disk.answers = False
     else:
         pair.disk.answers = False
-        pair.prover.give(answer(pair.prover.asked[0]))
+        pair.prover.give(*answer(pair.prover.asked[0]))
     pair.to(pending)
     began_s = pair.clock()
     pair.end()

@@ -7,8 +7,8 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.runtime.interlock.state import Dropped, Phase, Refused, Word
-from cutgate.runtime.session.worker import Broken
+from cutgate.runtime.interlock.state import Phase, Refused, Word
+from cutgate.runtime.session.messages import Broken
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER
 
@@ -110,30 +110,12 @@ def test_withdraw_reaches_the_controllers_memory(pair):
 
 def test_a_broken_worker_stops_and_latches(pair):
     pair.begin()
-    pair.prover.answer = lambda request: Broken(request.number, "ValueError: no")
+    pair.prover.answer = lambda request: [Broken(request=request.number, reason="ValueError: no")]
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause is StopCause.INTERNAL_ERROR
     assert pair.state.reason == "verification failed: ValueError: no"
     assert pair.controller.state is ControllerState.FAULT
     assert not first_frames(pair, records.Permit)
-
-
-def test_an_answer_to_another_request_is_dropped_recorded_and_not_kept(pair):
-    pair.begin()
-    prove, pair.prover.answer = pair.prover.answer, lambda _request: None
-    pair.to(Phase.VERIFYING)
-    right = prove(pair.prover.asked[0])
-    pair.prover.give(replace(right, verdict=replace(right.verdict, request=right.verdict.request + 1)))
-    pair.run(0.1)
-    assert pair.phase is Phase.VERIFYING
-    assert Dropped("a verdict for another request") in pair.notes.effects
-    assert (pair.session.answer, pair.notes.verdicts) == (None, [])
-    pair.prover.give(right)
-    assert pair.end() is Phase.DONE
-    pair.close()
-    log = pair.read()
-    assert len(log.of("/audit/verdict")) == 1
-    assert "dropped a verdict for another request" in {d.get("reason") for d in log.of("/audit/decision")}
 
 
 def test_an_answer_that_comes_too_late_ends_without_a_permit(pair):
@@ -147,7 +129,7 @@ def test_a_worker_that_wakes_the_loop_for_nothing_changes_nothing(pair):
     pair.begin()
     pair.prover.answer = lambda _request: None
     pair.to(Phase.VERIFYING)
-    pair.prover.give(None)
+    pair.prover.give(b"\0\0")  # half of a length
     pair.run(0.1)
     assert pair.phase is Phase.VERIFYING
 

@@ -77,7 +77,7 @@ def test_a_path_outside_the_controllers_limits_is_refused_and_its_pose_is_named(
     assert "POSE_OUTSIDE_LIMITS at pose 0" in outside.state.reason
     assert "verdict: " in outside.state.reason
     assert not first_frames(outside, records.Permit)
-    assert outside.notes.verdicts[0].guidance is not None
+    assert outside.notes.verdicts[0].proved.admissible is False
     outside.run(0.2)
     assert (outside.controller.state, outside.controller.cause) == (
         ControllerState.INHIBITED,

@@ -69,8 +69,10 @@ def test_the_reservation_follows_the_verified_trajectory_on_the_clock_of_the_pla
     asked["estimate"] = pair.state.log.needed_bytes
     pair.to(Phase.PERMITTED)
     asked["known"] = pair.state.log.needed_bytes
-    trajectory = pair.session.answer.verdict.trajectory
-    seconds = 100 * trajectory.end_s + waiting_s(pair.job.timing)
+    verdict = pair.state.verdict
+    assert verdict is not None
+    assert verdict.trajectory is not None
+    seconds = 100 * verdict.trajectory.end_s + waiting_s(pair.job.timing)
     told = space(seconds, pair.job.timing, chunk_period_s=pair.log.hand_over_after_s, interface="vcan0")
     assert asked["known"] == told.total > asked["estimate"]
     assert pair.state.log.reserved_bytes >= 2 * told.total
@@ -112,8 +114,10 @@ def test_the_estimate_covers_the_slowest_approach(pair):
 
 def test_the_estimate_covers_the_trajectory_that_is_verified(pair):
     pair.to(Phase.PERMITTED)
-    trajectory = pair.session.answer.verdict.trajectory
-    assert estimated_s(pair.job) >= trajectory.end_s
+    verdict = pair.state.verdict
+    assert verdict is not None
+    assert verdict.trajectory is not None
+    assert estimated_s(pair.job) >= verdict.trajectory.end_s
 
 
 def test_a_path_that_only_turns_takes_its_time(pair):

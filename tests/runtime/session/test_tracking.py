@@ -17,7 +17,6 @@ from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
-from tests.runtime.session.pair import proved
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import lose, nth, of
 
@@ -302,11 +301,7 @@ def test_joints_that_come_later_and_later_are_stopped_once_they_are_two_time_out
 
 
 def test_without_a_reference_trajectory_nothing_is_permitted(pair):
-    def unwatched(request):
-        answer = proved(request)
-        return replace(answer, verdict=replace(answer.verdict, trajectory=None))
-
-    pair.begin().prover.answer = unwatched
+    pair.begin().verdict_altered(lambda verdict: replace(verdict, trajectory=None))
     assert pair.end() is Phase.REFUSED
     assert "reference trajectory: none" in pair.state.reason
     assert not first_frames(pair, records.Permit)

@@ -34,9 +34,8 @@ def cut(**changes):
 def joint_line(given_problem, start, pose, name="approach", **tolerances):
     """The verdict on a joint line between any two joints."""
     geometry, _ = canonical(given_problem)
-    return approach._joint_line(
-        geometry, Start(np.asarray(start, float), 0, **tolerances), name, np.asarray(pose, float), held=False
-    )
+    begin = Start(np.asarray(start, float), 0, **tolerances)
+    return approach.finished(approach._joint_line(geometry, begin, name, np.asarray(pose, float), held=False))
 
 
 # ---------------------------------------------------------------- the oracle
@@ -562,3 +561,27 @@ def test_what_is_bound_is_what_was_verified():
     assert as_joints(records.joints_to_memory(bound.entry_joints_u)) == as_joints(verdict.entry)
     assert as_joints(records.joints_to_memory(bound.exit_joints_u)) == as_joints(verdict.exit)
     assert (bound.entry_um, bound.exit_um, bound.speed_percent) == (verdict.entry_um, verdict.exit_um, 40)
+
+
+@pytest.mark.parametrize("block", [1, 3, 64])
+def test_in_however_many_steps_the_answer_is_the_same(monkeypatch, block):
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    first[0], last[0] = -60 * DEG, 60 * DEG
+    arm = cut(deadband=Deadband(150.0, 2 * DEG))
+    whole = joint_line(arm, first, last)
+    monkeypatch.setattr(approach, "BLOCK", block)
+    assert joint_line(arm, first, last) == whole
+
+
+def test_the_straight_lines_are_known_before_it_is_known_where_the_arm_stands():
+    lines = approach.straight_lines(cut(), 10_000)
+    whole = approach.verify(cut(), Start(MIDDLE, 10_000))
+    assert (lines.inward, lines.outward) == whole.legs[1:3]
+    assert lines.admissible
+    assert approach.bound(lines, 25) == approach.bound(whole, 25)
+    far = approach.straight_lines(cut(), 500_000)
+    assert not far.admissible
+    assert approach.bound(far, 25) is None
+    nowhere = approach.straight_lines(cut(), -1)
+    assert approach.bound(nowhere, 25) is None
+    assert approach.finished(approach.joint_lines(nowhere, Start(MIDDLE, 10_000))) is nowhere

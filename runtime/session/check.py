@@ -1,0 +1,212 @@
+"""What this side proves itself, so that nothing the verification process says has to be believed.
+
+The controller's limits, calibration and tool must equal the approved ones, or the session is refused; so what will have
+to be proved is known before it opens, but for where the arm stands. Hence the search for the verdict, the proof of the
+cut and its check, the straight lines at entry and exit and the reference trajectory between them are done before (`Check`). In the session
+remain the two joint lines, which cost the same whatever the path is: they are taken step by step (`steps`), each well
+under a millisecond, between the turns of the loop.
+
+The verification process must say the same (`disagreement`): it can refuse, and it cannot permit.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+from cutgate.config.model import Robot
+from cutgate.protocol import records
+from cutgate.runtime.interlock.state import Collected, Job, Verdict
+from cutgate.runtime.session import course
+from cutgate.runtime.session.messages import Bound, Claim, Request
+from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification import verdict as verdicts
+from cutgate.runtime.verification.approach import Steps
+from cutgate.runtime.verification.document import Digests, guidance_entries, verdict_document
+from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.summary import summary
+
+WORD: Final = {True: "ADMISSIBLE", False: "INADMISSIBLE"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The verdict for the interlock; what was proved, for people; and documents and proof, for the log.
+
+    ``approach``, its document and ``proof`` (a certificate's bytes) are None where the cut itself is not admissible.
+    """
+
+    verdict: Verdict
+    proved: verdicts.Verdict
+    document: dict[str, Any]
+    approach: approach.Approach | None
+    approach_document: dict[str, Any] | None
+    proof: bytes | None
+    guidance: Guidance | None = None
+    """How to move the bone, once the verification process has said so: for people, it decides nothing."""
+
+
+class _Ground(NamedTuple):
+    """What is known before the session opens. ``lines`` and ``between`` are None as `Answer.approach` is."""
+
+    proved: verdicts.Verdict
+    document: dict[str, Any]
+    proof: bytes | None
+    lines: approach.StraightLines | approach.Approach | None
+    between: course.Between | None
+
+
+class Check:
+    """This side's own verification of a job.
+
+    Args:
+        job: what the session is about.
+        robot: deadbands and wrist; everything else is in the job.
+    """
+
+    def __init__(self, job: Job, robot: Robot) -> None:
+        self._job = job
+        self._robot = robot
+        self._ground: _Ground | ValueError
+        try:
+            self._ground = _ground(job, robot)
+        except ValueError as error:  # said, and recorded, when the session comes to it
+            self._ground = error
+
+    def request(self, number: int, start_joints_u: tuple[int, ...], held: Collected) -> Request:
+        """What the verification process is asked: the same, of the bytes that the controller holds."""
+        timing = self._job.timing
+        assert held.limits is not None and held.calibration is not None and held.tool is not None  # noqa: S101, PT018
+        return Request(
+            number=number,
+            path=self._job.path,
+            limits=held.limits,
+            calibration=held.calibration,
+            tool=held.tool,
+            robot=self._robot,
+            start_joints_u=start_joints_u,
+            clearance_um=_clearance_um(self._job),
+            start_tolerance_mm=timing.start_tolerance_mm,
+            start_tolerance_deg=timing.start_tolerance_deg,
+            speed_percent=timing.approach_speed_percent,
+        )
+
+    def steps(self, request: int, start_joints_u: tuple[int, ...]) -> Steps[Answer]:
+        """The rest, once it is known where the arm stands.
+
+        Raises:
+            ValueError: there is no verdict, and why.
+        """
+        if isinstance(self._ground, ValueError):
+            raise self._ground
+        return (yield from _steps(self._job, self._ground, request, start_joints_u))
+
+
+def _ground(job: Job, robot: Robot) -> _Ground:
+    """Verify the cut and prove it, and all of approach and retract that does not depend on where the arm stands.
+
+    Raises:
+        ValueError: the records pose no problem, an admissible verdict has no proof that holds, or the verified path
+            cannot be followed.
+    """
+    problem = problem_from_records(job.path, job.limits, job.calibration, job.tool, robot)
+    began_s = time.perf_counter()
+    verdict = certified.verify(problem)
+    elapsed_ms = (time.perf_counter() - began_s) * 1000.0
+    document = verdict_document(
+        verdict,
+        poses=len(problem.tips_mm),
+        guidance=None,
+        digests=Digests(
+            job.path_digest, records.digest(job.limits), records.digest(job.calibration), job.registration
+        ),
+        elapsed_ms=elapsed_ms,
+    )
+    if not verdict.admissible:
+        return _Ground(verdict, document, None, None, None)
+    proof = checked_proof(problem, verdict)
+    lines = approach.straight_lines(problem, _clearance_um(job))
+    bound = approach.bound(lines, job.timing.approach_speed_percent)
+    return _Ground(verdict, document, proof, lines, course.between(problem, bound) if bound else None)
+
+
+def _clearance_um(job: Job) -> int:
+    return round(job.timing.approach_clearance_mm * 1000)
+
+
+def checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes:
+    """The proof of an admissible verdict, as the log will hold it, checked before anything is permitted on it.
+
+    Raises:
+        ValueError: there is none, or it does not hold; then there is no verdict either.
+    """
+    proof = certificate.certify(problem, verdict)
+    if proof is None:
+        raise ValueError("the admissible verdict has no proof")
+    body = proof.body()
+    reasons = certificate.recheck(problem, certificate.Certificate.parse(body))
+    if reasons:
+        raise ValueError(f"the proof of the admissible verdict does not hold: {'; '.join(reasons)}")
+    return body
+
+
+def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, ...]) -> Steps[Answer]:
+    way, way_document, bound, trajectory = None, None, None, None
+    if ground.lines is not None:
+        timing = job.timing
+        start = approach.Start.of(
+            start_joints_u,
+            clearance_um=_clearance_um(job),
+            tolerance_mm=timing.start_tolerance_mm,
+            tolerance_deg=timing.start_tolerance_deg,
+        )
+        way = yield from approach.joint_lines(ground.lines, start)
+        way_document = approach.document(way, start)
+        bound = approach.bound(way, job.timing.approach_speed_percent)
+    if bound is not None:
+        assert ground.between is not None  # noqa: S101 - its straight lines are admissible
+        trajectory = yield from course.from_start(ground.between, start_joints_u)
+    verdict = Verdict(
+        request=request,
+        admissible=ground.proved.admissible,
+        path=job.path_digest,
+        limits=records.digest(job.limits),
+        calibration=records.digest(job.calibration),
+        tool=records.digest(job.tool),
+        start_joints_u=start_joints_u,
+        reason=summary(ground.proved),
+        approach=bound,
+        approach_reason=approach.summary(way) if way else "not verified: the cut is not admissible",
+        trajectory=trajectory,
+    )
+    return Answer(verdict, ground.proved, ground.document, way, way_document, ground.proof)
+
+
+def with_guidance(answer: Answer, found: Guidance | None, note: str) -> Answer:
+    """The answer with what was found where to move the bone; else with a note why there is nothing."""
+    return replace(answer, guidance=found, document={**answer.document, **guidance_entries(found, note)})
+
+
+def disagreement(claim: Claim, own: Verdict) -> str:
+    """What the verification process said otherwise than this side has found; empty where it said the same."""
+    for name in ("path", "limits", "calibration", "tool"):
+        if getattr(claim, name) != getattr(own, name).hex():
+            return f"the verification process answered for another {name}"
+    if (claim.request, claim.start_joints_u) != (own.request, own.start_joints_u):
+        return "the verification process answered another request"
+    if claim.admissible is not own.admissible:
+        return _otherwise("", claim.admissible, own.admissible, own.reason)
+    bound = Bound.of(own.approach)
+    if (claim.approach is None) is not (bound is None):
+        return _otherwise(" of approach and retract", bound is None, bound is not None, own.approach_reason)
+    if claim.approach != bound:
+        return "the verification process said another entry, exit or speed than this side has verified"
+    return ""
+
+
+def _otherwise(of_what: str, said: bool, found: bool, reason: str) -> str:
+    return (
+        f"the verification process said {WORD[said]}{of_what}, "
+        f"this side's own check says {WORD[found]}: {reason}"
+    )

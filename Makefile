@@ -11,14 +11,15 @@ PIP := env -u PIP_TARGET -u PIP_PREFIX -u PIP_ROOT -u PIP_REQUIRE_VIRTUALENV PIP
 .PHONY: test test-all coverage test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
 
 # In minutes: what needs the processor on every core, then what starts processes, each test on a bus of its own. Those
-# mostly wait: one more at a time than two cores would take otherwise.
-PYTEST := $(BIN)/python -m pytest --quiet --dist loadfile --no-loadscope-reorder
-AT_ONCE ?= 3
+# mostly wait: two more at a time than two cores would take otherwise.
+PYTEST := $(BIN)/python -m pytest --quiet
+BY_FILE := --dist loadfile --no-loadscope-reorder
+AT_ONCE ?= 4
 # The tests start many interpreters: none of them needs to compile everything anew, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
-	$(PYTEST) --numprocesses auto -m "not processes and not slow and not long"
-	$(PYTEST) --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long"
+	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
 
 # All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,
 # a sample of mutants, larger worlds, the packages' index, the wheel, real SocketCAN.
@@ -29,7 +30,7 @@ test-all: $(READY) coverage coverage-own
 # Measured on what runs in one process; a report of nothing is not a whole one.
 STATEMENTS_MIN := 13000
 coverage: $(READY)
-	$(PYTEST) --numprocesses auto -m "not processes and not slow and not long and not no_cover" --cov --cov-report=term --cov-report=json:.coverage.json
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" --cov --cov-report=term --cov-report=json:.coverage.json
 	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 # A million random segments against the dense reference on all cores, 2000 storms over both loops, the large worlds of

@@ -22,6 +22,7 @@ from cutgate.runtime.verification.points import roll_widening
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, wrist_path
+from tests.seeds import seeds
 
 LOST_DEG = 0.011
 """What may be lost of the roll: the width of a bracket, 0.01 deg, and what the reference may be off."""
@@ -245,8 +246,8 @@ def with_roll_limits(case, low, high, room_rad):
     return replace(case, lower=lower, upper=upper)
 
 
-SEEDS = [(share, number) for share in range(6) for number in range(25)]
-by_share = pytest.mark.parametrize("share", range(6))
+SEEDS = [(share, number) for share in range(8) for number in range(25)]
+by_share = pytest.mark.parametrize("share", seeds(3, 5))
 
 
 def tight(share):

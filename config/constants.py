@@ -33,7 +33,9 @@ class Constant:
 
 
 TIMEOUT_HEARTBEATS: Final = 3
-"""The heartbeat time-out is at least this many heartbeat periods."""
+"""The heartbeat time-out is at least this many heartbeat periods: the protocol's rule, each controller's."""
+SITE_TIMEOUT_HEARTBEATS: Final = 4
+"""And a site's: of three, the two that may be lost (docs/protocol.md) would be as many as the time-out waits for."""
 
 REGISTRATIONS_MAX: Final = 1000
 """So many registrations a controller remembers, named and withdrawn together; it refuses one more."""
@@ -43,7 +45,7 @@ TABLE: Final[tuple[Constant, ...]] = (
     Constant("heartbeat_ms", "ms", 20, 5, 100, True, "period of both sides' heartbeats"),
     Constant(
         "timeout_ms", "ms", 100, 15, 1000, True,
-        "without a fresh heartbeat for this long the gate closes; at least 3 heartbeat periods",
+        "without a fresh heartbeat for this long the gate closes; at least 4 heartbeat periods",
     ),
     Constant("permit_lifetime_s", "s", 120, 10, 600, True, "from the permit's nonce to START, on the controller's clock"),
     Constant("start_lifetime_ms", "ms", 2000, 500, 5000, True, "from the start's nonce to START, on the controller's clock"),
@@ -57,11 +59,7 @@ TABLE: Final[tuple[Constant, ...]] = (
     Constant("tracking_tolerance_mm", "mm", 0.5, 0.05, 5, False, "wrist centre off the verified path while the arm moves"),
     Constant("tracking_tolerance_deg", "deg", 0.25, 0.02, 2, False, "turning joints off the verified path while the arm moves"),
     Constant("transfer_timeout_s", "s", 20, 1, 120, False, "one whole bulk transfer (limits, calibration, tool, path)"),
-    Constant("counter_step", "frames", 3, 1, 15, False, "largest accepted counter step; a larger gap inhibits"),
-    Constant("crc_failures", "frames", 2, 0, 10, False, "corrupt frames tolerated in one crc_window_ms; one more inhibits"),
-    Constant("crc_window_ms", "ms", 1000, 100, 10_000, False, "window in which corrupt frames are counted"),
     Constant("reply_timeout_ms", "ms", 2000, 200, 10_000, False, "the controller's answer to one control request"),
-    Constant("announce_ms", "ms", 200, 50, 1000, False, "period of the controller's announcement while no session is open"),
     Constant("announce_wait_s", "s", 30, 1, 600, False, "how long the runtime waits for a controller to announce itself"),
     Constant("verify_timeout_s", "s", 60, 1, 3600, False, "one verification in the worker process"),
     Constant("operator_wait_s", "s", 300, 1, 3600, False, "how long the runtime waits for the operator's next word"),

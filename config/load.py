@@ -22,7 +22,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from cutgate.config.constants import CONSTANTS
-from cutgate.config.model import RULE, Robot, Site
+from cutgate.config.model import RECORDED, REMOVED, RULE, Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol.records import Calibration, Limits, Tool
 
@@ -341,8 +341,8 @@ def parse_json(path: object, data: bytes) -> Any:
         ) from None
 
 
-def validate(path: object, model: type[M], document: object, schema: str) -> M:
-    """The document as ``model``, which has a ``schema`` key.
+def validate(path: object, model: type[M], document: object, schema: str, *, context: str | None = None) -> M:
+    """The document as ``model``, which has a ``schema`` key; ``context`` is for its validators.
 
     Raises:
         InputError: lists every problem; a wrong or missing schema alone, because nothing else means much then.
@@ -355,7 +355,7 @@ def validate(path: object, model: type[M], document: object, schema: str) -> M:
         found = document.get("schema", "missing")
         raise InputError(path, "schema", found, f'"{schema}"', "this file is of another kind or version")
     try:
-        return model.model_validate(document)
+        return model.model_validate(document, context=context)
     except ValidationError as error:
         details = error.errors(include_url=False)
         raise InputError.of([_problem(str(path), item, model) for item in details]) from None
@@ -411,13 +411,39 @@ def load_site(path: str | os.PathLike[str]) -> Loaded[Site]:
     return Loaded(site_from_bytes(path, data), data, Path(path))
 
 
-def site_from_bytes(path: object, data: bytes) -> Site:
+def site_from_bytes(path: object, data: bytes, *, recorded: bool = False) -> Site:
     """The site in ``data``; ``path`` serves for messages.
+
+    Args:
+        path: see above.
+        data: the file's content.
+        recorded: it stands in a log: what the version that wrote it allowed is read.
 
     Raises:
         InputError: lists every problem.
     """
-    return validate(path, Site, parse_toml(path, data), "cutgate.site/1")
+    document = parse_toml(path, data)
+    removed = _take_removed(document)
+    if removed and not recorded:
+        raise InputError.of([_removed(str(path), key, value) for key, value in removed])
+    return validate(path, Site, document, "cutgate.site/1", context=RECORDED if recorded else None)
+
+
+def _take_removed(document: dict[str, Any]) -> list[tuple[str, Any]]:
+    """Take the settings that this version has no more out of the document; their keys and values."""
+    taken = []
+    for key in REMOVED:
+        table, name = key.split(".")
+        if isinstance(document.get(table), dict) and name in document[table]:
+            taken.append((key, document[table].pop(name)))
+    if document.get("link") == {}:  # whose lines were deleted, as they were told
+        del document["link"]
+    return taken
+
+
+def _removed(file: str, key: str, value: object) -> Problem:
+    bound = f"left out: {REMOVED[key]} has no such setting, and it never had an effect"
+    return Problem(file, key, shown(value), bound, "delete this line")
 
 
 _COMPARISONS: Final = {"greater_than_equal": (">=", "ge"), "greater_than": (">", "gt"),

@@ -4,18 +4,41 @@ Fields, units and frames: ``docs/files.md``. Every value is bounded, unknown key
 converted silently, and non-finite numbers do not exist here.
 """
 
+from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+from pydantic import (
+    AllowInfNan,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
-from cutgate.config.constants import CONSTANTS, TIMEOUT_HEARTBEATS
+from cutgate.config.constants import CONSTANTS, SITE_TIMEOUT_HEARTBEATS, TIMEOUT_HEARTBEATS
 from cutgate.protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
 
 FOLD_DEG: Final = 180.0
 
 WRIST_DEG_MIN: Final = 0.001
 """A thousand counts of a reported joint: below, no controller tells a kept deadband from a missed one."""
+
+RECORDED: Final = "recorded"
+"""Validation context of a site that stands in a log: what its version allowed is read."""
+
+REMOVED: Final = MappingProxyType(
+    {
+        "link.counter_step": "0.2.0",
+        "link.crc_failures": "0.2.0",
+        "link.crc_window_ms": "0.2.0",
+        "timing.announce_ms": "0.2.0",
+    }
+)
+"""Settings of ``site.toml`` that older versions read, none of which ever had an effect, with the version without them."""
 
 Real = Annotated[float, Strict(), AllowInfNan(False)]
 Integer = Annotated[int, Strict()]
@@ -206,30 +229,23 @@ class Timing(Strictly):
     timeout_ms: Integer = _constant("timeout_ms")
     transfer_timeout_s: Integer = _constant("transfer_timeout_s")
     reply_timeout_ms: Integer = _constant("reply_timeout_ms")
-    announce_ms: Integer = _constant("announce_ms")
     announce_wait_s: Integer = _constant("announce_wait_s")
     verify_timeout_s: Integer = _constant("verify_timeout_s")
     operator_wait_s: Integer = _constant("operator_wait_s")
     stop_confirm_ms: Integer = _constant("stop_confirm_ms")
 
     @model_validator(mode="after")
-    def _three_heartbeats(self) -> Self:
-        if not (self.timeout_ms >= TIMEOUT_HEARTBEATS * self.heartbeat_ms):
+    def _enough_heartbeats(self, info: ValidationInfo) -> Self:
+        """A site that a log of an older version holds had to keep the protocol's rule alone."""
+        least = TIMEOUT_HEARTBEATS if info.context == RECORDED else SITE_TIMEOUT_HEARTBEATS
+        if not (self.timeout_ms >= least * self.heartbeat_ms):
             raise broken(
-                f">= {TIMEOUT_HEARTBEATS} heartbeats of {self.heartbeat_ms} ms",
+                f">= {least} heartbeats of {self.heartbeat_ms} ms",
                 "raise it or shorten heartbeat_ms",
                 key="timing.timeout_ms",
                 found=self.timeout_ms,
             )
         return self
-
-
-class Link(Strictly):
-    """Tolerances of the end-to-end protection."""
-
-    counter_step: Integer = _constant("counter_step")
-    crc_failures: Integer = _constant("crc_failures")
-    crc_window_ms: Integer = _constant("crc_window_ms")
 
 
 class Permit(Strictly):
@@ -292,7 +308,6 @@ class Site(Strictly):
     schema_: Annotated[Literal["cutgate.site/1"], Field(alias="schema")] = "cutgate.site/1"
     bus: Bus = Bus()
     timing: Timing = Timing()
-    link: Link = Link()
     permit: Permit = Permit()
     start: Start = Start()
     approach: Approach = Approach()
@@ -307,7 +322,6 @@ class Site(Strictly):
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""
         tables = (
             self.timing,
-            self.link,
             self.permit,
             self.start,
             self.approach,

@@ -132,7 +132,7 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
         raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
-    return Options(options.time_scale, CONSTANTS["announce_ms"].default / 1000, faults, hold, joints)
+    return Options(options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints)
 
 
 def _joints(text: str | None, limits: Limits) -> Joints:

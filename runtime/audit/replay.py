@@ -178,7 +178,7 @@ def _inputs(log: Log) -> _Inputs:
     try:
         robot = robot_from_bytes(names.ROBOT, needed(names.ROBOT))
         settings = _attachment(log, names.SITE, size_max)
-        site = Site() if settings is None else site_from_bytes(names.SITE, settings)
+        site = Site() if settings is None else site_from_bytes(names.SITE, settings, recorded=True)
     except InputError as error:
         raise ReplayError(f"attachment {error}") from None
     size_max = max(size_max, site.files.file_size_limit_mb * BYTES_PER_MB)

@@ -5,7 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from cutgate.config.constants import CONSTANTS, TABLE, TIMEOUT_HEARTBEATS, markdown
+from cutgate.config.constants import (
+    CONSTANTS,
+    SITE_TIMEOUT_HEARTBEATS,
+    TABLE,
+    TIMEOUT_HEARTBEATS,
+    markdown,
+)
 from cutgate.config.model import Site
 from cutgate.protocol.records import POSES_MAX, Timing
 
@@ -36,8 +42,8 @@ def test_the_page_is_current():
     assert page == markdown(), "run: python -m cutgate.config.constants > docs/constants.md"
 
 
-def test_the_default_time_out_spans_three_heartbeats():
-    assert CONSTANTS["timeout_ms"].default >= TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].default
+def test_the_default_time_out_spans_four_heartbeats_and_the_least_the_protocols_three():
+    assert CONSTANTS["timeout_ms"].default >= SITE_TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].default
     assert CONSTANTS["timeout_ms"].low >= TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].low
 
 

@@ -282,6 +282,47 @@ def test_an_almost_empty_site_file_is_the_default_site():
     assert site("") == Site()
 
 
+OLD_SETTINGS = [
+    ("[link]\ncounter_step = 4", ["link.counter_step"]),
+    ("[link]\ncrc_failures = 1\ncrc_window_ms = 2000", ["link.crc_failures", "link.crc_window_ms"]),
+    ("[timing]\nannounce_ms = 250", ["timing.announce_ms"]),
+    ("[timing]\nannounce_ms = true\n[link]\ncounter_step = 'x'", ["link.counter_step", "timing.announce_ms"]),
+]
+
+
+@pytest.mark.parametrize(("text", "keys"), OLD_SETTINGS)
+def test_a_setting_that_never_had_an_effect_is_refused_with_the_line_to_delete(text, keys):
+    with pytest.raises(InputError) as caught:
+        site(text)
+    assert [problem.key for problem in caught.value.problems] == keys
+    for line in str(caught.value).splitlines():
+        assert (
+            "must be left out: 0.2.0 has no such setting, and it never had an effect; delete this line"
+            in line
+        )
+
+
+def test_other_names_in_a_table_of_old_settings_are_unknown_as_anywhere():
+    with pytest.raises(InputError, match=r"link .*one of the known keys"):
+        site("[link]\ncounter_steps = 4")
+    with pytest.raises(InputError, match=r"link .*one of the known keys"):
+        site("link = 4")
+
+
+@pytest.mark.parametrize(("text", "_keys"), OLD_SETTINGS)
+def test_a_site_in_a_log_is_read_as_its_version_read_it(text, _keys):
+    data = f'schema = "cutgate.site/1"\n{text}'.encode()
+    assert site_from_bytes("site.toml", data, recorded=True) == Site()
+
+
+def test_a_log_may_hold_a_time_out_of_three_heartbeats_and_no_shorter_one():
+    text = 'schema = "cutgate.site/1"\n[timing]\nheartbeat_ms = 100\ntimeout_ms = '
+    assert site_from_bytes("s", f"{text}300".encode(), recorded=True).timing.timeout_ms == 300
+    with pytest.raises(InputError, match="3 heartbeats of 100 ms"):
+        site_from_bytes("s", f"{text}299".encode(), recorded=True)
+    assert site_from_bytes("s", f"{text}400".encode()).timing.timeout_ms == 400
+
+
 def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
     (tmp_path / "site.toml").write_text(
         'schema = "cutgate.site/1"\nkey_file = "k"\nregistration_max_age_s = 900\n[timing]\nheartbeat_ms = 50\n'
@@ -310,8 +351,8 @@ def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
         ("[timing]\nheartbeat_ms = 4", ("timing.heartbeat_ms", "4", ">= 5")),
         ("[timing]\nheartbeat_ms = 20.0", ("timing.heartbeat_ms", "20.0", "integer")),
         (
-            "[timing]\nheartbeat_ms = 100\ntimeout_ms = 299",
-            ("timing.timeout_ms", "299", "3 heartbeats of 100 ms"),
+            "[timing]\nheartbeat_ms = 100\ntimeout_ms = 399",
+            ("timing.timeout_ms", "399", "4 heartbeats of 100 ms"),
         ),
         ("[timing]\ntimeout_ms = 1001", ("timing.timeout_ms", "1001", "<= 1000")),
         ("[permit]\npermit_lifetime_s = 601", ("permit.permit_lifetime_s", "601", "<= 600")),

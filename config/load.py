@@ -8,9 +8,11 @@ import hashlib
 import json
 import math
 import os
+import re
 import reprlib
 import stat
 import tomllib
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ from pydantic_core import ErrorDetails
 from cutgate.config.constants import CONSTANTS
 from cutgate.config.model import RECORDED, REMOVED, RULE, Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.screen import printable
 from cutgate.protocol.records import Calibration, Limits, Tool
 
 T = TypeVar("T")
@@ -39,6 +42,9 @@ KEYS_MAX: Final = 100
 DOTS_MAX: Final = 100
 """In one line of TOML: a key of n dotted parts takes memory and time that grow with n * n, and no key is longer
 than its line."""
+_WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*+"|[-+.\w]++')
+"""Strings, and whatever stands in JSON without quotation marks."""
+NEWLINE: Final = "\n"
 MAX_SHOWN: Final = 20
 _VALUE_CHARACTERS: Final = 60
 _REPR_BITS: Final = 4096
@@ -61,7 +67,7 @@ class Problem:
         place = f"{self.file}: {self.key}" if self.key else self.file
         found = f" is {self.value}" if self.value else ""
         rule = f", must be {self.bound}" if self.value else f": {self.bound}"
-        return f"{place}{found}{rule}" + (f"; {self.remedy}" if self.remedy else "")
+        return printable(f"{place}{found}{rule}" + (f"; {self.remedy}" if self.remedy else ""))
 
 
 class InputError(Exception):
@@ -154,7 +160,7 @@ class Shipped:
         if exists:
             return Path(path)
         remedy = f"check the name, or name {self.kind}: {', '.join(names)}"
-        raise InputError(shown(str(path)), "", None, "no such file", remedy)
+        raise InputError(path, "", None, "no such file", remedy)
 
 
 SHIPPED: Final = Path(str(resources.files("cutgate")))
@@ -236,7 +242,7 @@ def open_input(path: str | os.PathLike[str]) -> BinaryIO:
 def unreadable(path: object, error: Exception) -> InputError:
     """The refusal of a file that the system does not let be read."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return InputError(shown(str(path)), "", None, f"cannot be read ({reason})", "check name and permissions")
+    return InputError(path, "", None, f"cannot be read ({reason})", "check name and permissions")
 
 
 def check_size(path: object, size: int, limit: int = SETTINGS_LIMIT, remedy: str = _FOREIGN) -> None:
@@ -255,13 +261,13 @@ def _without_waiting(path: str, flags: int) -> int:
 
 
 def decode(path: object, data: bytes) -> str:
-    """The file's text.
+    """The file's text, without the byte-order mark that editors of Windows begin it with.
 
     Raises:
         InputError: not UTF-8; names line and byte.
     """
     try:
-        return data.decode("utf-8")
+        return data.removeprefix(BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(
@@ -308,14 +314,20 @@ def parse_json(path: object, data: bytes) -> Any:
         InputError: names line and column, or the key.
     """
 
-    def constant(text: str) -> Any:
-        raise InputError(path, "", text, "a finite number", "JSON has no NaN and no Infinity")
+    def constant(word: str) -> Any:
+        raise refused(word, "JSON has no NaN and no Infinity")
 
-    def number(text: str) -> float:
-        value = float(text)
+    def number(word: str) -> float:
+        value = float(word)
         if not math.isfinite(value):
-            raise InputError(path, "", text, "a finite number", "write a number a double can hold")
+            raise refused(word, "write a number a double can hold")
         return value
+
+    def refused(word: str, remedy: str) -> InputError:
+        """Of a number, with its place: the first of this spelling outside of strings."""
+        before = next(one.start() for one in _WORDS.finditer(text) if one.group() == word)
+        place = f"line {text.count(NEWLINE, 0, before) + 1} column {before - text.rfind(NEWLINE, 0, before)}"
+        return InputError(path, place, word, "a finite number", remedy)
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         document = dict(pairs)
@@ -324,6 +336,9 @@ def parse_json(path: object, data: bytes) -> Any:
             raise InputError(path, shown(key), "given twice", "given once", "remove one of the two")
         return document
 
+    if data.startswith(BOM_UTF8):  # RFC 8259, 8.1: JSON has none
+        remedy = "save the file as UTF-8 without it"
+        raise InputError(path, "line 1", "a byte-order mark", "the beginning of the document", remedy)
     text = decode(path, data)
     try:
         return json.loads(text, parse_constant=constant, parse_float=number, object_pairs_hook=unique)

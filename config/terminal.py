@@ -19,6 +19,8 @@ CUT: Final = b"..."
 """Stands for what a line is too long by."""
 AGAIN_S: Final = 0.2
 """How often a terminal that belongs to another job is asked again."""
+TRIES: Final = 5
+"""So often in a row reading must fail in the foreground until nobody is listened to any more."""
 
 W = TypeVar("W", bound=StrEnum)
 
@@ -109,14 +111,17 @@ def _pass_on(source: int, sink: int) -> None:
 
 def _read(source: int) -> bytes:
     """What arrives next; empty at the end of the file, or when it cannot be read any more."""
-    while True:
+    failed = 0
+    while failed < TRIES:
         try:
             return os.read(source, PASSED_ON_BYTES)
         except OSError as error:
-            # Somebody who shares it may have made it fail instead of wait; and a terminal may be ours again.
-            if not (isinstance(error, BlockingIOError) or _in_background(source)):
-                return b""
+            # Somebody who shares it may have made it fail instead of wait; and a terminal that belonged to another job
+            # when it was read may be ours by now.
+            passes = isinstance(error, BlockingIOError) or _in_background(source)
+            failed = 0 if passes else failed + 1
         time.sleep(AGAIN_S)
+    return b""
 
 
 def _in_background(terminal: int) -> bool:

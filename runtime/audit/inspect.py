@@ -121,6 +121,8 @@ def read_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> 
     for message in walk(file, found):
         judge.take(message)
     content = [*judge.problems, *judge.content(found)]
+    if found.zeros and judge.last_topic == Close.TOPIC:
+        content.append("zeros stand behind its close record")
     unread, notes = ("", ()) if content or not found.finished else _two_readings(file, found, judge)
     missing = _missing(found, judge)
     damaged, absent = _candump(judge.last, frames)
@@ -272,6 +274,8 @@ def _missing(found: Scan, judge: _Judge) -> list[str]:
             if judge.count
             else "the file ends before its first record"
         )
+    if found.zeros:
+        missing.append("it ends in zeros, as a file system leaves it after a loss of power")
     if judge.last_topic != Close.TOPIC:
         missing.append("there is no close record: the session did not end in order")
     return missing

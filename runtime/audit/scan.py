@@ -46,6 +46,8 @@ RECORD_MAX: Final = 16 << 20
 """Bytes of the largest record that is read, attachments apart; a session closes its chunks at 1 MiB."""
 REMEMBERED_MAX: Final = 16 << 20
 """Bytes of schemas, channels, metadata and attachments' names that are remembered; a session has some 50 kB."""
+ZEROS_MAX: Final = 64 << 20
+"""So many zeros at the end of a file are taken for what a loss of power left: more than the largest chunk."""
 PIECE: Final = 1 << 20
 """So much of an attachment is in memory at a time."""
 
@@ -155,6 +157,7 @@ class Scan:
         messages: in file order, where ``scan`` has collected them.
         finished: data section, summary and footer are there to the last byte.
         torn_at: offset of the first byte that is not a whole record, if the file ends early.
+        zeros: it ends early in nothing but zeros, as a file system leaves it after a loss of power.
         problems: what is inconsistent, each with its place; a sound file has none.
     """
 
@@ -166,6 +169,7 @@ class Scan:
     messages: list[Stored] = field(default_factory=list)
     finished: bool = False
     torn_at: int | None = None
+    zeros: bool = False
     problems: list[str] = field(default_factory=list)
 
     def attachment(self, name: str) -> StoredAttachment | None:
@@ -218,8 +222,9 @@ def walk(file: BinaryIO, found: Scan) -> Iterator[Stored]:
         found.mcap = False
         found.problems.append("the file does not start as an MCAP file")
         return
+    scanner = _Scanner(file, found)
     try:
-        yield from _Scanner(file, found).messages()
+        yield from scanner.messages()
     except _Torn as torn:
         found.torn_at = torn.offset
         file.seek(max(len(MAGIC), found.size - len(MAGIC)))
@@ -227,7 +232,10 @@ def walk(file: BinaryIO, found: Scan) -> Iterator[Stored]:
         if file.read(len(MAGIC)) == MAGIC:
             found.problems.append(f"the record at offset {torn.offset} is longer than the file")
     except _Bad as bad:
-        found.problems.append(str(bad))
+        if scanner.ends_in_zeros():
+            found.torn_at, found.zeros = scanner.begun, True
+        else:
+            found.problems.append(str(bad))
 
 
 def scan(data: bytes) -> Scan:
@@ -244,6 +252,8 @@ class _Scanner:
         self.file = file
         self.found = found
         self.at = len(MAGIC)
+        self.begun = self.at
+        """Where the record begins that is being read."""
         self.crc = zlib.crc32(MAGIC)
         self.remembered = 0
         self.schemas: dict[int, Schema] = {}
@@ -288,6 +298,7 @@ class _Scanner:
     def _next(self) -> _Raw | None:
         """The next record, its content not read yet; None at the end of the file."""
         offset, left, crc = self.at, self.found.size - self.at, self.crc
+        self.begun = offset
         if not left:
             return None
         if left < PREFIX:
@@ -306,6 +317,14 @@ class _Scanner:
         self.at += count
         self.crc = zlib.crc32(data, self.crc)
         return data
+
+    def ends_in_zeros(self) -> bool:
+        """Whether the record that is being read ends in zeros, and nothing but zeros follow it to the file's end."""
+        size = self.found.size
+        if not size - self.at <= ZEROS_MAX:
+            return False
+        self.file.seek(min(self.at - 1, size - PREFIX))  # fewer are as good as a changed byte
+        return not any(any(piece) for piece in iter(lambda: self.file.read(PIECE), b""))
 
     def _content(self, raw: _Raw) -> bytes:
         if not raw.size <= RECORD_MAX:

@@ -7,6 +7,7 @@ from typer.exceptions import TyperException
 
 from cutgate import __version__
 from cutgate.config.load import InputError
+from cutgate.config.screen import printable
 from cutgate.runtime.commands import (
     audit,
     conform,
@@ -19,8 +20,8 @@ from cutgate.runtime.commands import (
     run,
     verify,
 )
-from cutgate.runtime.commands.screen import delivered
-from cutgate.runtime.exits import INTERNAL, INTERRUPTED, REFUSED
+from cutgate.runtime.commands.screen import delivered, echo
+from cutgate.runtime.exits import INTERNAL, INTERRUPTED, READER_GONE, REFUSED
 
 app = typer.Typer(
     name="cutgate",
@@ -33,7 +34,7 @@ app = typer.Typer(
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(f"cutgate {__version__}")
+        echo(f"cutgate {__version__}")
         raise typer.Exit
 
 
@@ -63,16 +64,18 @@ def execute(arguments: list[str] | None = None) -> int:
         return REFUSED
     except TyperException as error:
         show = getattr(error, "show", None)
-        show() if show else typer.echo(error.format_message(), err=True)
+        show() if show else echo(error.format_message(), err=True)
         return REFUSED
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
+    except SystemExit:  # what prints the help ends so where nobody reads it
+        return READER_GONE
     except Exception as error:  # noqa: BLE001 - the last line of defence: one line and a code, never a traceback
         place = error.__traceback__
         while place is not None and place.tb_next is not None:
             place = place.tb_next
         where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
         text = str(error).replace("\n", " ")
-        delivered(f"cutgate: internal error: {type(error).__name__}: {text} ({where})", err=True)
+        delivered(printable(f"cutgate: internal error: {type(error).__name__}: {text} ({where})"), err=True)
         return INTERNAL
     return code if isinstance(code, int) else 0

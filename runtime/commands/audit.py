@@ -11,10 +11,11 @@ import typer
 from typer.core import TyperCommand
 
 from cutgate.config.load import InputError
+from cutgate.config.screen import printable
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
-from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
@@ -34,7 +35,7 @@ class VerifyCommand(TyperCommand):
         try:
             return super().make_context(info_name, args, parent, **extra)
         except typer.TyperException as error:
-            typer.echo(f"cutgate audit verify: {error.format_message()}", err=True)
+            echo(f"cutgate audit verify: {error.format_message()}", err=True)
             raise typer.Exit(Status.UNREADABLE) from None
 
 
@@ -48,17 +49,17 @@ def verify(log: LogFile, *, json: Json = False) -> None:
         with _reading(log) as read:
             report = read.report
     except InputError as error:
-        typer.echo(str(error), err=True)
+        echo(str(error), err=True)
         raise typer.Exit(Status.UNREADABLE) from None
     if json:
-        typer.echo(_json({**asdict(report), "status": report.status.name, "headline": report.headline}))
+        echo(_json({**asdict(report), "status": report.status.name, "headline": report.headline}))
     else:
-        typer.echo(f"{report.headline}: {log}")
+        echo(f"{printable(report.headline)}: {printable(str(log))}")
         for line in (*report.reasons, *report.notes):
-            typer.echo(f"  {line}")
-        typer.echo(f"  {report.messages} records, chain head {report.head}")
+            echo(f"  {printable(line)}")
+        echo(f"  {report.messages} records, chain head {report.head}")
         if report.dropped_bytes:
-            typer.echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
+            echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
     raise typer.Exit(report.status)
 
 
@@ -74,7 +75,7 @@ def show(log: LogFile, *, json: Json = False) -> None:
         candump = candump_of(log)
         document = story(read, log, candump if candump.is_file() else None)
     if json:
-        typer.echo(_json(document))
+        echo(_json(document))
     else:
         print_story(output(), document)
 
@@ -88,14 +89,14 @@ def replay_command(log: LogFile, *, json: Json = False) -> None:
     with _reading(log) as read, working(f"deciding {log} again"):
         result = replay(read, certified.verify, verifier=VERIFIER)
     if json:
-        typer.echo(_json({**asdict(result), "outcome": result.outcome.name}))
+        echo(_json({**asdict(result), "outcome": result.outcome.name}))
     else:
         word = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
-        typer.echo(f"{word[result.outcome]}: {log}")
+        echo(f"{word[result.outcome]}: {printable(str(log))}")
         for line in (*result.differences, *result.notes):
-            typer.echo(f"  {line}")
+            echo(f"  {printable(line)}")
         if result.verdict is not None:
-            typer.echo(f"  recomputed verdict: {result.verdict['verdict']}")
+            echo(f"  recomputed verdict: {result.verdict['verdict']}")
     raise typer.Exit(result.outcome)
 
 

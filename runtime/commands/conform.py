@@ -9,7 +9,6 @@ from typing import Annotated, Final
 
 import can
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from cutgate.config.bus import RuntimeDirectoryError, open_bus
@@ -18,10 +17,11 @@ from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot, load_site
 from cutgate.config.model import Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, SENT_BY, ControllerHeartbeat
 from cutgate.protocol.records import Side
-from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.conform.bench import Bench, HaltError, milliseconds
 from cutgate.runtime.conform.cases import Case
 from cutgate.runtime.conform.report import ABOUT, document, summary
@@ -63,7 +63,11 @@ def conform(
     """
     if not plant_disconnected:
         raise InputError(
-            "--plant-disconnected", "", None, f"is not given\n{ABOUT}", "disconnect it, then say so"
+            "--plant-disconnected",
+            "",
+            None,
+            f"is not given. {' '.join(ABOUT.split())}",
+            "disconnect it, then say so",
         )
     settings = load_site(site).value if site else Site()
     fd = fd or settings.bus.fd
@@ -71,7 +75,7 @@ def conform(
     _refuse_existing(out)
     bus = _open(interface, channel, fd=fd, bitrate_bit_s=settings.bus.bitrate_bit_s)
     try:
-        messages().print(escape(ABOUT), soft_wrap=True)
+        messages().print(ABOUT, soft_wrap=True)
         bench = _bench(bus, secret, settings, fd=fd)
         outcome = _run(bench, chosen)
     except KeyboardInterrupt:
@@ -83,7 +87,7 @@ def conform(
     text = document_text(report)
     _write(out, text)
     if json:
-        typer.echo(text)
+        echo(text)
     else:
         _print(outcome, whole=not only)
     raise typer.Exit(PASSED if outcome.passed else FAILED)
@@ -210,7 +214,7 @@ def _stop(bench: Bench) -> None:
 
 
 def _tell(result: Result) -> None:
-    messages().print(f"{result.verdict.value:8}{escape(result.case.name)}", soft_wrap=True)
+    messages().print(f"{result.verdict.value:8}{result.case.name}", soft_wrap=True)
 
 
 def _print(outcome: Outcome, *, whole: bool) -> None:
@@ -219,19 +223,17 @@ def _print(outcome: Outcome, *, whole: bool) -> None:
     for result in outcome.results:
         latency = milliseconds(result.latency_s)
         shown = "" if latency is None else f"{latency:.0f}"
-        table.add_row(result.verdict.value, escape(result.case.name), escape(result.came), shown)
+        table.add_row(result.verdict.value, result.case.name, printable(result.came), shown)
     console.print(table)
     for result in outcome.results:
         if result.verdict is not Verdict.PASS:
             case = result.case
             console.print(
-                escape(
-                    f"\n{result.verdict.value}: {case.name} (docs/protocol.md: {case.requirement})\n"
-                    f"  sent      {case.sent}\n  expected  {case.expected}\n  came      {result.came}"
-                ),
+                f"\n{result.verdict.value}: {case.name} (docs/protocol.md: {case.requirement})\n"
+                f"  sent      {case.sent}\n  expected  {case.expected}\n  came      {printable(result.came)}",
                 soft_wrap=True,
             )
-    console.print(f"\n{escape(summary(outcome, whole=whole))}", soft_wrap=True)
+    console.print(f"\n{summary(outcome, whole=whole)}", soft_wrap=True)
 
 
 def register(app: typer.Typer) -> None:

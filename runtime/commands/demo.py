@@ -24,12 +24,13 @@ from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_direc
 from cutgate.config.interpreter import program
 from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
+from cutgate.config.screen import printable
 from cutgate.protocol.permit import KEY_BYTES
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.example import fill
-from cutgate.runtime.commands.screen import messages, output
+from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
 from cutgate.runtime.review.comparison import print_comparison
 from cutgate.runtime.review.show import print_time_line
@@ -104,7 +105,7 @@ def demo(
             "reviews": [{key: review[key] for key in ("log", "verify", "replay")} for review in reviews],
             "elapsed_s": elapsed_s,
         }
-        typer.echo(json_format.dumps(document, allow_nan=False, indent=2))
+        echo(json_format.dumps(document, allow_nan=False, indent=2))
     else:
         _summary(runs, reviews, folder, elapsed_s)
     raise typer.Exit(0 if good else 1)
@@ -122,7 +123,7 @@ class _Teller:
 
     def __call__(self, who: str, text: str) -> None:
         elapsed = f"{time.monotonic() - self._began_s:6.2f} s "
-        self._print(Text.assemble((elapsed, "dim"), (f"{who:<11}", "cyan"), text), soft_wrap=True)
+        self._print(Text.assemble((elapsed, "dim"), (f"{who:<11}", "cyan"), printable(text)), soft_wrap=True)
 
 
 def _folder(out: Path | None) -> Path:
@@ -304,12 +305,12 @@ def _summary(
     for review in reviews:
         words = f"{review['headline']}, replay {review['replay']}"
         style = GOOD if review["verify"] == "OK" and review["replay"] == Outcome.IDENTICAL.name else BAD
-        console.print(Text.assemble(f"{review['log']}: ", (words, style)), soft_wrap=True)
+        console.print(Text.assemble(printable(f"{review['log']}: "), (words, style)), soft_wrap=True)
         for reason in review["why"]:
-            console.print(f"  {reason}", soft_wrap=True)
+            console.print(printable(f"  {reason}"), soft_wrap=True)
     console.print(f"Plant time ran {TIME_SCALE} times faster than the clock; the logs say so.")
-    console.print(f"Everything is in {folder}; {elapsed_s:.1f} s in all.", soft_wrap=True)
-    console.print(f"Next: cutgate audit show {reviews[-1]['log']}", soft_wrap=True)
+    console.print(printable(f"Everything is in {folder}; {elapsed_s:.1f} s in all."), soft_wrap=True)
+    console.print(printable(f"Next: cutgate audit show {reviews[-1]['log']}"), soft_wrap=True)
 
 
 def _move(verdict: dict[str, Any] | None) -> str:

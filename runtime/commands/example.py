@@ -8,6 +8,8 @@ from typing import Annotated, Final
 import typer
 
 from cutgate.config.load import EXAMPLES, InputError
+from cutgate.config.screen import printable
+from cutgate.runtime.commands.screen import echo
 
 SUFFIXES: Final = (".json", ".toml")
 """What is written of the examples: data, not the scripts that made them."""
@@ -63,7 +65,8 @@ def example(
     """
     files = {path.name: path.read_bytes() for path in sorted(EXAMPLES.iterdir()) if path.suffix in SUFFIXES}
     fill(folder, "DIR", files | {"README.txt": README.encode()})
-    typer.echo(f"{folder}: {len(files) + 1} files written; {folder / 'README.txt'} says how to start")
+    told = f"{folder}: {len(files) + 1} files written; {folder / 'README.txt'} says how to start"
+    echo(printable(told))
 
 
 def fill(folder: Path, option: str, files: dict[str, bytes]) -> None:

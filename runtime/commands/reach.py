@@ -22,10 +22,11 @@ from rich.text import Text
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.runtime.commands.reach_page import page
 from cutgate.runtime.commands.reach_picture import picture
-from cutgate.runtime.commands.screen import messages, output, working
+from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
@@ -324,7 +325,7 @@ def reach_command(
     with working("drawing the map"):
         _save(files, problem, document, positions)
     if json:
-        typer.echo(document_text(document))
+        echo(document_text(document))
     else:
         _summary(document, positions, files)
 
@@ -371,7 +372,7 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
         limits = sorted({p.limiting for p in positions})
         console.print(f"None is admissible; what limits: {', '.join(limits)}.")
     for path in files.values():
-        console.print(f"Written: {path}", soft_wrap=True)
+        console.print(printable(f"Written: {path}"), soft_wrap=True)
 
 
 def _farness(p: Position) -> tuple[float, float]:

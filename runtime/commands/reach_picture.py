@@ -151,7 +151,7 @@ def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs)
     title = f"Where the bone could stand: {document['plan']} on {document['robot']}"
     if len(shown) < len(drawn):
         title += f" (the first {len(shown)} of {len(drawn)} turns and lifts)"
-    figure.suptitle(title, fontweight="bold")
+    figure.suptitle(title, fontweight="bold", parse_math=False)
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
     return out.getvalue()

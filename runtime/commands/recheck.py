@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from cutgate.config.load import InputError, read_bytes
+from cutgate.config.screen import printable
 from cutgate.runtime.commands.screen import output, working
 from cutgate.runtime.commands.verify import (
     FeedOption,
@@ -47,11 +48,12 @@ def recheck(
     pieces = len(prepared.path) - 1 + len(proof.cut_segment)
     console = output()
     if reasons:
-        console.print(f"NOT PROVEN: {certificate} does not prove that {path} is admissible")
+        console.print(printable(f"NOT PROVEN: {certificate} does not prove that {path} is admissible"))
         for reason in reasons:
             console.print(f"  - {reason}")
     else:
-        console.print(f"PROVEN: {path} is admissible, each of {pieces} intervals keeps every deadband")
+        told = f"PROVEN: {path} is admissible, each of {pieces} intervals keeps every deadband"
+        console.print(printable(told))
     console.print(f"path SHA-256 {prepared.path.digest.hex()}")
     raise typer.Exit(FAILS if reasons else HOLDS)
 

@@ -1,21 +1,53 @@
-"""What people see: consoles, a sign of life for work that takes longer than half a second, and screens for a loop."""
+"""What people see: consoles, a sign of life for work that takes longer than half a second, and screens for a loop.
+
+What is printed is data. Nothing in it is markup, and no control character of a file, a name or the bus reaches a
+terminal: consoles and `echo` show each as an escape. A line end in a value must not begin a line of its own, and only
+who prints the value knows that it is one: `printable`.
+"""
 
 import errno
 import io
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
 import typer
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
 
-from cutgate.config.screen import STDERR, STDOUT, Screen
+from cutgate.config.screen import STDERR, STDOUT, Screen, printable
+from cutgate.runtime.exits import READER_GONE
 
 PATIENCE_S: Final = 0.5
 PLAIN_WIDTH: Final = 100
+
+
+class LiteralConsole(Console):
+    """A console that shows what it is given as it stands."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """What rich makes of it, with the control characters of its text escaped."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(literal(segment.text), segment.style)
+
+    def on_broken_pipe(self) -> None:
+        """Nobody reads any more: that is no verdict, and of messages alone no matter."""
+        self.quiet = True
+        _write_nowhere(STDERR if self.stderr else STDOUT)
+        if not self.stderr:
+            raise typer.Exit(READER_GONE)
+
+
+def literal(text: str) -> str:
+    """The text with everything escaped but what is printable, and the ends of its lines."""
+    return "\n".join(printable(line) for line in text.split("\n"))
 
 
 def output() -> Console:
@@ -29,36 +61,55 @@ def messages() -> Console:
 
 
 def _console(terminal: bool, *, stderr: bool) -> Console:
-    return Console(stderr=stderr, **_style(terminal=terminal))
+    return LiteralConsole(stderr=stderr, **_style(terminal=terminal))
 
 
 def _style(*, terminal: bool) -> dict[str, Any]:
     """How a console writes. What is no terminal gets no colours, whatever the environment forces, and a fixed width."""
-    if terminal:
-        return {"highlight": False}
-    return {"highlight": False, "force_terminal": False, "no_color": True, "width": PLAIN_WIDTH}
+    return {} if terminal else {"force_terminal": False, "no_color": True, "width": PLAIN_WIDTH}
 
 
 def delivered(text: str, *, err: bool = False) -> bool:
     """Print it on standard output or error; False when nobody is there to read it, nor what is printed after it."""
     try:
-        typer.echo(text, err=err)
+        typer.echo(literal(text), err=err)
     except OSError as error:
-        if error.errno not in (errno.EPIPE, errno.EIO):
+        if not nobody_reads(error):
             raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)  # for what the stream still holds
-        os.dup2(nowhere, STDERR if err else STDOUT)
-        os.close(nowhere)
+        _write_nowhere(STDERR if err else STDOUT)
         return False
     return True
+
+
+def echo(text: str, *, err: bool = False) -> None:
+    """Print lines of text.
+
+    Raises:
+        typer.Exit: nobody reads standard output any more; with a code that is no verdict's.
+    """
+    if not delivered(text, err=err) and not err:
+        raise typer.Exit(READER_GONE)
+
+
+def nobody_reads(error: OSError) -> bool:
+    """Whether an error says that a pipe has no reader any more, or a terminal is gone."""
+    return error.errno in (errno.EPIPE, errno.EIO)
+
+
+def _write_nowhere(descriptor: int) -> None:
+    """From now on; also what the stream still holds."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, descriptor)
+    os.close(nowhere)
 
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
     """Says on standard error what is being done once it has taken half a second; silent before."""
     console = messages()
-    status = console.status(what) if console.is_terminal else None
-    begin = status.start if status else lambda: console.print(f"{what} ...")
+    told = Text(printable(what))
+    status = console.status(told) if console.is_terminal else None
+    begin = status.start if status else lambda: console.print(told, "...")
     timer = threading.Timer(PATIENCE_S, begin)
     timer.daemon = True
     timer.start()
@@ -81,7 +132,7 @@ class LiveConsole:
     def __init__(self, screen: Screen) -> None:
         terminal = os.isatty(screen.descriptor)
         self._screen = screen
-        self._console = Console(
+        self._console = LiteralConsole(
             file=io.StringIO(), **{"force_terminal": terminal, **_style(terminal=terminal)}
         )
 

@@ -7,6 +7,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from cutgate.config.screen import printable
 from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
 from cutgate.runtime.verification.summary import summary
@@ -208,7 +209,7 @@ def _facts(facts: dict[str, str]) -> Table:
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for label, value in facts.items():
-        table.add_row(label, value)
+        table.add_row(label, printable(value))
     return table
 
 

@@ -12,8 +12,9 @@ import typer
 from cutgate.config.load import PRESETS, InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
-from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.commands.verdict_view import print_guidance, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
@@ -110,7 +111,7 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
     """Writes the certificate of an admissible verdict; says so where there is none."""
     proof = certify(problem, verdict)
     if proof is None:
-        typer.echo(f"{file}: not written, only an admissible verdict has a proof", err=True)
+        echo(f"{printable(str(file))}: not written, only an admissible verdict has a proof", err=True)
         return
     try:
         file.write_bytes(proof.body())
@@ -118,7 +119,10 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
         raise InputError(
             file, "", None, f"cannot be written: {error.strerror}", "name another file"
         ) from None
-    typer.echo(f"{file}: proof of {len(proof.body())} bytes, check it with `cutgate recheck`", err=True)
+    echo(
+        f"{printable(str(file))}: proof of {len(proof.body())} bytes, check it with `cutgate recheck`",
+        err=True,
+    )
 
 
 def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
@@ -162,7 +166,7 @@ def verify(
             digests=checked.digests,
             elapsed_ms=checked.elapsed_ms,
         )
-        typer.echo(document_text(document))
+        echo(document_text(document))
     else:
         console = output()
         print_verdict(console, checked.verdict, checked.digests, _facts(prepared, checked))

@@ -6,9 +6,10 @@ from itertools import groupby
 from typing import Any, Final
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from cutgate.config.screen import printable
 from cutgate.runtime.review.story import failing
 
 GOOD: Final = "bold green"
@@ -35,11 +36,10 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
     utc_ns = opened.get("utc_ns", 0)
     moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC) if 0 <= utc_ns < 2**62 else None
     style = GOOD if story["judgement"].startswith("OK") else BAD
-    console.print(
-        f"Session log {_text(opened, 'log_id')[:_DIGEST]}: [{style}]{escape(story['judgement'])}[/]"
-    )
+    judgement = (printable(story["judgement"]), style)
+    console.print(Text.assemble(f"Session log {_text(opened, 'log_id')[:_DIGEST]}: ", judgement))
     for reason in (*story["reasons"], *story["notes"]):
-        console.print(f"  {escape(str(reason))}")
+        console.print(f"  {printable(str(reason))}")
     rows = {
         "opened": f"{moment:%Y-%m-%d %H:%M:%S} UTC" if moment else "",
         "software": f"{_text(opened, 'software')}, verifier {_text(opened, 'verifier')}",
@@ -68,40 +68,41 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
     word = _text(verdict, "verdict")
     style = GOOD if word == "admissible" else BAD
     console.print()
-    console.print(
-        f"Verdict: [{style}]{escape(word.upper())}[/] ({escape(_text(verdict, 'method'))}, "
-        f"{verdict.get('poses', '?')} poses, {_number(verdict.get('elapsed_ms'))} ms)"
-    )
+    poses = printable(str(verdict.get("poses", "?")))
+    how = f" ({_text(verdict, 'method')}, {poses} poses, {_number(verdict.get('elapsed_ms'))} ms)"
+    console.print(Text.assemble("Verdict: ", (word.upper(), style), how))
     if verdict.get("reason"):
-        console.print(f"  {escape(_text(verdict, 'reason'))}")
+        console.print(f"  {_text(verdict, 'reason')}")
     table = _table("boundary", "certified", "clearance", "deadband", "unit", "worst place", "")
     for column in (1, 2, 3):
         table.columns[column].justify = "right"
     for entry in verdict["boundaries"]:
         violated = entry.get("violated") is not False
         table.add_row(
-            escape(_text(entry, "name")),
+            _text(entry, "name"),
             _number(entry.get("certified")),
             _number(entry.get("clearance")),
             _number(entry.get("deadband")),
-            escape(_text(entry, "unit")),
-            f"segment {entry['segment']} at {_number(entry.get('fraction'))}" if "segment" in entry else "",
-            f"[{BAD}]VIOLATED[/]" if violated else "",
+            _text(entry, "unit"),
+            f"segment {_text(entry, 'segment')} at {_number(entry.get('fraction'))}"
+            if "segment" in entry
+            else "",
+            Text("VIOLATED" if violated else "", style=BAD),
         )
     console.print(table)
     if verdict["guidance"]:
-        console.print(escape(_guidance(verdict["guidance"])))
+        console.print(_guidance(verdict["guidance"]))
     elif "guidance_note" in verdict:
-        console.print(escape(f"Guidance: none, {_text(verdict, 'guidance_note')}"))
+        console.print(f"Guidance: none, {_text(verdict, 'guidance_note')}")
 
 
 def _approach(console: Console, approach: Mapping[str, Any]) -> None:
     """Approach and retract in one line."""
     word = _text(approach, "verdict")
     style = GOOD if word == "admissible" else BAD
+    where = f", entry {_um(approach, 'entry_um')} mm, exit {_um(approach, 'exit_um')} mm; "
     console.print(
-        f"Approach and retract: [{style}]{escape(word.upper())}[/], entry {_um(approach, 'entry_um')} mm, "
-        f"exit {_um(approach, 'exit_um')} mm; {escape(_text(approach, 'reason'))}"
+        Text.assemble("Approach and retract: ", (word.upper(), style), where, _text(approach, "reason"))
     )
 
 
@@ -135,10 +136,10 @@ def print_time_line(
         disposition = _text(first, "disposition")
         table.add_row(
             f"{first['offset_s']:.3f}",
-            escape(before if before == after else f"{before} -> {after}"),
-            escape(_text(first, "event")) + (f" (x{count})" if count > 1 else ""),
-            "" if disposition == "decided" else escape(disposition.upper()),
-            escape(_why(first)),
+            before if before == after else f"{before} -> {after}",
+            _text(first, "event") + (f" (x{count})" if count > 1 else ""),
+            "" if disposition == "decided" else disposition.upper(),
+            _why(first),
         )
     console.print(table)
 
@@ -196,7 +197,7 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
         return
     console.print()
     for offset_s, text in sorted(lines):
-        console.print(f"{offset_s:9.3f}  {escape(text.strip())}")
+        console.print(f"{offset_s:9.3f}  {text.strip()}")
 
 
 def _refused(entry: Mapping[str, Any]) -> str:
@@ -207,7 +208,7 @@ def _files(console: Console, story: Mapping[str, Any]) -> None:
     console.print()
     # Never wrapped, so that a path can be copied.
     for label, path in (("log", story["log"]), ("raw frames", story["candump"] or "not beside the log")):
-        console.print(f"  {label:<11}  {path}", markup=False, soft_wrap=True)
+        console.print(f"  {label:<11}  {printable(path)}", soft_wrap=True)
     rows = {
         "attachments": ", ".join(_text(entry, "name") for entry in story["attachments"]),
         "records": f"{story['messages']}, chain head {story['head'][:_DIGEST]}",
@@ -219,7 +220,7 @@ def _pairs(console: Console, rows: Mapping[str, str]) -> None:
     table = Table.grid(padding=(0, 2, 0, 0))
     for label, value in rows.items():
         if value:
-            table.add_row(f"  {label}", escape(value))
+            table.add_row(f"  {label}", value)
     console.print(table)
 
 
@@ -236,8 +237,9 @@ def _entries(record: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def _text(record: Mapping[str, Any], key: str) -> str:
+    """What a log says there, on one line: it is data."""
     value = record.get(key)
-    return "" if value is None else str(value)
+    return "" if value is None else printable(str(value))
 
 
 def _number(value: object) -> str:

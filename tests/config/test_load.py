@@ -278,6 +278,11 @@ def site(text: str) -> Site:
     return site_from_bytes("site.toml", ('schema = "cutgate.site/1"\n' + text).encode())
 
 
+def test_settings_as_windows_writes_them_are_the_same():
+    for text in ("\ufeff" + EXAMPLE, EXAMPLE.replace("\n", "\r\n"), "\ufeff" + EXAMPLE.replace("\n", "\r\n")):
+        assert robot_from_bytes("r", text.encode()) == robot_from_bytes("r", EXAMPLE.encode())
+
+
 def test_an_almost_empty_site_file_is_the_default_site():
     assert site("") == Site()
 

@@ -1,5 +1,6 @@
 """Words from a terminal: whole lines of one vocabulary, read without waiting."""
 
+import errno
 import fcntl
 import os
 import select
@@ -262,6 +263,26 @@ def test_input_that_others_have_made_fail_instead_of_wait_is_asked_again(monkeyp
     os.close(reading)
 
 
+@pytest.mark.parametrize("failures", [1, 2, terminal.TRIES - 1])
+def test_a_terminal_that_is_ours_again_when_it_is_asked_is_read_on(monkeypatch, failures):
+    """Reading failed while it belonged to another job, and by the time that is asked it no longer does."""
+    monkeypatch.setattr(terminal, "AGAIN_S", 0.001)
+    reading, writing = os.pipe2(os.O_CLOEXEC)
+    os.write(writing, b"stop\n")
+    read, left = os.read, [failures]
+
+    def failing(descriptor, size):
+        if descriptor == reading and left[0]:
+            left[0] -= 1
+            raise OSError(errno.EIO, "of another job")
+        return read(descriptor, size)
+
+    monkeypatch.setattr(terminal.os, "read", failing)
+    assert terminal._read(reading) == b"stop\n"
+    os.close(reading)
+    os.close(writing)
+
+
 def test_a_flood_of_input_waits_where_it_comes_from(shared):
     """What is read ahead is what two pipes hold, whatever is typed."""
     os.set_blocking(shared.writing, False)
@@ -283,7 +304,8 @@ def test_a_reader_that_goes_ends_the_reading(shared):
         os.close(descriptor)
 
 
-def test_input_that_cannot_be_read_is_at_its_end():
+def test_input_that_cannot_be_read_is_at_its_end(monkeypatch):
+    monkeypatch.setattr(terminal, "AGAIN_S", 0.001)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     reader = typed(Word, nowhere)
     own = reader.descriptor

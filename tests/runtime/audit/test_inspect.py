@@ -109,6 +109,60 @@ def test_a_log_cut_anywhere_is_incomplete(data):
         assert verified(data[:end]).status is Status.INCOMPLETE
 
 
+def places_of(data, *opcodes):
+    """Begin and end of every record of these kinds, read from the bytes."""
+    found, at = [], len(MAGIC)
+    while at < len(data) - len(MAGIC):
+        opcode, size = struct.unpack_from("<BQ", data, at)
+        found += [(at, at + 9 + size)] * (opcode in opcodes)
+        at += 9 + size
+    return found
+
+
+@pytest.fixture(scope="module")
+def crashed(data):
+    """As it stands before the close record's chunk."""
+    close = data.index(b'"final_state"')
+    return data[: max(begin for begin, end in places_of(data, Opcode.CHUNK) if begin < close)]
+
+
+@pytest.mark.parametrize("zeros", [9, 100, 4096, 1 << 20])
+def test_zeros_behind_the_last_whole_record_are_a_loss_of_power(crashed, zeros):
+    for begin, end in places_of(crashed, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)[-6:]:
+        for kept in (begin, begin + 1, begin + 9, (begin + end) // 2, end):
+            report = judged(crashed[:kept] + bytes(zeros), "the file ends early", Status.INCOMPLETE)
+            assert report.dropped_bytes >= zeros
+            assert report.messages == verified(crashed[:begin]).messages or kept == end
+
+
+def test_zeros_with_anything_behind_them_are_no_loss_of_power(crashed, data):
+    begin, end = places_of(crashed, Opcode.CHUNK)[-1]
+    for log in (crashed, data):
+        judged(log[:begin] + bytes(end - begin) + log[end:], "the record at offset", Status.TAMPERED)
+        judged(log[: end - 40] + bytes(40) + log[end:], "checksum", Status.TAMPERED)
+    for tail in (b"\1", b"\0\1", MAGIC, crashed[begin:end]):
+        assert verified(crashed[:begin] + bytes(100) + tail).status is Status.TAMPERED
+
+
+@pytest.mark.parametrize("zeros", [1, 8])
+def test_fewer_zeros_than_a_record_begins_with_are_a_changed_byte(crashed, zeros):
+    _begin, end = places_of(crashed, Opcode.CHUNK)[-1]
+    changed = crashed[: end - zeros - 1] + b"x" + bytes(zeros)
+    judged(changed, "checksum", Status.TAMPERED)
+
+
+def test_a_session_that_was_closed_lost_no_power(data):
+    behind = places_of(data, Opcode.DATA_END)[0][0]
+    for at in (behind, behind + 9, len(data) - 100):
+        judged(data[:at] + bytes(len(data) - at), "zeros stand behind its close record", Status.TAMPERED)
+
+
+def test_the_zeros_that_are_looked_at_are_bounded(crashed, monkeypatch):
+    monkeypatch.setattr("cutgate.runtime.audit.scan.ZEROS_MAX", 1000)
+    assert verified(crashed + bytes(900)).status is Status.INCOMPLETE
+    assert verified(crashed + bytes(2000)).status is Status.TAMPERED
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"hello", b"\x00" * 100, MAGIC[:-1]])
 def test_another_file_is_unreadable(content):
     judged(content, "not an audit log", Status.UNREADABLE)

@@ -217,7 +217,8 @@ BAD_CSVS = [
     ("", ("line 1", "x,y,z,i,j,k")),
     ("0,0,0,0,0,1\n", ("line 1", "'0,0,0,0,0,1'")),
     ("X,Y,Z,I,J,K\n" + CSV, ("line 1", "X,Y,Z")),
-    ("\ufeff" + CSV, ("line 1", "header")),
+    ("\ufeff\ufeff" + CSV, ("line 1", "header")),
+    ("x" + CSV, ("line 1", "header")),
     ("x,y,z,i,j,k\n", ("poses", "0 poses", ">= 2")),
     ("x,y,z,i,j,k\n0,0,0,0,0,1\n", ("poses", "1 poses", ">= 2")),
     (CSV + "\n", ("line 5", "empty")),
@@ -297,6 +298,22 @@ def test_more_poses_than_the_limit_are_refused():
         message = message_of(lambda name=name, data=data: plan_from_bytes(Path(name), data.encode(), 2))
         assert "3 poses" in message
         assert "<= 2 poses" in message
+
+
+def test_a_tool_path_as_windows_writes_it_is_the_same():
+    plain = plan_from_bytes(Path("p.csv"), CSV.encode())
+    for text in ("\ufeff" + CSV, CSV.replace("\n", "\r\n"), "\ufeff" + CSV.replace("\n", "\r\n")):
+        found = plan_from_bytes(Path("p.csv"), text.encode())
+        assert np.array_equal(found.tips_mm, plain.tips_mm)
+        assert np.array_equal(found.axes, plain.axes)
+
+
+def test_a_byte_order_mark_before_json_is_named():
+    for load in (plan_from_bytes, registration_from_bytes):
+        with pytest.raises(
+            InputError, match=r"line 1 is a byte-order mark, .*; save the file as UTF-8 without it"
+        ):
+            load(Path("p.json"), "\ufeff{}".encode())
 
 
 def test_a_file_over_the_size_limit_is_refused(tmp_path):

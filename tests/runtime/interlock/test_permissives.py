@@ -189,6 +189,7 @@ def test_an_old_measurement_is_not_the_arm_now(age_s):
 @pytest.mark.parametrize("age_s", [0.0, 0.1])
 def test_a_measurement_is_the_arm_now_up_to_the_time_out(age_s):
     assert p.measured_now(replace(READY, measured_s=0.0), age_s) == START_JOINTS
+    assert p.measured_now(replace(READY, measured_s=NOW), NOW + age_s / 2) == START_JOINTS
 
 
 def test_the_links_are_as_long_as_they_were_calibrated():

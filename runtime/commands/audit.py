@@ -23,8 +23,16 @@ from cutgate.runtime.verification import certified
 
 app = typer.Typer(help="Review session logs: what was decided, and whether it stands.", no_args_is_help=True)
 
-LogFile = Annotated[Path, typer.Argument(metavar="LOG", help="A session's log (.mcap).")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+LogFiles = Annotated[
+    list[Path], typer.Argument(metavar="LOG...", help="Sessions' logs (.mcap), one or several.")
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="One JSON document on standard output; of several logs a list of them.")
+]
+
+VERIFY_WORST = (Status.TAMPERED, Status.UNREADABLE, Status.INCOMPLETE, Status.OK)
+REPLAY_WORST = (Outcome.DIFFERS, Outcome.BAD_INPUT, Outcome.IDENTICAL)
+"""Of several logs the first of these is the exit code."""
 
 
 class VerifyCommand(TyperCommand):
@@ -40,64 +48,106 @@ class VerifyCommand(TyperCommand):
 
 
 @app.command("verify", cls=VerifyCommand)
-def verify(log: LogFile, *, json: Json = False) -> None:
-    """Check structure, chain and attachments of a log.
+def verify(logs: LogFiles, *, json: Json = False) -> None:
+    """Check structure, chain and attachments of logs.
 
-    Exit code: 0 OK, 1 INCOMPLETE, 2 TAMPERED, 3 UNREADABLE (or no such file).
+    Exit code: 0 OK, 1 INCOMPLETE, 2 TAMPERED, 3 UNREADABLE (or no such file); of several logs the worst: 2, 3, 1, 0.
     """
+    told = _Documents(json=json, several=len(logs) > 1)
+    found = [_verified(log, told) for log in logs]
+    told.end()
+    raise typer.Exit(min(found, key=VERIFY_WORST.index))
+
+
+def _verified(log: Path, told: "_Documents") -> Status:
     try:
         with _reading(log) as read:
             report = read.report
     except InputError as error:
         echo(str(error), err=True)
-        raise typer.Exit(Status.UNREADABLE) from None
-    if json:
-        echo(_json({**asdict(report), "status": report.status.name, "headline": report.headline}))
-    else:
-        echo(f"{printable(report.headline)}: {printable(str(log))}")
-        for line in (*report.reasons, *report.notes):
-            echo(f"  {printable(line)}")
-        echo(f"  {report.messages} records, chain head {report.head}")
-        if report.dropped_bytes:
-            echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
-    raise typer.Exit(report.status)
+        told.add({"log": str(log), "status": Status.UNREADABLE.name, "headline": str(error)})
+        return Status.UNREADABLE
+    if told.json:
+        document = {**asdict(report), "status": report.status.name, "headline": report.headline}
+        told.add({"log": str(log), **document})
+        return report.status
+    echo(f"{printable(report.headline)}: {printable(str(log))}")
+    for line in (*report.reasons, *report.notes):
+        echo(f"  {printable(line)}")
+    echo(f"  {report.messages} records, chain head {report.head}")
+    if report.dropped_bytes:
+        echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
+    return report.status
 
 
 @app.command("show")
-def show(log: LogFile, *, json: Json = False) -> None:
-    """Show a session: verdicts with every boundary, the time line of decisions, and where the files are.
+def show(logs: LogFiles, *, json: Json = False) -> None:
+    """Show sessions: verdicts with every boundary, the time line of decisions, and where the files are.
 
     Exit code: 0, or 2 for a file that is no log.
     """
-    with _reading(log) as read:
-        if read.report.status is Status.UNREADABLE:
-            raise InputError(log, "", None, read.report.reasons[0], "name a session's .mcap file")
-        candump = candump_of(log)
-        document = story(read, log, candump if candump.is_file() else None)
-    if json:
-        echo(_json(document))
-    else:
+    told = _Documents(json=json, several=len(logs) > 1)
+    for number, log in enumerate(logs):
+        with _reading(log) as read:
+            if read.report.status is Status.UNREADABLE:
+                raise InputError(log, "", None, read.report.reasons[0], "name a session's .mcap file")
+            candump = candump_of(log)
+            document = story(read, log, candump if candump.is_file() else None)
+        if json:
+            told.add(document)
+            continue
+        if number:
+            echo("")
         print_story(output(), document)
+    told.end()
 
 
 @app.command("replay")
-def replay_command(log: LogFile, *, json: Json = False) -> None:
-    """Decide again from the log alone, and compare.
+def replay_command(logs: LogFiles, *, json: Json = False) -> None:
+    """Decide again from each log alone, and compare.
 
-    Exit code: 0 identical, 1 differs, 2 not a log that can be replayed.
+    Exit code: 0 identical, 1 differs, 2 not a log that can be replayed; of several logs the worst: 1, 2, 0.
     """
-    with _reading(log) as read, working(f"deciding {log} again"):
-        result = replay(read, certified.verify, verifier=VERIFIER)
-    if json:
-        echo(_json({**asdict(result), "outcome": result.outcome.name}))
-    else:
-        word = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
-        echo(f"{word[result.outcome]}: {printable(str(log))}")
-        for line in (*result.differences, *result.notes):
-            echo(f"  {printable(line)}")
-        if result.verdict is not None:
-            echo(f"  recomputed verdict: {result.verdict['verdict']}")
-    raise typer.Exit(result.outcome)
+    told = _Documents(json=json, several=len(logs) > 1)
+    found = [_replayed(log, told) for log in logs]
+    told.end()
+    raise typer.Exit(min(found, key=REPLAY_WORST.index))
+
+
+def _replayed(log: Path, told: "_Documents") -> Outcome:
+    try:
+        with _reading(log) as read, working(f"deciding {log} again"):
+            result = replay(read, certified.verify, verifier=VERIFIER)
+    except InputError as error:
+        echo(str(error), err=True)
+        told.add({"log": str(log), "outcome": Outcome.BAD_INPUT.name, "notes": [str(error)]})
+        return Outcome.BAD_INPUT
+    if told.json:
+        told.add({"log": str(log), **asdict(result), "outcome": result.outcome.name})
+        return result.outcome
+    word = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
+    echo(f"{word[result.outcome]}: {printable(str(log))}")
+    for line in (*result.differences, *result.notes):
+        echo(f"  {printable(line)}")
+    if result.verdict is not None:
+        echo(f"  recomputed verdict: {result.verdict['verdict']}")
+    return result.outcome
+
+
+class _Documents:
+    """What ``--json`` prints in the end: the document of the one log, or a list of those of several."""
+
+    def __init__(self, *, json: bool, several: bool) -> None:
+        self.json = json
+        self._several = several
+        self._documents: list[dict[str, Any]] = []
+
+    def add(self, document: dict[str, Any]) -> None:
+        self._documents.append(document)
+
+    def end(self) -> None:
+        if self.json:
+            echo(_json(self._documents if self._several else self._documents[0]))
 
 
 def register(root: typer.Typer) -> None:
@@ -114,5 +164,5 @@ def _reading(log: Path) -> Iterator[Log]:
         yield read
 
 
-def _json(document: dict[str, Any]) -> str:
+def _json(document: dict[str, Any] | list[dict[str, Any]]) -> str:
     return json_format.dumps(document, allow_nan=False, indent=2, default=str)

@@ -370,3 +370,73 @@ def test_the_story_of_a_strange_log_is_told_without_an_error(tmp_path):
     print_story(output(), document)
     assert document["candump"] is None
     assert document["judgement"] == "TAMPERED"
+
+
+# ---------------------------------------------------------------- several logs
+
+
+@pytest.fixture
+def four(admitted, refused, tmp_path):
+    """Logs that are OK, OK, INCOMPLETE and TAMPERED, and a file that is none."""
+    data = admitted.log.read_bytes()
+    cut, forged, other = (tmp_path / name for name in ("cut.mcap", "forged.mcap", "other.mcap"))
+    cut.write_bytes(data[:-100])
+    forged.write_bytes(data.replace(b"time scale", b"time skale"))
+    other.write_bytes(b"hello")
+    for copy in (cut, forged):
+        shutil.copy(admitted.candump, copy.with_suffix(".candump.log"))
+    lies = tmp_path / "lies.mcap"
+    lies.write_bytes(forge(refused.log.read_bytes(), in_document(admit)))
+    shutil.copy(refused.candump, lies.with_suffix(".candump.log"))
+    return {
+        "ok": admitted.log, "too": refused.log, "cut": cut, "forged": forged, "other": other, "lies": lies
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("named", "worst"),
+    [
+        (("ok", "too"), 0),
+        (("ok", "cut"), 1),
+        (("cut", "other", "ok"), 3),
+        (("other", "forged", "cut"), 2),
+        (("ok", "absent"), 3),
+    ],
+)
+def test_verify_takes_several_logs_and_the_worst_decides(capsys, four, tmp_path, named, worst):
+    logs = [four.get(name, tmp_path / f"{name}.mcap") for name in named]
+    code, out, err = cutgate(capsys, "verify", *logs)
+    assert code == worst
+    places = [(out + err).index(str(log)) for log in logs]
+    assert len(places) == len(logs)
+    code, out, _ = cutgate(capsys, "verify", "--json", *logs)
+    documents = json.loads(out)
+    assert code == worst
+    assert [document["log"] for document in documents] == [str(log) for log in logs]
+
+
+@pytest.mark.parametrize(
+    ("named", "worst"),
+    [(("ok", "too"), 0), (("ok", "other"), 2), (("other", "lies", "ok"), 1), (("ok", "absent"), 2)],
+)
+def test_replay_takes_several_logs_and_the_worst_decides(capsys, four, tmp_path, named, worst):
+    logs = [four.get(name, tmp_path / f"{name}.mcap") for name in named]
+    assert cutgate(capsys, "replay", *logs)[0] == worst
+    code, out, _ = cutgate(capsys, "replay", "--json", *logs)
+    assert code == worst
+    assert [document["log"] for document in json.loads(out)] == [str(log) for log in logs]
+
+
+def test_show_takes_several_logs(capsys, four):
+    code, out, _ = cutgate(capsys, "show", four["ok"], four["too"])
+    assert code == 0
+    assert out.index(str(four["ok"])) < out.index(str(four["too"]))
+    code, out, _ = cutgate(capsys, "show", "--json", four["ok"], four["too"])
+    assert code == 0
+    assert [document["log"] for document in json.loads(out)] == [str(four["ok"]), str(four["too"])]
+    assert cutgate(capsys, "show", four["ok"], four["other"])[0] == 2
+
+
+def test_one_log_is_one_document(capsys, four):
+    for command in ("verify", "show", "replay"):
+        assert isinstance(json.loads(cutgate(capsys, command, "--json", four["ok"])[1]), dict)

@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cutgate.config.screen import printable
+from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
 from cutgate.runtime.verification.summary import summary
@@ -33,14 +34,17 @@ GOOD: Final = "bold green"
 BAD: Final = "bold red"
 
 
-def print_verdict(console: Console, verdict: Verdict, digests: Digests, facts: dict[str, str]) -> None:
-    """Prints everything about one verdict but how to move the bone (`print_guidance`), which takes longer to find.
+def print_verdict(
+    console: Console, verdict: Verdict, digests: Digests, facts: dict[str, str], *, hashes: bool = False
+) -> None:
+    """Prints everything about one verdict but how to move the bone (`print_end`), which takes longer to find.
 
     Args:
         console: where to.
         verdict: the answer.
         digests: what the verdict was made for.
         facts: further lines, label and value, for example the plan and the registration.
+        hashes: whether the digests are shown.
     """
     console.print(headline(verdict))
     parts: list[RenderableType] = [boundaries_table(verdict)]
@@ -48,17 +52,20 @@ def print_verdict(console: Console, verdict: Verdict, digests: Digests, facts: d
         parts.append(speed_table(verdict))
     if verdict.reasons:
         parts.append(reason_lines(verdict))
-    parts.append(_facts({**_path_facts(verdict), **facts, **_digest_facts(digests)}))
+    parts.append(_facts({**_path_facts(verdict), **facts, **(_digest_facts(digests) if hashes else {})}))
     for part in parts:
         console.print()
         console.print(part)
     console.file.flush()
 
 
-def print_guidance(console: Console, guidance: Guidance) -> None:
-    """Prints how to move the bone."""
+def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:
+    """Prints how to move the bone, where it is known, and last the answer: the end is what a screen still shows."""
+    if guidance is not None:
+        console.print()
+        console.print(guidance_lines(guidance))
     console.print()
-    console.print(guidance_lines(guidance))
+    console.print(headline(verdict))
 
 
 def headline(verdict: Verdict) -> Text:
@@ -67,53 +74,54 @@ def headline(verdict: Verdict) -> Text:
     return Text.assemble((word, style), f": {summary(verdict)}")
 
 
-def boundaries_table(verdict: Verdict) -> Table:
+def boundaries_table(verdict: Verdict) -> RenderableType:
     """Every boundary's worst place on the whole path."""
     values = ("certified", "clearance", "deadband", "margin")
-    table = _plain_table("boundary", "limit", *values, "", *PLACE, numbers=(*values, *PLACE))
+    rows: list[list[str | Text]] = []
     for boundary in verdict.boundaries.values():
         margin = None if boundary.certified is None else boundary.certified - boundary.deadband
         style = BAD if boundary.violated else GOOD
-        table.add_row(
-            Text(boundary.name, style=style),
-            MEANING[boundary.name],
-            _value(boundary.certified),
-            _value(boundary.clearance),
-            f"{boundary.deadband:.3f}",
-            Text(_value(margin), style=style),
-            boundary.unit,
-            _value(boundary.segment, digits=0),
-            _value(boundary.tip_length_mm, digits=1),
+        rows.append(
+            [
+                Text(boundary.name, style=style),
+                MEANING[boundary.name],
+                _value(boundary.certified),
+                _value(boundary.clearance),
+                f"{boundary.deadband:.3f}",
+                Text(_value(margin), style=style),
+                boundary.unit,
+                _value(boundary.segment, digits=0),
+                _value(boundary.tip_length_mm, digits=1),
+            ]
         )
-    return table
+    return Fitting(
+        ("boundary", "limit", *values, "", *PLACE),
+        rows,
+        (*values, *PLACE),
+        dispensable=("limit", "clearance"),
+    )
 
 
-def _plain_table(*columns: str, numbers: tuple[str, ...]) -> Table:
-    """A table without lines; the columns in ``numbers`` are right-aligned."""
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    for column in columns:
-        table.add_column(column, justify="right" if column in numbers else "left", no_wrap=True)
-    return table
-
-
-def speed_table(verdict: Verdict) -> Table:
+def speed_table(verdict: Verdict) -> RenderableType:
     """Each joint's largest speed and, where limited, acceleration at the planned feed."""
-    numbers = ("peak", "limit", PLACE[0])
-    table = _plain_table("joint", "", "at the feed", "peak", "limit", "", PLACE[0], numbers=numbers)
+    rows: list[list[str | Text]] = []
     for line in (*verdict.speed, *verdict.acceleration):
         state = (
             "ok" if line.ok else "undefined on this path" if line.peak is None else "too high: lower the feed"
         )
-        table.add_row(
-            f"q{line.joint}",
-            line.quantity,
-            Text(state, style=GOOD if line.ok else BAD),
-            _value(line.peak),
-            f"{line.limit:.3f}",
-            JOINT_UNIT[line.joint] + ("2" if line.quantity == "acceleration" else ""),
-            _value(line.segment, digits=0),
+        rows.append(
+            [
+                f"q{line.joint}",
+                line.quantity,
+                Text(state, style=GOOD if line.ok else BAD),
+                _value(line.peak),
+                f"{line.limit:.3f}",
+                JOINT_UNIT[line.joint] + ("2" if line.quantity == "acceleration" else ""),
+                _value(line.segment, digits=0),
+            ]
         )
-    return table
+    columns = ("joint", "", "at the feed", "peak", "limit", "", PLACE[0])
+    return Fitting(columns, rows, ("peak", "limit", PLACE[0]))
 
 
 def reason_lines(verdict: Verdict) -> RenderableType:

@@ -15,7 +15,7 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
-from cutgate.runtime.commands.verdict_view import print_guidance, print_verdict
+from cutgate.runtime.commands.verdict_view import print_end, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
@@ -144,6 +144,7 @@ def verify(
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
     method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the digests as well.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Check off-line whether a whole cut path keeps its distance from every limit of the robot.
@@ -169,9 +170,9 @@ def verify(
         echo(document_text(document))
     else:
         console = output()
-        print_verdict(console, checked.verdict, checked.digests, _facts(prepared, checked))
-        if (guidance := _guidance(checked, prepared)) is not None:
-            print_guidance(console, guidance)
+        facts = _facts(prepared, checked)
+        print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
+        print_end(console, checked.verdict, _guidance(checked, prepared))
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 

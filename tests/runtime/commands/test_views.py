@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from cutgate.runtime.commands import screen
-from cutgate.runtime.commands.verdict_view import print_guidance, print_verdict
+from cutgate.runtime.commands.verdict_view import boundaries_table, print_end, print_verdict, speed_table
 from cutgate.runtime.verification.guidance import Guidance, Move
 from tests.runtime.verification.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
 
@@ -17,8 +17,7 @@ def printed(verdict=VERDICT, guidance=None) -> str:
     out = io.StringIO()
     console = Console(file=out, width=100, no_color=True)
     print_verdict(console, verdict, DIGESTS, {"plan": "p"})
-    if guidance is not None:
-        print_guidance(console, guidance)
+    print_end(console, verdict, guidance)
     return out.getvalue()
 
 
@@ -58,6 +57,37 @@ def test_a_path_refused_for_another_reason_points_to_the_reasons():
     verdict = replace(VERDICT, boundaries={"outer": GOOD}, speed=())
     assert first_line(verdict) == "INADMISSIBLE: see the reasons below"
     assert "roll_min is undefined" in printed(verdict)
+
+
+WIDE = replace(
+    GOOD, certified=35957.1234, clearance=123456.7891, deadband=2.0, segment=1048574, tip_length_mm=98765.4
+)
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120, 200])
+@pytest.mark.parametrize("boundary", [GOOD, WIDE, replace(WIDE, certified=None, clearance=None)])
+def test_no_width_costs_a_digit_or_a_head(width, boundary):
+    verdict = replace(VERDICT, boundaries={"wrist_singularity": replace(boundary, name="wrist_singularity")})
+    out = io.StringIO()
+    console = Console(file=out, width=width, no_color=True)
+    console.print(boundaries_table(verdict))
+    console.print(speed_table(verdict))
+    text = out.getvalue()
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
+    assert all(len(line.rstrip()) <= width for line in text.splitlines())
+    values = [boundary.certified, boundary.deadband] + [line.limit for line in verdict.speed]
+    for value in values:
+        assert value is None or f"{value:.3f}" in text
+    for head in ("certified", "deadband", "margin", "path mm", "peak"):
+        assert head in " ".join(text.split())
+
+
+def test_at_eighty_columns_a_table_of_usual_numbers_stays_one():
+    out = io.StringIO()
+    Console(file=out, width=80, no_color=True).print(boundaries_table(VERDICT))
+    head, *rows = out.getvalue().splitlines()
+    assert head.split() == ["boundary", "certified", "deadband", "margin", "at", "segment", "path", "mm"]
+    assert len(rows) == len(VERDICT.boundaries)
 
 
 def test_guidance_shows_the_combined_move_and_each_boundarys_own():

@@ -30,7 +30,7 @@ def name_of(number: int) -> str:
 
 
 @contextmanager
-def handled(numbers: frozenset[int], act: Callable[[int], None]) -> Iterator[None]:
+def handled(numbers: frozenset[int], act: Callable[[int], None], wake: int | None = None) -> Iterator[None]:
     """Each of these signals does this and nothing else, in the main thread, between two steps of the program.
 
     A hang-up that is ignored stays ignored: who starts a program behind ``nohup`` means it. One that has been acted
@@ -39,6 +39,8 @@ def handled(numbers: frozenset[int], act: Callable[[int], None]) -> Iterator[Non
     Args:
         numbers: the signals.
         act: told the signal's number; it waits for nothing and raises nothing.
+        wake: a non-blocking pipe, into which each signal at once writes a byte. Who waits without a bound must wait
+            for its other end as well: a signal that comes just before it begins to wait does not end the waiting.
     """
     before: dict[int, Any] = {}
 
@@ -47,12 +49,15 @@ def handled(numbers: frozenset[int], act: Callable[[int], None]) -> Iterator[Non
             before[number] = signal.SIG_IGN
         act(number)
 
+    woken = None if wake is None else signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     for number in numbers:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             before[number] = signal.signal(number, arrived)
     try:
         yield
     finally:
+        if woken is not None:
+            signal.set_wakeup_fd(woken)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)  # None: it was not Python's
 

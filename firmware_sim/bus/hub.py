@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self, TextIO
 
+from cutgate.config.signals import wake
 from cutgate.firmware_sim.bus import candump, wire
 from cutgate.firmware_sim.bus.peer import peer_of
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
@@ -111,7 +112,12 @@ class Hub:
 
     def stop(self) -> None:
         """Make `serve` return; may be called from a signal handler or another thread, and more than once."""
-        os.write(self._wake_write, b"s")
+        wake(self._wake_write)
+
+    @property
+    def wake(self) -> int:
+        """A non-blocking pipe: whatever is written into it makes `serve` return."""
+        return self._wake_write
 
     def log_to(self, log: TextIO) -> None:
         """Write each frame from now on as a line of `candump -L`."""

@@ -50,7 +50,7 @@ def serve(channel: str = LOCAL_CHANNEL, log: str | None = None, *, until_stdin_c
         output, messages = stack.enter_context(screens(STDOUT, STDERR))
         stack.enter_context(diverted(messages))
         hub = stack.enter_context(Hub(socket_path(channel), report=lambda line: messages.say(f"bus: {line}")))
-        stack.enter_context(handled(ENDING, lambda _number: hub.stop()))
+        stack.enter_context(handled(ENDING, lambda _number: hub.stop(), hub.wake))
         if log is not None:
             hub.log_to(stack.enter_context(_new_log(log)))
         if until_stdin_closes:

@@ -106,9 +106,7 @@ def speed_table(verdict: Verdict) -> RenderableType:
     """Each joint's largest speed and, where limited, acceleration at the planned feed."""
     rows: list[list[str | Text]] = []
     for line in (*verdict.speed, *verdict.acceleration):
-        state = (
-            "ok" if line.ok else "undefined on this path" if line.peak is None else "too high: lower the feed"
-        )
+        state = "ok" if line.ok else "undefined" if line.peak is None else "too high"
         rows.append(
             [
                 f"q{line.joint}",
@@ -121,7 +119,7 @@ def speed_table(verdict: Verdict) -> RenderableType:
             ]
         )
     columns = ("joint", "", "at the feed", "peak", "limit", "", PLACE[0])
-    return Fitting(columns, rows, ("peak", "limit", PLACE[0]))
+    return Fitting(columns, rows, ("peak", "limit", PLACE[0]), dispensable=(PLACE[0],))
 
 
 def reason_lines(verdict: Verdict) -> RenderableType:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 
 from cutgate.protocol import records
+from cutgate.protocol.differences import Parameters, differences
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.state import DeviceCycle, Interlock
@@ -79,26 +80,43 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
 # ---------------------------------------------------------------- what the controller holds
 
 
-def _equals_approved(name: str, received: bytes | None, approved: bytes) -> Permissive:
+def _equals_approved(
+    name: str, kind: type[Parameters], received: bytes | None, approved: bytes
+) -> Permissive:
     return _fact(
         f"controller's {name} equal the approved",
         received is not None and received == approved,
-        _short(_digest(received)),
-        _short(_digest(approved)),
+        _compared(kind, received, approved),
+        "equal",
         f"compare robot.toml with the controller's {name}; approve the right ones",
     )
 
 
+def _compared(kind: type[Parameters], received: bytes | None, approved: bytes) -> str:
+    """The first value that differs, and how many do."""
+    if received is None:
+        return "not received"
+    if received == approved:
+        return "equal"
+    try:
+        first, *more = differences(kind.parse(received), kind.parse(approved))
+    except records.RecordError:
+        return f"{_short(_digest(received))}, approved {_short(_digest(approved))}"
+    return f"{first} (and {len(more)} more)" if more else first
+
+
 def limits_approved(state: Interlock, _now_s: float) -> Permissive:
-    return _equals_approved("joint limits", state.collected.limits, state.job.limits)
+    return _equals_approved("joint limits", records.Limits, state.collected.limits, state.job.limits)
 
 
 def calibration_approved(state: Interlock, _now_s: float) -> Permissive:
-    return _equals_approved("calibration values", state.collected.calibration, state.job.calibration)
+    return _equals_approved(
+        "calibration values", records.Calibration, state.collected.calibration, state.job.calibration
+    )
 
 
 def tool_approved(state: Interlock, _now_s: float) -> Permissive:
-    return _equals_approved("tool data", state.collected.tool, state.job.tool)
+    return _equals_approved("tool data", records.Tool, state.collected.tool, state.job.tool)
 
 
 def path_accepted(state: Interlock, _now_s: float) -> Permissive:

@@ -188,7 +188,10 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
             for entry in story["faults"]
         ),
         *(
-            (entry["offset_s"], f"the controller's {_text(entry, 'kind')} are not the approved ones")
+            (
+                entry["offset_s"],
+                f"the controller's {_text(entry, 'kind')} are not the approved ones: {_text(entry, 'difference')}",
+            )
             for entry in story["collected"]
             if entry.get("matches_approved") is not True
         ),

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from cutgate.protocol import records
+from cutgate.protocol.differences import differences
 from cutgate.protocol.endpoint import RecordReceived
 from cutgate.protocol.port import Passed
 from cutgate.protocol.states import Purpose, Refusal, StopCause
+from cutgate.runtime.audit import names
 from cutgate.runtime.audit import records as audit
 from cutgate.runtime.audit.log import AuditLog, Paths
 from cutgate.runtime.interlock.permissives import (
@@ -59,6 +61,8 @@ from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.space import space, waiting_s
 
 Kind = Literal["permit", "start", "reset"]
+
+ATTACHED = {"limits": names.LIMITS, "calibration": names.CALIBRATION, "tool": names.TOOL}
 
 QUIET = (HeartbeatReceived, JointsMeasured, ProgressReported, Tick)
 """Events that are recorded only when they change the phase or order something."""
@@ -246,12 +250,16 @@ class Journal:
             records.Tool.TYPE: ("tool", job.tool),
         }[record.TYPE]
         matches = data == approved
+        unequal = () if matches else differences(record, type(record).parse(approved))  # type: ignore[arg-type]
+        if not matches and getattr(before.collected, kind) is None:
+            # Nothing will be verified with them, and what they were is what decided.
+            self.log.attach(ATTACHED[kind], "application/octet-stream", data)
         self.log.write(
             audit.Collected(
                 kind=kind,  # type: ignore[arg-type]
                 sha256=records.digest(data).hex(),
                 matches_approved=matches,
-                difference=None if matches else f"approved {records.digest(approved).hex()}",
+                difference="; ".join(unequal) or None,
             )
         )
 

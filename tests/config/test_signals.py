@@ -113,3 +113,26 @@ def test_a_thread_without_signals_has_all_of_them_blocked():
 def test_a_real_time_signal_has_a_number_for_a_name():
     assert name_of(signal.SIGHUP) == "SIGHUP"
     assert name_of(40) == "signal 40"
+
+
+def test_a_signal_wakes_who_waits_without_a_bound_and_before_it_is_acted_on():
+    """In the very moment: what comes between the last step of the program and the waiting is not told otherwise."""
+    reading, writing = os.pipe2(os.O_NONBLOCK)
+    outer, inner = os.pipe2(os.O_NONBLOCK)
+    before = signal.set_wakeup_fd(inner)
+    acted = []
+
+    def act(number):
+        acted.append((number, os.read(reading, 10)))
+
+    with handled(ENDING, act, writing):
+        signal.raise_signal(signal.SIGTERM)
+    assert acted == [(signal.SIGTERM, bytes([signal.SIGTERM]))]
+    assert signal.set_wakeup_fd(before) == inner, "given back"
+    for descriptor in (reading, writing, outer, inner):
+        os.close(descriptor)
+
+
+def test_without_a_pipe_the_wake_up_is_left_as_it_was():
+    with handled(ENDING, lambda _number: None):
+        assert signal.set_wakeup_fd(-1) == -1

@@ -178,6 +178,23 @@ def test_what_was_never_seen_does_not_hold(field, evaluates):
         assert one.value is None
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"q_max_u": (80_000_000, 140_000_000, 450_000_000, 170_000_000, 110_000_000)}, "q1 upper limit is 140 deg, approved: "),
+        ({"speed_u": (1, 2, 3, 4, 5)}, "(and 4 more)"),
+    ],
+)  # fmt: skip
+def test_other_limits_are_told_with_both_values(changes, told):
+    other = replace(records.Limits.parse(READY.collected.limits), **changes)
+    state = altered(READY, "collected.limits", other.body())
+    one = p.limits_approved(state, NOW)
+    assert not one.holds
+    assert told in one.text
+    assert p.limits_approved(READY, NOW).text == "equal"
+    assert p.limits_approved(altered(READY, "collected.limits", None), NOW).text == "not received"
+
+
 @pytest.mark.parametrize("age_s", [0.11, -0.01, math.inf, math.nan])
 def test_an_old_measurement_is_not_the_arm_now(age_s):
     state = replace(READY, measured_s=NOW - age_s)

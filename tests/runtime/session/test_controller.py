@@ -1,6 +1,7 @@
 """The controller refuses for its own reasons, whatever the runtime believes; and what it remembers."""
 
 from dataclasses import replace
+from hashlib import sha256
 
 import pytest
 
@@ -189,8 +190,16 @@ def test_other_limits_than_the_approved_are_refused_before_the_upload(pair):
     pair.run(0.1).begin()
     pair.to(Phase.HELD).run(0.05).say("acknowledge")
     assert pair.end() is Phase.REFUSED
-    assert "controller's joint limits equal the approved" in pair.state.reason
+    assert "controller's joint limits equal the approved: q" in pair.state.reason
+    assert "approved: " in pair.state.reason
     assert Phase.UPLOADING not in pair.notes.phases
+    pair.close()
+    log = pair.read()
+    (collected,) = [entry for entry in log.of("/audit/collected") if not entry["matches_approved"]]
+    assert "limit is " in collected["difference"]
+    held = log.scan.attachment("limits.bin")
+    assert sha256(held.data).hexdigest() == collected["sha256"]
+    assert held.data != pair.job.limits
 
 
 # ---------------------------------------------------------------- memory

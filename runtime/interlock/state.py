@@ -343,15 +343,22 @@ class HeartbeatReceived:
 
 @dataclass(frozen=True)
 class HeartbeatLost:
-    """No fresh heartbeat within the time-out."""
+    """No fresh heartbeat within the time-out.
+
+    Attributes:
+        paused_ms: how long this side's own loop stood still meanwhile, at the longest; 0 where it kept its time.
+    """
+
+    paused_ms: int = 0
 
 
 @dataclass(frozen=True)
 class FaultReceived:
-    """A fault frame of the controller."""
+    """A fault frame of the controller; ``paused_ms`` as of `HeartbeatLost`."""
 
     code: FaultCode
     cause: StopCause
+    paused_ms: int = 0
 
 
 @dataclass(frozen=True)

@@ -147,13 +147,21 @@ def gone(state: Interlock, event: Gone, now_s: float) -> Outcome:
     return _enter(stopped, Phase.STOPPED, now_s), effects
 
 
-def heartbeat_lost(state: Interlock, _event: HeartbeatLost, now_s: float) -> Outcome:
-    reason = f"no fresh controller heartbeat within {state.job.timing.timeout_ms} ms"
+def heartbeat_lost(state: Interlock, event: HeartbeatLost, now_s: float) -> Outcome:
+    reason = f"no fresh controller heartbeat within {state.job.timing.timeout_ms} ms{_late(event)}"
     return stop(replace(state, heartbeat_fresh=False), StopCause.HEARTBEAT_LOST, reason, now_s)
 
 
 def fault_received(state: Interlock, event: FaultReceived, now_s: float) -> Outcome:
-    return stop(state, event.cause, f"the controller reports {event.cause.name}", now_s)
+    late = _late(event) if event.cause is StopCause.HEARTBEAT_LOST else ""
+    return stop(state, event.cause, f"the controller reports {event.cause.name}{late}", now_s)
+
+
+def _late(event: HeartbeatLost | FaultReceived) -> str:
+    """Which side was late, as far as this side knows."""
+    if event.paused_ms:
+        return f"; this computer stood still for {event.paused_ms} ms"
+    return "; this computer was not late"
 
 
 def rebooted(state: Interlock, _event: Announced, now_s: float) -> Outcome:

@@ -7,6 +7,7 @@ heartbeat, flush. The heartbeat is the last act of a turn in which the table was
 import os
 import select
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -67,6 +68,7 @@ from cutgate.runtime.interlock.state import (
     SessionOpened,
     Stored,
     Tick,
+    Timing,
     UseSession,
     VerdictReady,
     Verify,
@@ -97,6 +99,11 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
 
 CHECK_HEARTBEATS = 1 / 8
 """So long does this side's own check hold up a turn; its steps are far shorter."""
+PAUSE_HEARTBEATS = 2
+"""A turn that comes later than this after the one before is late."""
+PAUSE_TIMEOUTS = 2
+"""So long it may be what the other side's time-out is about."""
+PAUSES_KEPT = 64
 GUIDANCE_S = 5.0
 """So long is a move of the bone waited for, after the session; 2 s of processor time are given to its search."""
 
@@ -120,6 +127,25 @@ class View(Protocol):
 
     def note(self, text: str) -> None:
         """One line."""
+
+
+class Pauses:
+    """How long the loop stood still lately: the answer to which side was late."""
+
+    def __init__(self, timing: Timing) -> None:
+        self._long_s = PAUSE_HEARTBEATS * timing.heartbeat_ms / 1000
+        self._lately_s = PAUSE_TIMEOUTS * timing.timeout_ms / 1000
+        self._pauses: deque[tuple[float, float]] = deque(maxlen=PAUSES_KEPT)
+
+    def turn(self, gap_s: float, now_s: float) -> None:
+        """A turn begins, so long after the one before."""
+        if not gap_s <= self._long_s:
+            self._pauses.append((now_s, gap_s))
+
+    def longest_ms(self, now_s: float) -> int:
+        """The longest of late; 0 if the loop kept its time."""
+        lately = [gap_s for at_s, gap_s in self._pauses if now_s - at_s <= self._lately_s]
+        return round(max(lately, default=0.0) * 1000)
 
 
 class Session:
@@ -172,6 +198,7 @@ class Session:
         self._blocks = records.split(state.job.path)
         self._segments = PathHeader.of(state.job.path).count - 1
         self._turn_s = clock()
+        self._pauses = Pauses(state.job.timing)
         self._next_heartbeat_s = self._turn_s
         self._interrupted = False
         self._bus_error: can.CanError | None = None
@@ -234,6 +261,7 @@ class Session:
     def _turn(self, ready: set[int]) -> None:
         now_s = self._clock()
         gap_s, self._turn_s = now_s - self._turn_s, now_s
+        self._pauses.turn(gap_s, now_s)
         try:
             self._look_at_clocks(gap_s, now_s)
             for item in self._read_bus(now_s):
@@ -290,7 +318,8 @@ class Session:
             self._feed(Failed(StopCause.LOOP_STALLED, reason))
         for violation in endpoint.expire(now_s):
             lost = violation.cause is StopCause.HEARTBEAT_LOST
-            self._feed(HeartbeatLost() if lost else Failed(violation.cause, violation.detail))
+            failed = Failed(violation.cause, violation.detail)
+            self._feed(HeartbeatLost(self._pauses.longest_ms(now_s)) if lost else failed)
         if not log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))
@@ -315,7 +344,7 @@ class Session:
             case Accepted(sample=JointSample() as sample):
                 self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
-                self._feed(FaultReceived(fault.code, fault.cause))
+                self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._turn_s)))
             case Accepted(frame=Progress() as progress):
                 self._view.progress(progress.segment, self._segments)
                 self._feed(ProgressReported(progress.segment, progress.fraction))

@@ -715,6 +715,17 @@ def test_a_reply_that_never_comes_is_not_awaited_for_longer_than_a_confirmation(
     assert "MAC_INVALID" not in run.state.reason
 
 
+@pytest.mark.parametrize(("paused_ms", "told"), [(0, "was not late"), (140, "stood still for 140 ms")])
+def test_a_lost_heartbeat_names_the_side_that_was_late(paused_ms, told):
+    for event, lost in (
+        (HeartbeatLost(paused_ms), True),
+        (FaultReceived(FaultCode.LATCHED, StopCause.HEARTBEAT_LOST, paused_ms), True),
+        (FaultReceived(FaultCode.LATCHED, StopCause.EMERGENCY_STOP, paused_ms), False),
+    ):
+        after, _ = step(in_phase(Phase.CUTTING), event, NOW)
+        assert (f"; this computer {told}" in after.reason) is lost
+
+
 @pytest.mark.parametrize("phase", [phase for phase in LIVE if phase is not Phase.STOPPING], ids=str)
 @pytest.mark.parametrize("cause", [StopCause.AUTHENTICATION_FAILED, StopCause.SECOND_NODE], ids=str)
 def test_no_other_stop_waits_for_a_reply(phase, cause):

@@ -51,9 +51,25 @@ def test_a_controller_that_hangs_stops_by_itself_when_it_wakes_up(pair):
     pair.power_up("hang@cutting", time_scale=0.05)
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause is StopCause.HEARTBEAT_LOST
+    assert "this computer was not late" in pair.state.reason
     pair.run(0.2)
     assert pair.controller.cause is StopCause.LOOP_STALLED
     assert pair.controller.state is ControllerState.INHIBITED
+
+
+@pytest.mark.parametrize("seconds", [0.06, 0.09])
+def test_a_lost_heartbeat_says_how_long_this_side_stood_still(cutting, seconds):
+    """Not for as long as the time-out; with what the controller then does not say any more it is too long."""
+    cutting.runtime_turns = False
+    cutting.run(seconds)
+    cutting.runtime_turns, cutting.controller_turns = True, False
+    cutting.until(lambda: cutting.phase is not Phase.CUTTING)
+    assert cutting.state.cause is StopCause.HEARTBEAT_LOST
+    assert (
+        "no fresh controller heartbeat within 100 ms; this computer stood still for" in cutting.state.reason
+    )
+    told_ms = int(cutting.state.reason.split(" ms")[-2].rsplit(" ", 1)[1])
+    assert seconds <= told_ms / 1000 <= seconds + 3 * cutting.turn_s
 
 
 def test_a_heartbeat_is_sent_only_by_a_turn(cutting):

@@ -30,6 +30,7 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.protocol import records as wire
 from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.configuration import allowed_by_option, configuration_digest
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.log import cpu_dispatch
 from cutgate.runtime.audit.scan import StoredAttachment
@@ -159,7 +160,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
     else:
         found.notes.append("the session ended before a verdict: there is nothing to compute again")
     found.differences += _permits(
-        log, [document["verdict"] for document in found.documents], found.approaches
+        log, opened[0], [document["verdict"] for document in found.documents], found.approaches
     )
 
 
@@ -426,15 +427,21 @@ def _approach(
             yield f"approach {name}: recorded {one}, recomputed {other}"
 
 
-def _bound(permit: records.Permit, way: records.Approach) -> Iterator[str]:
+S = TypeVar("S", wire.Permit, wire.Start)
+
+
+def _signed(kind: type[S], record: records.Permit) -> S:
+    """What was signed, as it stands in the record.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    signed = bytes.fromhex(record.record or "")
+    return kind.parse(signed.removeprefix(kind.DOMAIN + b"\0") + wire.NO_MAC)
+
+
+def _bound(left: wire.Permit, way: records.Approach) -> Iterator[str]:
     """The permit's start joints and approach are those that were verified."""
-    prefix = wire.Permit.DOMAIN + b"\0"
-    try:
-        signed = bytes.fromhex(permit.record or "")
-        left = wire.Permit.parse(signed.removeprefix(prefix) + wire.NO_MAC)
-    except ValueError as error:
-        yield f"the permit's record cannot be read: {error}"
-        return
     bound = left.approach
     pairs = {
         "start joints": (left.start_joints_u, way.start_joints_u),
@@ -447,13 +454,24 @@ def _bound(permit: records.Permit, way: records.Approach) -> Iterator[str]:
             yield f"the permit's {name} are not the verified: {one}, verified {other}"
 
 
+def _digests(permit: records.Permit, left: wire.Permit, configuration: bytes) -> Iterator[str]:
+    """What was signed is what the record says, and was decided with the files that are attached."""
+    for name in ("path", "limits", "calibration", "tool", "registration", "configuration"):
+        if getattr(permit, f"{name}_sha256") != getattr(left, f"{name}_digest").hex():
+            yield f"the permit's {name} digest is not the one that was signed"
+    if left.configuration_digest != configuration:
+        yield (
+            f"the permit's configuration is not that of {names.ROBOT}, {names.SITE} and the options as they are attached"
+        )
+
+
 # ---------------------------------------------------------------- what was enabled
 
 
-def _permits(log: Log, recomputed: list[str], ways: list[str]) -> Iterator[str]:
+def _permits(log: Log, opened: records.Open, recomputed: list[str], ways: list[str]) -> Iterator[str]:
     """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
     verdicts, approaches = iter(recomputed), iter(ways)
-    ledger = _Ledger()
+    ledger = _Ledger(_configuration(log, opened))
     kinds = (records.Verdict, records.Approach, records.Decision, records.Permit)
     for topic, data in log.each(*(kind.TOPIC for kind in kinds)):
         if topic == records.Verdict.TOPIC:
@@ -472,11 +490,15 @@ def _permits(log: Log, recomputed: list[str], ways: list[str]) -> Iterator[str]:
 class _Ledger:
     """What has been proved, authorised and acknowledged up to a record."""
 
+    configuration: bytes
+    """The digest of the files and options that are attached."""
     verdict: tuple[records.Verdict, str] | None = None
     """The latest recorded verdict, and the word that was recomputed for it."""
     approach: tuple[records.Approach, str] | None = None
     """The same for the approach recorded after it."""
     authorised: set[tuple[str, int | None]] = field(default_factory=set)
+    permit: bytes | None = None
+    """Digest of the permit that left last, which a start names."""
     permitted: bool = False
 
     def enter(self, permit: records.Permit) -> Iterator[str]:
@@ -494,8 +516,33 @@ class _Ledger:
         if permit.kind != "reset":
             yield from _enabled(permit, self.verdict)
             yield from _enabled_approach(permit, self.approach)
-        if permit.kind == "start" and not self.permitted:
+        try:
+            if permit.kind == "permit":
+                yield from self._permit(permit, _signed(wire.Permit, permit))
+            elif permit.kind == "start":
+                yield from self._start(_signed(wire.Start, permit))
+        except ValueError as error:
+            yield f"the {permit.kind}'s record cannot be read: {error}"
+
+    def _permit(self, permit: records.Permit, left: wire.Permit) -> Iterator[str]:
+        self.permit = left.digest
+        yield from _digests(permit, left, self.configuration)
+        if self.approach is not None:
+            yield from _bound(left, self.approach[0])
+
+    def _start(self, left: wire.Start) -> Iterator[str]:
+        if not self.permitted:
             yield "a start left without an acknowledged permit"
+        if left.permit_digest != self.permit:
+            yield "a start left for another permit than the one that had left"
+
+
+def _configuration(log: Log, opened: records.Open) -> bytes:
+    """The configuration's digest by the files that are attached and the options of record 0."""
+    robot, site = log.scan.attachment(names.ROBOT), log.scan.attachment(names.SITE)
+    allowed = allowed_by_option((option.name, option.value) for option in opened.simulation)
+    found = [bytes.fromhex(entry.sha256) if entry else None for entry in (robot, site)]
+    return configuration_digest(found[0] or bytes(32), found[1], allow_simulated=allowed)
 
 
 def _decision(decision: records.Decision) -> Iterator[str]:
@@ -531,8 +578,6 @@ def _enabled_approach(permit: records.Permit, current: tuple[records.Approach, s
     way, recomputed = current
     if not (way.verdict == "admissible" and recomputed == "admissible"):
         yield f"a {permit.kind} left; the approach is recorded as {way.verdict} and recomputed as {recomputed}"
-    if permit.kind == "permit":
-        yield from _bound(permit, way)
 
 
 def _approved(log: Log) -> Iterator[str]:

@@ -24,6 +24,7 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
+from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, SIMULATED
 from cutgate.runtime.audit.directory import Listed, Previous
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import delivered, working
@@ -68,7 +69,7 @@ def run(
     allow_simulated: Annotated[
         bool,
         typer.Option(
-            "--allow-simulated",
+            ALLOW_SIMULATED,
             help="The controller may be a simulation, whose plant runs at another speed than the clock; also in "
             "site.toml. Never where there is a robot or a bone.",
         ),
@@ -299,7 +300,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
 def _options(files: Files, bus: str) -> tuple[tuple[str, str], ...]:
     """What record 0 says of the bus, and of a simulation where one is allowed."""
     allowed_by = files.simulation_allowed_by
-    allowed = (("simulated controller", f"allowed by {allowed_by}"),) if allowed_by else ()
+    allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
     return (("bus", plain(bus)), *allowed)
 
 

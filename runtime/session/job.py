@@ -1,6 +1,5 @@
 """From files to a job: everything that is read, parsed and digested before the session opens."""
 
-import hashlib
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,6 +9,7 @@ from cutgate.config.load import BYTES_PER_MB, Loaded, load_robot, load_site
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
+from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_digest
 from cutgate.runtime.interlock.state import Job, Timing
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
@@ -33,7 +33,7 @@ class Files:
     @property
     def simulation_allowed_by(self) -> str:
         """Who said that the controller may be a simulation; empty where nobody did."""
-        said = {"--allow-simulated": self.allow_simulated, "site.toml": self.settings.controller.simulated}
+        said = {ALLOW_SIMULATED: self.allow_simulated, "site.toml": self.settings.controller.simulated}
         return " and ".join(name for name, allowed in said.items() if allowed)
 
     @property
@@ -80,7 +80,7 @@ def make_job(files: Files, *, now: datetime) -> Job:
         tool=tool,
         path=path.body(),
         registration=files.prepared.registration_sha256,
-        configuration=configuration_digest(files),
+        configuration=configuration(files),
         verifier=VERIFIER,
         branch=records.Branch(path.elbow, path.q0_turns, path.roll_turns),
         timing=_timing(settings),
@@ -100,14 +100,10 @@ def _on_best_branch(
     return with_branch(path, branch.q0_turns, branch.roll_turns) if branch else path
 
 
-def configuration_digest(files: Files) -> bytes:
-    """SHA-256 over the digests of robot.toml and site.toml, in this order, and the options that loosen a check.
-
-    32 zero bytes stand where there is no site.
-    """
-    site = files.site.sha256 if files.site else bytes(32)
-    options = b"--allow-simulated" if files.allow_simulated else b""
-    return hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + site + options).digest()
+def configuration(files: Files) -> bytes:
+    """The digest that a permit binds of the site's files and options."""
+    site = files.site.sha256 if files.site else None
+    return configuration_digest(files.robot.sha256, site, allow_simulated=files.allow_simulated)
 
 
 def _timing(site: Site) -> Timing:

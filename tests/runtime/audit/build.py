@@ -244,9 +244,15 @@ def approach_of(given: float = 500.0) -> records.Approach:
     )
 
 
-def wire_permit(given: float = 500.0) -> wire.Permit:
+def wire_permit(given: float = 500.0, site: bytes | None = None) -> wire.Permit:
     """A permit for these inputs."""
     way, path = approach_of(given), wire.Path.parse(inputs(given).path)
+    i = inputs(given)
+    digests = {
+        f"{name}_digest": sha256(getattr(i, name)).digest()
+        for name in ("path", "limits", "calibration", "tool", "registration")
+    }
+    files = i.robot.sha256 + (bytes(32) if site is None else sha256(site).digest())
     return wire.Permit(
         nonce=bytes(16),
         boot_nonce=bytes(16),
@@ -254,12 +260,8 @@ def wire_permit(given: float = 500.0) -> wire.Permit:
         serial="SIM-1",
         protocol_version=wire.PROTOCOL_VERSION,
         epoch=1,
-        limits_digest=bytes(32),
-        calibration_digest=bytes(32),
-        tool_digest=bytes(32),
-        path_digest=bytes(32),
-        registration_digest=bytes(32),
-        configuration_digest=bytes(32),
+        **digests,
+        configuration_digest=sha256(b"cutgate/configuration/1" + files).digest(),
         verifier_version=VERIFIER,
         start_joints_u=STANDS,
         branch=wire.Branch(path.elbow, path.q0_turns, path.roll_turns),
@@ -270,15 +272,29 @@ def wire_permit(given: float = 500.0) -> wire.Permit:
     )
 
 
-def permit_record(given: float, kind: str, stage: str, **changes: Any) -> records.Permit:
-    i = inputs(given)
+def wire_start(permit: wire.Permit) -> wire.Start:
+    """The order to cut under this permit."""
+    return wire.Start(
+        nonce=bytes(16),
+        epoch=permit.epoch,
+        session_digest=permit.session_digest,
+        permit_digest=permit.digest,
+        start_joints_u=permit.start_joints_u,
+    )
+
+
+def permit_record(
+    given: float, kind: str, stage: str, *, site: bytes | None = None, **changes: Any
+) -> records.Permit:
+    permit = wire_permit(given, site)
     digests = {
-        f"{name}_sha256": sha256(getattr(i, name)).hexdigest()
-        for name in ("path", "limits", "calibration", "tool", "registration")
+        f"{name}_sha256": getattr(permit, f"{name}_digest").hex()
+        for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
     }
     values = {"kind": kind, "stage": stage, "token": 1 if kind == "permit" else 2}
-    bound = digests | {"record": wire_permit(given).canonical().hex()} if kind == "permit" else {}
-    return records.Permit(**(values | bound | changes))
+    bound = digests if kind == "permit" else {}
+    signed = (permit if kind == "permit" else wire_start(permit)).canonical().hex()
+    return records.Permit(**(values | bound | {"record": signed} | changes))
 
 
 def session_log(
@@ -313,7 +329,7 @@ def session_log(
         log.write(approach_of(bone_x_mm))
     log.write(decision(1, event=f"verdict {document['verdict']}", from_state="verifying"))
     if admitted:
-        _enable(log, bone_x_mm)
+        _enable(log, bone_x_mm, site)
     return log.close(
         final_state="done" if admitted else "refused",
         verdict=document["verdict"],
@@ -322,19 +338,19 @@ def session_log(
     )
 
 
-def _enable(log: AuditLog, given: float) -> None:
+def _enable(log: AuditLog, given: float, site: bytes | None) -> None:
     stands = records.PermissiveValue(
         name="verdict", holds=True, text="admissible", bound="admissible", remedy=""
     )
     for token, kind in ((1, "permit"), (2, "start")):
-        log.write(permit_record(given, kind, "authorised"))
+        log.write(permit_record(given, kind, "authorised", site=site))
         log.write(
             decision(2 * token, event=f"authorise {kind}", disposition="authorised", permissives=(stands,))
         )
         log.commit(token)
-        log.write(permit_record(given, kind, "sent"))
+        log.write(permit_record(given, kind, "sent", site=site))
         log.write(decision(2 * token + 1, event="RecordDurable", disposition="sent", permissives=(stands,)))
-        log.write(permit_record(given, kind, "acknowledged"))
+        log.write(permit_record(given, kind, "acknowledged", site=site))
 
 
 Edit = Callable[[records.Record], "records.Record | None"]

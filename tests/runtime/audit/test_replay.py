@@ -22,6 +22,7 @@ from tests.runtime.audit.build import (
     session_log,
     small_log,
     wire_permit,
+    wire_start,
 )
 
 ADMITTED, REFUSED = 500.0, 850.0
@@ -549,6 +550,47 @@ def test_the_permit_binds_the_approach_that_was_verified(admitted, field, value,
 def test_a_permit_that_cannot_be_read_differs(admitted, record):
     forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=record))
     differs(forged, "the permit's record cannot be read")
+
+
+@pytest.mark.parametrize("record", [None, "00", "xyz"])
+def test_a_start_that_cannot_be_read_differs(admitted, record):
+    forged = forge(admitted, changed(records.Permit, stage("start", "sent"), record=record))
+    differs(forged, "the start's record cannot be read")
+
+
+def test_a_start_names_the_permit_that_had_left(admitted):
+    other = wire_start(altered(wire_permit(), "lifetime_s", 121)).canonical().hex()
+    forged = forge(admitted, changed(records.Permit, stage("start", "sent"), record=other))
+    differs(forged, "a start left for another permit than the one that had left")
+
+
+@pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration", "configuration"])
+def test_the_permits_digests_are_those_that_were_signed(admitted, name):
+    signed = altered(wire_permit(), f"{name}_digest", bytes(32)).canonical().hex()
+    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=signed))
+    differs(forged, f"the permit's {name} digest is not the one that was signed")
+
+
+def test_a_permits_configuration_is_that_of_the_files_that_are_attached(tmp_path):
+    site = b'schema = "cutgate.site/1"\n'
+    log = session_log(tmp_path, site=site).log.read_bytes()
+    assert replayed(log).outcome is Outcome.IDENTICAL
+    told = "the permit's configuration is not that of robot.toml, site.toml and the options"
+    for other in (site + b"\n", None):
+        differs(
+            forge(log, attachments=lambda name, data, other=other: other if name == names.SITE else data),
+            told,
+        )
+
+
+def test_a_simulation_that_was_allowed_is_part_of_the_permits_configuration(admitted):
+    def allow(record):
+        if isinstance(record, records.Open):
+            option = records.Option(name="simulated controller", value="allowed by --allow-simulated")
+            return record.model_copy(update={"simulation": (option,)})
+        return record
+
+    differs(forge(admitted, allow), "the permit's configuration is not that of")
 
 
 @pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration"])

@@ -10,7 +10,7 @@ from cutgate.config.load import InputError, load_site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
 from cutgate.protocol.path import BLOCK_BYTES
-from cutgate.runtime.session.job import VERIFIER, configuration_digest, make_job, read_files, utc_now
+from cutgate.runtime.session.job import VERIFIER, configuration, make_job, read_files, utc_now
 from tests.runtime.session.pair import NOW, job_of
 
 
@@ -49,7 +49,7 @@ def test_without_a_registration_there_is_no_age(files):
 
 def test_the_configuration_is_both_files(files, tmp_path):
     one, other = site(tmp_path, ""), site(tmp_path, "[timing]\ntimeout_ms = 120\n")
-    digests = {configuration_digest(replace(files, site=which)) for which in (None, one, other)}
+    digests = {configuration(replace(files, site=which)) for which in (None, one, other)}
     assert len(digests) == 3
 
 
@@ -76,7 +76,7 @@ def test_a_configuration_without_such_an_option_has_the_digest_it_always_had(fil
     chosen = site(tmp_path, "")
     plain = replace(files, site=chosen, allow_simulated=False)
     digest = hashlib.sha256(b"cutgate/configuration/1" + files.robot.sha256 + chosen.sha256).digest()
-    assert configuration_digest(plain) == digest
+    assert configuration(plain) == digest
 
 
 def test_the_sites_settings_become_deadlines(files, tmp_path):

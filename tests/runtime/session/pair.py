@@ -36,6 +36,7 @@ from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Committer, Failed, Files, Job
+from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
@@ -453,11 +454,13 @@ class Pair:
         return self
 
     def _log(self) -> AuditLog:
+        allowed_by = self.files.simulation_allowed_by
+        options = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
         with mock.patch.multiple(audit_log, Committer=TurnByTurn, _environment=_environment):
             log = AuditLog.create(
                 self.directory / "logs",
                 log_id=f"{self.sessions:08x}{LOG_ID[8:]}",
-                opened=OpenInfo("cutgate 0.1.0", VERIFIER),
+                opened=OpenInfo("cutgate 0.1.0", VERIFIER, options),
                 disk=self.disk,
                 clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
             )

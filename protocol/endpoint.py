@@ -132,6 +132,11 @@ class Endpoint:
         self.use_session(NO_SESSION)
         self.abort()
 
+    @property
+    def control_waits(self) -> bool:
+        """Whether a control record has not left, or not whole: what voids it now keeps it from being one."""
+        return self._transfers[Channel.CONTROL].sending
+
     def stop_sending(self) -> None:
         """Void every record that goes out; what comes in goes on."""
         for transfer in self._transfers.values():

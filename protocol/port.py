@@ -57,14 +57,19 @@ class Port:
         """Whether the bus did not take everything when it was last asked."""
 
     def read(self, now_s: float) -> list[Item]:
-        """Everything that waits, at most ``READ_FRAMES_MAX`` frames.
+        """Everything that waits, at most ``READ_FRAMES_MAX`` frames. What came before a failure counts; the next read raises.
 
         Raises:
             can.CanError: the bus has failed.
         """
         items: list[Item] = []
         for _ in range(READ_FRAMES_MAX):
-            message = self.bus.recv(timeout=0)
+            try:
+                message = self.bus.recv(timeout=0)
+            except can.CanError:
+                if items:
+                    break
+                raise
             if message is None:
                 break
             self._record("received", message)

@@ -11,6 +11,7 @@ What it guarantees:
 - Whoever connects and says nothing is dropped soon, and keeps nobody out.
 """
 
+import errno
 import fcntl
 import math
 import os
@@ -172,6 +173,11 @@ class Hub:
             sock, _ = self._listener.accept()
         except (BlockingIOError, ConnectionAbortedError):
             return  # the client has gone again
+        except OSError as error:
+            if error.errno not in (errno.EMFILE, errno.ENFILE) or not self._silent:
+                raise
+            self._refuse(self._silent.popleft(), "no descriptor is left for another connection")
+            return  # it is asked again, and finds the one that was given up
         sock.setblocking(False)
         self._born += 1
         peer = peer_of(sock)

@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import json
 import os
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from cutgate.config.load import InputError
-from cutgate.config.ours import FRESH, open_ours, read_ours, replace_durably
+from cutgate.config.ours import FRESH, open_ours, read_ours, replace_durably, user
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 
 LOCK: Final = "LOCK"
@@ -116,15 +117,22 @@ def lock(directory: Path) -> int:
     """Make the directory if it is missing and lock it; the descriptor that holds the lock.
 
     Raises:
-        InputError: it cannot be made or written, or another session holds it.
+        InputError: it cannot be made or written, others may delete what is in it, or another session holds it.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = directory.stat()
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
             directory, "log directory", reason, "a directory that can be written", _FREE
         ) from None
+    if found.st_uid != os.geteuid() or (found.st_mode & 0o022 and not found.st_mode & stat.S_ISVTX):
+        value = f"of {user(found.st_uid)}, mode {stat.S_IMODE(found.st_mode):04o}"
+        bound = f"of {user(os.geteuid())} and not writable by others, who could delete what must not get lost"
+        raise InputError(
+            directory, "log directory", value, bound, "chmod 700, or name another with --log-dir"
+        )
     descriptor = open_ours(directory / LOCK, os.O_RDWR | os.O_CREAT)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -225,10 +233,15 @@ def withdrawn_list(directory: Path) -> bytes:
     return data or b""
 
 
-def extend_list(directory: Path, line: bytes) -> Listed:
+def extend_list(directory: Path, line: bytes, known: Listed | None = None) -> Listed:
     """Add a line to the list; it is on the disk, and HEAD says so, when this returns.
 
     Where the list is not whole any more, the line is added to what is there, and HEAD goes on missing the rest.
+
+    Args:
+        directory: the log directory, locked by this session.
+        line: with its end.
+        known: how the list stood when the session began, whatever became of HEAD meanwhile; None if nobody knows.
 
     Returns:
         How the list stands for HEAD.
@@ -243,6 +256,8 @@ def extend_list(directory: Path, line: bytes) -> Listed:
         before = b""
     replace_durably(directory / WITHDRAWN, before + line)
     listed = Listed.of(before + line)
+    if known is not None and not known.begins(before):
+        return known
     try:
         head = _read_head(directory)
     except (FileNotFoundError, ValueError):

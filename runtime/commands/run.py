@@ -143,7 +143,11 @@ def _session(
         transfer_timeout_s=timing.reply_timeout_s,
         fd=fd,
     )
-    worker = Worker.start(state.job.path)
+    try:
+        worker = Worker.start(state.job.path)
+    except OSError:
+        log.close(final_state=state.phase, outcome="the verification process cannot be started", clean=False)
+        raise
     clean = False
     session = Session(
         state,
@@ -186,7 +190,7 @@ def _withdraw(log: AuditLog, registration: bytes, view: SessionView) -> None:
 
     def add() -> None:
         try:
-            answers.put(withdrawn.add(log.path.parent, registration, log.path.name))
+            answers.put(withdrawn.add(log.path.parent, registration, log.path.name, log.listed))
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told below
             answers.put(error)
 

@@ -105,7 +105,7 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
     sent = state.stops_sent | {cause}
-    state = replace(state, registration_withdrawn=state.registration_withdrawn or cause in WITHDRAWING)
+    state = _withdrawn_by(state, cause)
     if state.phase is Phase.STOPPING:
         news = sent != state.stops_sent
         return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause),) if news else ()
@@ -620,10 +620,21 @@ def measured_while_finishing(state: Interlock, event: JointsMeasured, now_s: flo
 
 def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
     """At rest is confirmed; a Reply that is on its way may still say why, until the deadline."""
+    news = state.controller is not None and state.controller.cause is StopCause.NONE  # else it stood before
+    seen = _withdrawn_by(_see(state, event), event.view.cause if news else StopCause.NONE)
     at_rest = event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT)
     if at_rest and not state.answer_due:
-        return _enter(_see(state, event), Phase.STOPPED, now_s), ()
-    return _see(state, event), ()
+        return _enter(seen, Phase.STOPPED, now_s), ()
+    return seen, ()
+
+
+def fault_while_stopping(state: Interlock, event: FaultReceived, _now_s: float) -> Outcome:
+    """It answers our stop, and answering it again would never end; or it crossed it: then a withdrawal counts."""
+    return _withdrawn_by(state, event.cause), ()
+
+
+def _withdrawn_by(state: Interlock, cause: StopCause) -> Interlock:
+    return replace(state, registration_withdrawn=state.registration_withdrawn or cause in WITHDRAWING)
 
 
 def reply_while_stopping(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
@@ -769,7 +780,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.FINISHING, Tick): tick_while_moving,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
-    (P.STOPPING, FaultReceived): ignored,  # it answers our stop; answering it again would never end
+    (P.STOPPING, FaultReceived): fault_while_stopping,
     (P.STOPPING, ReplyReceived): reply_while_stopping,
     (P.STOPPING, Said): said_while_stopping,
 }

@@ -27,7 +27,7 @@ PLANS: Final = Shipped(EXAMPLES, "", ".plan.json", "an example")
 REGISTRATIONS: Final = Shipped(EXAMPLES, "registration-", ".json", "an example")
 DEFAULT_POSE_LIMIT: Final = int(CONSTANTS["pose_limit"].default)
 BESIDE_POSES: Final = 1_000
-"""Brackets, braces and commas of a plan that are not its poses': fewer than a hundred, and what its names hold."""
+"""Brackets, braces, colons and commas of a plan that are not its poses': fewer than a hundred, and what its names hold."""
 
 
 def load_plan(
@@ -100,7 +100,7 @@ def _identity() -> Floats:
 
 def _check_crowd(path: Path, data: bytes, pose_limit: int) -> None:
     """Refuses what would take more memory than the longest path: an empty list is 2 bytes here and 56 when parsed."""
-    for signs, most in ((b"[", pose_limit), (b"{", 0), (b",", 6 * pose_limit)):
+    for signs, most in ((b"[", pose_limit), (b"{", 0), (b":", 0), (b",", 6 * pose_limit)):
         count, bound = data.count(signs), most + BESIDE_POSES
         if not (count <= bound):
             found = f"{count} times '{signs.decode()}'"

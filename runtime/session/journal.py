@@ -135,6 +135,8 @@ class Journal:
         self._sequence = 0
         self._view: ControllerView | None = None
         self._authorised: Kind = "permit"
+        self._sent: tuple[Kind, int | None] | None = None
+        """What was sent last and has not been answered."""
 
     # ------------------------------------------------------------ decisions
 
@@ -177,6 +179,14 @@ class Journal:
             )
         )
 
+    def voided(self) -> None:
+        """The permit, start or reset that was sent last has not left whole, and never will."""
+        if self._sent is not None:
+            kind, token = self._sent
+            reason = "void: it had not left the transmit queue when a stop was ordered"
+            self.log.write(audit.Permit(kind=kind, stage="withheld", token=token, reason=reason))
+        self._sent = None
+
     def ended_without_the_table(self, before: Interlock, after: Interlock, event: Gone) -> None:
         """Record the end where the table, or `step` above, is what failed: nothing is asked, nothing evaluated."""
         self._fault(event.cause, event.reason)
@@ -200,7 +210,9 @@ class Journal:
                 self._authorised = KINDS[purpose]
                 self.log.write(_permit_record(record, stage="authorised", token=token))
             case Send(record=record) if type(record) in SIGNED:
-                self.log.write(_permit_record(record, stage="sent", token=after.token))
+                sent = _permit_record(record, stage="sent", token=after.token)
+                self.log.write(sent)
+                self._sent = (sent.kind, after.token)
             case Withheld(token=token):
                 self.log.write(
                     audit.Permit(
@@ -218,6 +230,7 @@ class Journal:
             case ParameterReceived(record=record):
                 self._collected(before, record)
             case ReplyReceived() if event.request_type in BY_TYPE:
+                self._sent = None
                 accepted = event.refusal is Refusal.ACCEPTED
                 self.log.write(
                     audit.Permit(

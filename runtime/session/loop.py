@@ -219,7 +219,7 @@ class Session:
         self.begin(wake)
         try:
             while self.state.phase not in ENDED:
-                self.turn(self._wait(wake))
+                self.turn(self._waited(wake))
         finally:
             self._leave_last()
         return self.state
@@ -234,6 +234,14 @@ class Session:
         needed = self._journal.reserve(estimated_s(job), job.timing)
         self.state = replace(self.state, log=LogHealth(writable=True, needed_bytes=needed))
         _ = self.state.job.path_digest
+
+    def _waited(self, wake: int) -> set[int]:
+        """What can be read once something can, or the next turn is due; an error in it is one of a turn."""
+        try:
+            return self._wait(wake)
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def _wait(self, wake: int) -> set[int]:
         due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
@@ -282,6 +290,8 @@ class Session:
         """The program itself failed: nothing that waits may leave, the stop does, and no heartbeat follows it."""
         event = Gone(StopCause.INTERNAL_ERROR, f"internal error: {type(error).__name__}: {error}")
         before = self.state
+        with suppress(Exception):  # the log may be what fails
+            self._void()
         self._port.endpoint.abort()
         try:
             effects = self._decide(event, self._clock())
@@ -514,7 +524,7 @@ class Session:
         endpoint, now_s = self._port.endpoint, self._clock()
         match effect:
             case SendStop():
-                endpoint.stop_sending()  # a permit that waits behind the stop must not follow it
+                self._void()  # a permit that waits behind the stop must not follow it
                 if endpoint.link.is_open:
                     endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
                     self._leave_now()
@@ -533,6 +543,12 @@ class Session:
                 pass  # the journal's business
             case _:
                 assert_never(effect)
+
+    def _void(self) -> None:
+        """Nothing that waits may leave; the log says so of what it called sent."""
+        if self._port.endpoint.control_waits:
+            self._journal.voided()
+        self._port.endpoint.stop_sending()
 
     def _leave_now(self) -> None:
         """Send what is queued: also on a bus that has failed, which may still be written.

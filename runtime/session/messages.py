@@ -158,7 +158,7 @@ def _printable(text: str) -> str:
 
 Number = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Digest = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{64}\z")]
-Joints = Annotated[tuple[Number, ...], Field(min_length=5, max_length=5)]
+Joints = Annotated[tuple[Number, ...], Field(min_length=5, max_length=5, fail_fast=True)]
 Text = Annotated[str, StringConstraints(max_length=TEXT_MAX), AfterValidator(_printable)]
 Vector = tuple[float, float, float]
 
@@ -213,7 +213,7 @@ class Guidance(_Plain):
     translation_mm: Vector | None
     yaw_deg: float
     pivot_mm: Vector
-    moves: Annotated[tuple[Move, ...], Field(max_length=20)]
+    moves: Annotated[tuple[Move, ...], Field(max_length=20, fail_fast=True)]
     predicted_clearance_mm: float | None
     verified: bool
     text: Text

@@ -41,13 +41,14 @@ def _no_entry(file: Path, number: int, line: str) -> InputError:
     return InputError(file, f"line {number}", line, bound, "restore the list from a backup")
 
 
-def add(directory: Path, registration: bytes, log: str) -> Listed:
+def add(directory: Path, registration: bytes, log: str, known: Listed | None = None) -> Listed:
     """List a registration; it is on the disk, directory entry included, when this returns.
 
     Args:
         directory: the log directory, locked by this session.
         registration: SHA-256 digest.
         log: name of the log that tells why.
+        known: how the list stood when the session began.
 
     Returns:
         How the list stands, for HEAD.
@@ -56,4 +57,4 @@ def add(directory: Path, registration: bytes, log: str) -> Listed:
         InputError: the list or HEAD is not ours.
         OSError: it cannot be written.
     """
-    return extend_list(directory, f"{registration.hex()} {log}\n".encode("ascii"))
+    return extend_list(directory, f"{registration.hex()} {log}\n".encode("ascii"), known)

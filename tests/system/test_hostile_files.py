@@ -45,6 +45,11 @@ HOSTILE = {
     "empty lists": ("plan.json", lambda: b'{"poses": [' + b"[]," * 20_000_000, "20000001 times '['"),
     "empty objects": ("plan.json", lambda: b'{"poses": [' + b"{}," * 20_000_000, "20000001 times '{'"),
     "numbers": ("plan.json", lambda: b'{"poses": [' + b"1," * 30_000_000, "30000000 times ','"),
+    "keys": (
+        "plan.json",
+        lambda: b'{"poses": [], ' + b",".join(b'"%x":1' % number for number in range(5_000_000)) + b"}",
+        "5000001 times ':'",
+    ),
     "an integer": ("plan.json", lambda: b'{"id": ' + b"9" * 60_000_000 + b"}", "not usable JSON"),
     "a name": (
         "plan.json",

@@ -1,5 +1,6 @@
 """The hub itself, in a thread of this process, and everything a client may do wrong."""
 
+import errno
 import fcntl
 import io
 import os
@@ -8,6 +9,7 @@ import socket
 import stat
 import threading
 from contextlib import ExitStack, contextmanager
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -292,6 +294,47 @@ def test_who_says_no_hello_is_dropped_soon_and_who_joined_never(path, join, monk
     assert [re.sub(r"[0-9]+ .process [0-9]+.", "N", line) for line in told] == [
         "client N refused: it said no HELLO within 0.05 s"
     ] * 2
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
+def test_without_a_descriptor_for_another_the_oldest_silent_connection_is_given_up(path, monkeypatch, number):
+    with Hub(path) as hub, raw_client(path) as silent:
+        hub._accept()
+        accept, failed = hub._listener.accept, []
+
+        def none_left():
+            if not failed:
+                failed.append(number)
+                raise OSError(number, "too many open files")
+            return accept()
+
+        monkeypatch.setattr(
+            hub,
+            "_listener",
+            SimpleNamespace(accept=none_left, fileno=hub._listener.fileno, close=hub._listener.close),
+        )
+        with raw_client(path) as another:
+            hub._accept()
+            hub._drop_lost_clients()
+            assert b"no descriptor is left" in silent.recv(1000)
+            hub._accept()
+            assert len(hub._silent) == 1
+            assert another
+
+
+def test_without_a_descriptor_and_nobody_silent_the_hub_says_what_it_lacks(path, monkeypatch):
+    with Hub(path) as hub:
+
+        def none_left():
+            raise OSError(errno.EMFILE, "too many open files")
+
+        monkeypatch.setattr(
+            hub,
+            "_listener",
+            SimpleNamespace(accept=none_left, fileno=hub._listener.fileno, close=hub._listener.close),
+        )
+        with pytest.raises(OSError, match="too many open files"):
+            hub._accept()
 
 
 def test_a_hub_where_nobody_is_silent_waits_for_no_clock(path, join):

@@ -499,3 +499,13 @@ def test_the_directory_may_be_copied_as_a_whole(withdrawn, tmp_path):
     shutil.copytree(withdrawn, copy)
     next_session(copy)
     assert sha256((copy / WITHDRAWN).read_bytes()).hexdigest() == head_of(copy).listed.sha256
+
+
+@pytest.mark.parametrize(("mode", "holds"), [(0o777, False), (0o775, False), (0o1777, True), (0o755, True)])
+def test_a_directory_in_which_others_may_delete_is_refused(tmp_path, mode, holds):
+    """Whoever deletes logs, HEAD and list together leaves a directory in which nothing was ever withdrawn."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    logs.chmod(mode)
+    with contextlib.nullcontext() if holds else pytest.raises(InputError, match=f"mode {mode:04o}"):
+        os.close(lock(logs))

@@ -15,6 +15,7 @@ from cutgate.runtime.interlock.state import ENDED, Phase
 from cutgate.runtime.session import withdrawn
 from tests.runtime.audit.build import LOG_ID, OPENED, PATIENCE_S, small_log
 from tests.runtime.audit.test_directory import Later
+from tests.runtime.interlock.builders import TIMING
 
 
 class Screen(list):
@@ -131,3 +132,17 @@ def test_a_disk_that_never_answers_holds_up_no_withdrawal(log, monkeypatch):
     command._withdraw(log, bytes(32), screen)
     never.set()
     assert "the disk did not answer within 0.01 s" in screen[0]
+
+
+def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, monkeypatch):
+    def none_left(_path):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(command.Worker, "start", none_left)
+    state = SimpleNamespace(job=SimpleNamespace(timing=TIMING, path=b"", fd=False), phase=Phase.WAITING)
+    with pytest.raises(OSError, match="temporarily unavailable"):
+        command._session(None, None, state, b"", None, "a/b", log, None, None, fd=False)
+    found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
+    assert found.report.status is Status.OK
+    (closed,) = found.of("/audit/close")
+    assert (closed["clean"], closed["outcome"]) == (False, "the verification process cannot be started")

@@ -7,10 +7,12 @@ import pytest
 
 from cutgate.firmware_sim.faults import FaultName
 from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import Stranger
 from tests.runtime.session.test_session import first_frames
+from tests.runtime.session.wire import lose, nth, of
 
 
 def refusals(pair):
@@ -261,3 +263,45 @@ def test_limits_beyond_what_a_joints_frame_can_carry_are_refused(pair, side):
     pair.power_up()
     pair.begin().end()
     assert "JOINTS_BEYOND_WIRE" in pair.state.reason
+
+
+# ---------------------------------------------------------------- a bone that moves while the runtime stops anyway
+
+
+@pytest.fixture
+def stopping(pair):
+    """The bone moves in the turn in which the operator says stop: what the controller says of it crosses the stop."""
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING).run(0.1)
+    pair.wire.delay_s = {of(kind): pair.turn_s / 2 for kind in (ControllerFault, ControllerHeartbeat)}
+    pair.controller_terminal.type("bone-motion")
+    return pair
+
+
+def test_a_bone_that_moved_as_the_operator_said_stop_is_not_forgotten(stopping):
+    assert stopping.say("stop").phase is Phase.STOPPING
+    assert stopping.end() is Phase.STOPPED
+    assert stopping.state.cause is StopCause.OPERATOR_STOP
+    assert stopping.controller.cause is StopCause.BONE_MOVED
+    assert stopping.state.registration_withdrawn
+
+
+def test_the_heartbeat_says_so_where_the_fault_frame_was_lost(stopping):
+    stopping.wire.rules.append(nth(of(ControllerFault), range(10), lose))
+    assert stopping.say("stop").phase is Phase.STOPPING
+    assert stopping.end() is Phase.STOPPED
+    assert stopping.state.registration_withdrawn
+
+
+def test_a_cause_that_stood_before_withdraws_no_registration_of_this_session(pair):
+    pair.power_up()
+    pair.to(Phase.CUTTING)
+    pair.controller_terminal.type("bone-motion")
+    assert pair.end() is Phase.STOPPED
+    pair.close()
+    pair.run(0.5).begin()
+    pair.until(lambda: pair.phase is Phase.HELD and pair.state.controller is not None)
+    assert pair.state.controller.cause is StopCause.BONE_MOVED
+    pair.say("stop")
+    assert pair.end() is Phase.STOPPED
+    assert not pair.state.registration_withdrawn

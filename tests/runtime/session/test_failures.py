@@ -67,6 +67,27 @@ def test_a_bus_that_fails_under_the_stop_ends_the_session_with_the_first_cause(c
     assert (fault["cause"], last["first_out"]) == ("BUS_FAILED", "OPERATOR_STOP")
 
 
+def test_what_the_controller_said_before_the_bus_failed_counts(cutting, monkeypatch):
+    """The hub ends: a client reads what still waits, and then that it has ended, in the same turn."""
+    node = cutting.wire.nodes[RUNTIME]
+    recv = node.recv
+
+    def recv_to_the_end(timeout):
+        message = recv(timeout)
+        if message is None:
+            raise can.CanOperationError("the bus is gone")
+        return message
+
+    cutting.controller_terminal.type("bone-motion")
+    cutting.runtime_turns = False
+    cutting.turn()
+    cutting.runtime_turns = True
+    monkeypatch.setattr(node, "recv", recv_to_the_end)
+    assert cutting.end() is Phase.STOPPED
+    assert cutting.state.cause is StopCause.BONE_MOVED
+    assert cutting.state.registration_withdrawn
+
+
 def test_a_bus_that_fails_stops_the_controller(cutting):
     cutting.wire.nodes[CONTROLLER].broken = True
     with pytest.raises(can.CanError):
@@ -156,6 +177,14 @@ def test_a_decision_that_raises_ends_in_a_stop_a_decision_and_a_fault(cutting, b
     assert ("send STOP INTERNAL_ERROR" in last["effects"]) is (breaks == "a handler")
     assert last["reason"].startswith("without the table: ") is (breaks == "the table")
     assert cutting.read().of("/audit/close")[-1]["clean"] is False
+
+
+def test_an_error_between_two_turns_is_one_of_a_turn(cutting, monkeypatch):
+    monkeypatch.setattr(cutting.session, "_wait", broken)
+    with pytest.raises(RuntimeError):
+        cutting.session.run(cutting.wake[0])
+    assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.INTERNAL_ERROR)
+    assert [stop.cause for _, stop in cutting.wire.frames(RuntimeStop)] == [StopCause.INTERNAL_ERROR]
 
 
 def test_an_error_while_the_session_is_stopping_keeps_the_first_cause(cutting, monkeypatch):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from cutgate.protocol.frames import BULK_IDS, IDS, RuntimeStop
+from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS, IDS, RuntimeStop
 from cutgate.protocol.port import LAST_TRIES, RETRY_S
 from cutgate.protocol.states import StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status
@@ -132,3 +132,32 @@ def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(pair, monkeypatch
     pair.session._port.waits = True
     pair.session._wait(-1)
     assert waits_ms[0] > waits_ms[1] == 1000.0 * RETRY_S
+
+
+@pytest.mark.parametrize(
+    ("waiting", "kind"), [(Phase.AUTHORISING_PERMIT, "permit"), (Phase.AUTHORISING_START, "start")]
+)
+def test_what_a_stop_voids_before_it_has_left_is_not_called_sent(pair, waiting, kind):
+    pair.begin().to(Phase.NONCE_PERMIT if kind == "permit" else Phase.PERMITTED).disk.answers = False
+    pair.to(waiting)
+    squeeze(pair, 0)
+    begun = len(pair.wire.seen)
+    pair.disk.answers = True
+    pair.until(lambda: pair.phase is not waiting)
+    pair.say("stop").turn()
+    squeeze(pair, None)
+    assert pair.end() is Phase.STOPPED
+    mine = [seen.can_id for seen in pair.wire.seen[begun:] if seen.sender is RUNTIME]
+    assert CONTROL_IDS[RUNTIME] not in mine
+    pair.close()
+    stages = [(entry["kind"], entry["stage"]) for entry in pair.read().of("/audit/permit")]
+    assert stages[-3:] == [(kind, "authorised"), (kind, "sent"), (kind, "withheld")]
+    assert "void" in pair.read().of("/audit/permit")[-1]["reason"]
+    assert pair.replayed().outcome is Outcome.IDENTICAL
+
+
+def test_what_left_before_a_stop_stays_sent(pair):
+    pair.to(Phase.CUTTING).say("stop")
+    assert pair.end() is Phase.STOPPED
+    pair.close()
+    assert "withheld" not in {entry["stage"] for entry in pair.read().of("/audit/permit")}

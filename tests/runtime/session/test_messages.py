@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from cutgate.runtime.session.messages import (
+    _ANSWER,
     ANSWER_BYTES_MAX,
     LENGTH_BYTES,
     REQUEST_BYTES_MAX,
@@ -320,3 +321,18 @@ def test_guidance_is_known_to_the_rest_of_the_program_as_it_was_found(tmp_path_f
     assert Guided.of(asked.number, value) == guided
     assert len(value.moves) > 0
     assert {type(move) for move in value.moves} == {FoundMove}
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"kind":"guided","guidance":{"moves":[' + b",".join([b"{}"] * 5000) + b"]}}",
+        b'{"kind":"claim","start_joints_u":[' + b",".join([b'""'] * 5000) + b"]}",
+    ],
+)
+def test_a_list_that_is_wrong_in_every_place_is_left_at_the_first(body):
+    """To tell each of 25 000 errors takes four heartbeats."""
+    assert len(body) <= ANSWER_BYTES_MAX
+    with pytest.raises(ValidationError) as told:
+        _ANSWER.validate_json(body)
+    assert told.value.error_count() < 30

@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.load import InputError
+from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.session import withdrawn
-from tests.runtime.audit.build import small_log
+from tests.runtime.audit.build import LOG_ID, small_log
 
 DIGESTS = st.binary(min_size=32, max_size=32)
 
@@ -52,6 +53,20 @@ def test_a_list_that_has_lost_a_line_stops(tmp_path):
     file = tmp_path / withdrawn.WITHDRAWN
     file.write_bytes(file.read_bytes().splitlines(keepends=True)[0])
     with pytest.raises(InputError, match="at least the 2 lines"):
+        withdrawn.load(tmp_path)
+
+
+@pytest.mark.parametrize("lost", [("WITHDRAWN",), ("HEAD", "WITHDRAWN")])
+def test_a_list_that_is_lost_while_a_session_runs_is_missed_by_the_next_one(tmp_path, lost):
+    """Also where this session adds to it, and nothing on the disk tells any more what stood there."""
+    small_log(tmp_path)
+    withdrawn.add(tmp_path, bytes(32), "a.mcap")
+    log = AuditLog.create(tmp_path, log_id=LOG_ID, opened=OpenInfo("cutgate", "cutgate"))
+    for name in lost:
+        (tmp_path / name).unlink()
+    log.listed = withdrawn.add(tmp_path, bytes([1]) * 32, log.path.name, log.listed)
+    assert log.close(final_state="stopped", clean=True).closed
+    with pytest.raises(InputError, match="at least the 1 lines"):
         withdrawn.load(tmp_path)
 
 

@@ -1,6 +1,7 @@
 """A verdict for people: the answer in one line, every boundary, the speeds, and how to move the bone."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from rich.console import Console, Group, RenderableType
@@ -11,6 +12,7 @@ from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.plausibility import Caution
 from cutgate.runtime.verification.summary import summary
 from cutgate.runtime.verification.verdict import Verdict
 
@@ -32,6 +34,7 @@ JOINT_UNIT: Final = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
 METHOD: Final = {"certified": "certified", "stocco": "stocco (for comparison, never the gate)"}
 GOOD: Final = "bold green"
 BAD: Final = "bold red"
+WARNED: Final = "bold yellow"
 
 
 def print_verdict(
@@ -57,6 +60,13 @@ def print_verdict(
         console.print()
         console.print(part)
     console.file.flush()
+
+
+def print_cautions(console: Console, found: Sequence[Caution]) -> None:
+    """Prints what looks wrong, before anybody acts on the rest."""
+    for caution in found:
+        console.print()
+        console.print(Text.assemble(("WARNING", WARNED), f" {caution.code}: {caution.text}"))
 
 
 def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:

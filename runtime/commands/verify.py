@@ -1,11 +1,11 @@
 """``cutgate verify``: off-line verification of a plan or tool path."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,14 +15,15 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
-from cutgate.runtime.commands.verdict_view import print_end, print_verdict
+from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.guidance import Guidance, guide
-from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.plausibility import cautions, cautions_of_move, extent, place
+from cutgate.runtime.verification.problem import Floats, Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import Verdict
 
@@ -125,6 +126,26 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
     )
 
 
+def _registration(prepared: Prepared) -> Floats | None:
+    return None if prepared.registration is None else prepared.registration.value.matrix
+
+
+def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
+    """The verdict's document, with where the cut lies and what looks wrong."""
+    problem, verdict, guidance = checked.problem, checked.verdict, _guidance(checked, prepared)
+    document = verdict_document(
+        verdict,
+        poses=checked.poses,
+        guidance=guidance,
+        digests=checked.digests,
+        elapsed_ms=checked.elapsed_ms,
+    )
+    for name, boundary in verdict.boundaries.items():
+        document["boundaries"][name]["tip_mm"] = place(problem, boundary)
+    found = (*cautions(problem, _registration(prepared)), *cautions_of_move(guidance))
+    return {**document, "extent": asdict(extent(problem)), "warnings": [asdict(one) for one in found]}
+
+
 def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
     """How to move the bone, where the certified method does not admit the path."""
     if checked.verdict.admissible or checked.verdict.method != Method.certified:
@@ -160,19 +181,15 @@ def verify(
     if certificate is not None:
         _write_proof(certificate, checked.problem, checked.verdict)
     if json:
-        document = verdict_document(
-            checked.verdict,
-            poses=checked.poses,
-            guidance=_guidance(checked, prepared),
-            digests=checked.digests,
-            elapsed_ms=checked.elapsed_ms,
-        )
-        echo(document_text(document))
+        echo(document_text(_document(checked, prepared)))
     else:
         console = output()
         facts = _facts(prepared, checked)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
-        print_end(console, checked.verdict, _guidance(checked, prepared))
+        print_cautions(console, cautions(checked.problem, _registration(prepared)))
+        guidance = _guidance(checked, prepared)
+        print_cautions(console, cautions_of_move(guidance))
+        print_end(console, checked.verdict, guidance)
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 
@@ -186,6 +203,12 @@ def _facts(prepared: Prepared, checked: Checked) -> dict[str, str]:
     }
     if placed:
         facts["CT"] = f"{prepared.ct_link}; registration residual {placed.value.residual_rms_mm:g} mm rms"
+    where = extent(checked.problem)
+    least, largest = (" ".join(f"{value:.1f}" for value in corner) for corner in (where.min_mm, where.max_mm))
+    facts["where it lies"] = (
+        f"x y z {least} to {largest} mm, tool tilted {where.tilt_deg[0]:.1f} to {where.tilt_deg[1]:.1f} deg"
+    )
+    facts["entry tip"] = "x y z " + " ".join(f"{value:.1f}" for value in where.entry_tip_mm) + " mm"
     return facts | {"elapsed": f"{checked.elapsed_ms:.1f} ms"}
 
 

@@ -614,6 +614,17 @@ def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
             assert isinstance(peer.arrives(part, 0.1), Discarded)
 
 
+def test_a_frame_is_what_it_is_whatever_sample_it_completes():
+    peer = Peer()
+    *_, part = [peer.arrives(frame, 0.1) for frame in peer.turn(0.1)]
+    assert part.sample is not None
+    assert part == replace(part, sample=None)
+
+
+def test_a_sample_of_unknown_age_is_of_any():
+    assert JointSample(np.zeros(5), 0, 1.0).measured_s == -math.inf
+
+
 def test_several_samples_in_one_turn_each_come_in_order():
     peer = Peer()
     waiting = [frame for turn in range(5) for frame in peer.turn(0.02 * turn, 0.01 * turn)]

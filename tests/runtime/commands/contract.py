@@ -49,7 +49,22 @@ class BoundaryPart(Part):
     segment: int | None
     fraction: Annotated[Real, Field(ge=0, le=1)] | None
     tip_length_mm: Annotated[Real, Field(ge=0)] | None
+    tip_mm: Vector | None = None  # of verify --json
     violated: bool
+
+
+class WarningPart(Part):
+    code: Annotated[str, Field(pattern=r"^[A-Z_]+$")]
+    text: Annotated[str, Field(min_length=1)]
+    value: Real
+    bound: Real
+
+
+class ExtentPart(Part):
+    min_mm: Vector
+    max_mm: Vector
+    entry_tip_mm: Vector
+    tilt_deg: tuple[Real, Real]
 
 
 class SpeedPart(Part):
@@ -119,4 +134,17 @@ class VerdictDocument(Part):
     @model_validator(mode="after")
     def _a_note_stands_in_place_of_guidance(self):
         assert self.guidance is None or self.guidance_note is None
+        return self
+
+
+class VerifyDocument(VerdictDocument):
+    """What ``verify --json`` prints: the verdict, and where it lies."""
+
+    warnings: list[WarningPart]
+    extent: ExtentPart
+
+    @model_validator(mode="after")
+    def _each_worst_place_has_its_tip(self):
+        for boundary in self.boundaries.values():
+            assert (boundary.tip_mm is None) is (boundary.segment is None)
         return self

@@ -15,7 +15,7 @@ from cutgate.runtime.commands import screen
 from cutgate.runtime.commands import verify as command
 from cutgate.runtime.verification import guidance
 from cutgate.runtime.verification.guidance import guide
-from tests.runtime.commands.contract import VerdictDocument
+from tests.runtime.commands.contract import VerifyDocument
 from tests.tool_paths import tool_path
 
 ROOT = Path(__file__).parents[3]
@@ -47,7 +47,7 @@ def verdict(cutgate):
 
     def call(*arguments):
         code, out, _ = cutgate("verify", *arguments, "--json")
-        return code, VerdictDocument.model_validate_json(out)
+        return code, VerifyDocument.model_validate_json(out)
 
     return call
 
@@ -319,4 +319,4 @@ def test_the_installed_program_does_the_same():
         timeout=60,
     )
     assert result.returncode == 1
-    assert VerdictDocument.model_validate_json(result.stdout).verdict == "inadmissible"
+    assert VerifyDocument.model_validate_json(result.stdout).verdict == "inadmissible"

@@ -1,0 +1,131 @@
+"""Whether what was verified is likely what was meant: a file in another unit, direction or frame can be sound in itself.
+
+A warning decides nothing. It says what looks wrong, before anybody moves a bone for it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.verdict import Boundary
+
+Floats = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+CUT_LEAST_MM: Final = 1.0
+CT_LEAST_MM: Final = 10.0
+RADIANS_MOST: Final = 2.0 * math.pi
+"""Limits in degrees that are all smaller than a turn in radians are hardly meant."""
+MOVE_MOST_MM: Final = 150.0
+TURN_MOST_DEG: Final = 15.0
+_FRAME: Final = "check units, direction and frame (LPS or RAS) of the registration first"
+_ROTARY: Final = (0, 1, 3, 4)
+
+
+@dataclass(frozen=True)
+class Caution:
+    """What looks wrong, with what was found and what is usual."""
+
+    code: str
+    text: str
+    value: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where the cut lies, in the robot frame: the box of its tips, the first of them, and the tool's tilt from +z."""
+
+    min_mm: Vector
+    max_mm: Vector
+    entry_tip_mm: Vector
+    tilt_deg: tuple[float, float]
+
+    @property
+    def size_mm(self) -> float:
+        """The box's diagonal."""
+        return math.dist(self.min_mm, self.max_mm)
+
+
+def extent(problem: Problem) -> Extent:
+    """Of the poses; the tip's path between two of them is straight and stays in their box."""
+    tilt = np.degrees(np.arctan2(np.hypot(problem.axes[:, 0], problem.axes[:, 1]), problem.axes[:, 2]))
+    return Extent(
+        _vector(problem.tips_mm.min(axis=0)),
+        _vector(problem.tips_mm.max(axis=0)),
+        _vector(problem.tips_mm[0]),
+        (float(tilt.min()), float(tilt.max())),
+    )
+
+
+def place(problem: Problem, boundary: Boundary) -> Vector | None:
+    """The tip at a boundary's worst place, mm; None where it has none."""
+    if boundary.segment is None or boundary.fraction is None:
+        return None
+    begin, end = problem.tips_mm[boundary.segment : boundary.segment + 2]
+    return _vector(begin + boundary.fraction * (end - begin))
+
+
+def cautions(problem: Problem, registration: Floats | None) -> tuple[Caution, ...]:
+    """What looks wrong with the files.
+
+    Args:
+        problem: as it was verified.
+        registration: from CT to robot coordinates, shape (4, 4), mm; None where none is given.
+    """
+    placed = None if registration is None else _near_the_origin(registration)
+    return tuple(one for one in (_size(problem), _radians(problem), placed) if one is not None)
+
+
+def _size(problem: Problem) -> Caution | None:
+    size, reach = extent(problem).size_mm, problem.arm.upper_mm + problem.arm.forearm_mm
+    if size < CUT_LEAST_MM:
+        text = f"the whole cut is {size:.3g} mm in size: check whether its file is in mm"
+        return Caution("CUT_TINY", text, size, CUT_LEAST_MM)
+    if size > reach:
+        text = f"the cut is {size:.0f} mm in size, more than the arm's reach of {reach:.0f} mm: check whether its file is in mm"
+        return Caution("CUT_HUGE", text, size, reach)
+    return None
+
+
+def _radians(problem: Problem) -> Caution | None:
+    largest = math.degrees(
+        max(abs(float(bound[q])) for bound in (problem.lower, problem.upper) for q in _ROTARY)
+    )
+    if largest > RADIANS_MOST:
+        return None
+    text = f"no rotary joint may leave +-{largest:.3g} deg: check whether the limits are in radians"
+    return Caution("LIMITS_IN_RADIANS", text, largest, RADIANS_MOST)
+
+
+def _near_the_origin(registration: Floats) -> Caution | None:
+    length = float(np.linalg.norm(registration[:3, 3]))
+    if length >= CT_LEAST_MM:
+        return None
+    text = f"the registration moves the CT by {length:.3g} mm only: right for a plan in robot coordinates, else {_FRAME}"
+    return Caution("CT_TRANSLATION_SMALL", text, length, CT_LEAST_MM)
+
+
+def cautions_of_move(guidance: Guidance | None) -> tuple[Caution, ...]:
+    """What looks wrong with a move that is proposed."""
+    if guidance is None or guidance.translation_mm is None:
+        return ()
+    length, turn = math.hypot(*guidance.translation_mm), abs(guidance.yaw_deg)
+    if length > MOVE_MOST_MM:
+        return (
+            Caution("MOVE_LARGE", f"the move would be {length:.0f} mm long: {_FRAME}", length, MOVE_MOST_MM),
+        )
+    if turn > TURN_MOST_DEG:
+        text = f"the bone would be turned by {turn:.1f} deg: {_FRAME}"
+        return (Caution("TURN_LARGE", text, turn, TURN_MOST_DEG),)
+    return ()
+
+
+def _vector(values: Floats) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

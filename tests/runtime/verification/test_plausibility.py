@@ -1,0 +1,108 @@
+"""What looks wrong with files that are sound in themselves, and where the cut lies."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.plausibility import cautions, cautions_of_move, extent, place
+from tests.runtime.verification.cases import axis, problem, wrist_path
+
+
+def case(size_mm=50.0, turning=0.2, **changes):
+    t = np.linspace(0.0, 1.0, 5)
+    wrist = np.column_stack(
+        (600.0 + size_mm * t, 20.0 * t * size_mm / 50.0, 200.0 - 10.0 * t * size_mm / 50.0)
+    )
+    return problem(*wrist_path(wrist, axis(0.5 + turning * t, turning * t)), **changes)
+
+
+def at(*translation):
+    placed = np.eye(4)
+    placed[:3, 3] = translation
+    return placed
+
+
+def move(translation, yaw_deg=0.0):
+    return Guidance(translation, yaw_deg, (0.0, 0.0, 0.0), (), 1.0, True, "moved")
+
+
+def codes(found):
+    return [one.code for one in found]
+
+
+def test_the_extent_is_that_of_every_tip():
+    found, one = extent(case()), case()
+    for k in range(3):
+        assert found.min_mm[k] == min(tip[k] for tip in one.tips_mm)
+        assert found.max_mm[k] == max(tip[k] for tip in one.tips_mm)
+    assert found.entry_tip_mm == tuple(one.tips_mm[0])
+    assert found.tilt_deg == pytest.approx((math.degrees(0.5), math.degrees(0.7)))
+
+
+def test_a_worst_place_lies_on_the_tips_path():
+    one = case()
+    for boundary in certified.verify(one).boundaries.values():
+        tip = np.array(place(one, boundary))
+        begin, end = one.tips_mm[boundary.segment], one.tips_mm[boundary.segment + 1]
+        assert np.linalg.norm(tip - begin) + np.linalg.norm(tip - end) == pytest.approx(
+            np.linalg.norm(end - begin)
+        )
+        assert place(one, replace(boundary, segment=None, fraction=None)) is None
+
+
+def test_an_ordinary_case_gives_no_warning():
+    assert cautions(case(), at(500.0, 0.0, 0.0)) == cautions(case(), None) == ()
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "code"),
+    [(0.05, "CUT_TINY"), (0.5, "CUT_TINY"), (2.0, None), (700.0, None), (1500.0, "CUT_HUGE")],
+)
+def test_a_cut_in_another_unit_is_too_small_or_too_large(size_mm, code):
+    found = cautions(case(size_mm, 0.0), None)
+    assert codes(found) == ([code] if code else [])
+    for one in found:
+        assert one.value == pytest.approx(extent(case(size_mm, 0.0)).size_mm)
+        assert (one.value < one.bound) is (code == "CUT_TINY")
+
+
+@pytest.mark.parametrize(
+    ("length_mm", "warns"), [(0.0, True), (0.5, True), (9.9, True), (10.1, False), (500.0, False)]
+)
+def test_a_registration_that_moves_the_ct_hardly_is_told(length_mm, warns):
+    found = cautions(case(), at(0.0, -length_mm, 0.0))
+    assert codes(found) == ["CT_TRANSLATION_SMALL"] * warns
+
+
+def test_limits_in_radians_are_told():
+    lower, upper = np.radians((-1.4, 0.0, 0.0, -2.97, 0.0)), np.radians((1.4, 2.5, 0.0, 2.97, 1.92))
+    lower[2], upper[2] = 50.0, 450.0
+    assert codes(cautions(case(lower=lower, upper=upper), None)) == ["LIMITS_IN_RADIANS"]
+    assert (
+        cautions(case(lower=lower, upper=np.where(np.arange(5) == 1, math.radians(6.3), upper)), None) == ()
+    )
+
+
+@pytest.mark.parametrize(
+    ("guidance", "code"),
+    [
+        (None, None),
+        (move(None), None),
+        (move((100.0, 100.0, 0.0)), None),
+        (move((149.0, 0.0, 0.0), 15.0), None),
+        (move((100.0, 100.0, 60.0)), "MOVE_LARGE"),
+        (move((1.0, 0.0, 0.0), -15.5), "TURN_LARGE"),
+    ],
+)
+def test_a_large_move_is_doubted_before_it_is_made(guidance, code):
+    found = cautions_of_move(guidance)
+    assert codes(found) == ([code] if code else [])
+    for one in found:
+        assert "check units, direction and frame (LPS or RAS) of the registration first" in one.text
+        assert abs(one.value) > one.bound
+        assert json.dumps(one.value)

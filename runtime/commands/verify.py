@@ -22,7 +22,14 @@ from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.guidance import Guidance, guide
-from cutgate.runtime.verification.plausibility import cautions, cautions_of_move, extent, place
+from cutgate.runtime.verification.plausibility import (
+    Caution,
+    cautions,
+    cautions_of_move,
+    cautions_of_reading,
+    extent,
+    place,
+)
 from cutgate.runtime.verification.problem import Floats, Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import Verdict
@@ -130,6 +137,12 @@ def _registration(prepared: Prepared) -> Floats | None:
     return None if prepared.registration is None else prepared.registration.value.matrix
 
 
+def _cautions(checked: Checked, prepared: Prepared) -> tuple[Caution, ...]:
+    placed = _registration(prepared)
+    otherwise = cautions_of_reading(checked.problem, checked.verdict, placed)
+    return (*cautions(checked.problem, placed), *otherwise)
+
+
 def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
     """The verdict's document, with where the cut lies and what looks wrong."""
     problem, verdict, guidance = checked.problem, checked.verdict, _guidance(checked, prepared)
@@ -142,7 +155,7 @@ def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
     )
     for name, boundary in verdict.boundaries.items():
         document["boundaries"][name]["tip_mm"] = place(problem, boundary)
-    found = (*cautions(problem, _registration(prepared)), *cautions_of_move(guidance))
+    found = (*_cautions(checked, prepared), *cautions_of_move(guidance))
     return {**document, "extent": asdict(extent(problem)), "warnings": [asdict(one) for one in found]}
 
 
@@ -186,7 +199,7 @@ def verify(
         console = output()
         facts = _facts(prepared, checked)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
-        print_cautions(console, cautions(checked.problem, _registration(prepared)))
+        print_cautions(console, _cautions(checked, prepared))
         guidance = _guidance(checked, prepared)
         print_cautions(console, cautions_of_move(guidance))
         print_end(console, checked.verdict, guidance)

@@ -4,15 +4,16 @@ A warning decides nothing. It says what looks wrong, before anybody moves a bone
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.verdict import Boundary
+from cutgate.runtime.verification.verdict import Boundary, Verdict
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -24,6 +25,7 @@ RADIANS_MOST: Final = 2.0 * math.pi
 MOVE_MOST_MM: Final = 150.0
 TURN_MOST_DEG: Final = 15.0
 _FRAME: Final = "check units, direction and frame (LPS or RAS) of the registration first"
+MM_PER_M: Final = 1000.0
 _ROTARY: Final = (0, 1, 3, 4)
 
 
@@ -109,6 +111,50 @@ def _near_the_origin(registration: Floats) -> Caution | None:
         return None
     text = f"the registration moves the CT by {length:.3g} mm only: right for a plan in robot coordinates, else {_FRAME}"
     return Caution("CT_TRANSLATION_SMALL", text, length, CT_LEAST_MM)
+
+
+def _readings(registration: Floats) -> dict[str, tuple[str, Floats]]:
+    """Other transforms that somebody may have meant who wrote this one, shape (4, 4), by their warnings' codes."""
+    transposed, scaled, flipped = registration.copy(), registration.copy(), registration.copy()
+    transposed[:3, :3] = registration[:3, :3].T
+    scaled[:3, 3] *= MM_PER_M
+    flipped[:3, :2] *= -1.0
+    return {
+        "REGISTRATION_INVERTED": (
+            "read in the other direction, from robot to CT",
+            _inverse(registration),
+        ),
+        "REGISTRATION_TRANSPOSED": ("with its rotation transposed", transposed),
+        "REGISTRATION_IN_METRES": ("with its translation in metres", scaled),
+        "REGISTRATION_FRAME": ("with the CT's x and y reversed, LPS for RAS", flipped),
+    }
+
+
+def cautions_of_reading(
+    problem: Problem, verdict: Verdict, registration: Floats | None
+) -> tuple[Caution, ...]:
+    """Whether a path that is inadmissible as it is placed would be admissible if its registration is read otherwise."""
+    if registration is None or verdict.admissible:
+        return ()
+    violated = float(sum(boundary.violated for boundary in verdict.boundaries.values()))
+    to_ct = _inverse(registration)
+    found = []
+    for code, (words, meant) in _readings(registration).items():
+        if certified.verify(_moved(problem, meant @ to_ct)).admissible:
+            text = f"{words} the registration makes the path admissible: {_FRAME}"
+            found.append(Caution(code, text, violated, 0.0))
+    return tuple(found)
+
+
+def _inverse(registration: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(registration), dtype=np.float64)
+
+
+def _moved(problem: Problem, by: Floats) -> Problem:
+    """The path somewhere else, shape (4, 4)."""
+    axes = problem.axes @ by[:3, :3].T
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return replace(problem, tips_mm=problem.tips_mm @ by[:3, :3].T + by[:3, 3], axes=axes, branch=None)
 
 
 def cautions_of_move(guidance: Guidance | None) -> tuple[Caution, ...]:

@@ -9,7 +9,13 @@ import pytest
 
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.guidance import Guidance
-from cutgate.runtime.verification.plausibility import cautions, cautions_of_move, extent, place
+from cutgate.runtime.verification.plausibility import (
+    cautions,
+    cautions_of_move,
+    cautions_of_reading,
+    extent,
+    place,
+)
 from tests.runtime.verification.cases import axis, problem, wrist_path
 
 
@@ -106,3 +112,34 @@ def test_a_large_move_is_doubted_before_it_is_made(guidance, code):
         assert "check units, direction and frame (LPS or RAS) of the registration first" in one.text
         assert abs(one.value) > one.bound
         assert json.dumps(one.value)
+
+
+MISREADINGS = {
+    "REGISTRATION_INVERTED": np.linalg.inv,
+    "REGISTRATION_TRANSPOSED": lambda r: np.block(
+        [[r[:3, :3].T, r[:3, 3:]], [np.array([[0.0, 0.0, 0.0, 1.0]])]]
+    ),
+    "REGISTRATION_IN_METRES": lambda r: np.block(
+        [[r[:3, :3], r[:3, 3:] / 1000.0], [np.array([[0.0, 0.0, 0.0, 1.0]])]]
+    ),
+    "REGISTRATION_FRAME": lambda r: r @ np.diag([-1.0, -1.0, 1.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("code", MISREADINGS)
+def test_a_registration_that_was_written_otherwise_than_it_is_read_is_told(code):
+    turn = 1.4
+    right = at(420.0, -160.0, 230.0)
+    right[:2, :2] = [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]
+    cut = case()
+    written = MISREADINGS[code](right)
+    to_ct = np.linalg.inv(right)
+    by = written @ to_ct  # where it is put who reads what was written
+    misplaced = replace(cut, tips_mm=cut.tips_mm @ by[:3, :3].T + by[:3, 3], axes=cut.axes @ by[:3, :3].T)
+    verdict = certified.verify(misplaced)
+    assert not verdict.admissible
+    found = cautions_of_reading(misplaced, verdict, written)
+    assert code in codes(found)
+    assert all(one.value > one.bound for one in found)
+    assert cautions_of_reading(misplaced, verdict, None) == ()
+    assert cautions_of_reading(cut, certified.verify(cut), right) == ()

@@ -291,7 +291,7 @@ class Link:
                 self._peer_counter = data[2]
                 turn, fresh = self._turn_of(can_id, data[2], lost), self._refresh(frame.echo, now_s)
                 if fresh:
-                    self._proved.append((turn, self._sent_s[frame.echo]))
+                    self._proved.append((turn, self._sent_s.get(frame.echo, -math.inf)))
             case Joints01() | Joints23() | Joint4():
                 self._parts[can_id] = (self._turn_of(can_id, data[2], lost), frame)
                 sample = self._complete(now_s)

@@ -1,14 +1,17 @@
 """Whoever looks on may stop reading, be slow or go away; a terminal that hangs up, and every signal, stop in order."""
 
 import json
+import secrets
 import signal
 import socket
 import subprocess
+from contextlib import contextmanager
 
 import can
 import pytest
 
 from cutgate.config.interpreter import program
+from cutgate.firmware_sim.bus.hub import is_served
 from cutgate.protocol.frames import ControllerHeartbeat
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.audit.inspect import Status
@@ -199,7 +202,7 @@ def test_every_signal_that_would_end_the_controller_stops_the_arm_in_order(rig, 
 
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_hub_serves_whatever_is_closed_when_it_is_started(rig, closed):
-    path = rig.folder.parent / "other.sock"
+    path = rig.folder.parent / f"{secrets.token_hex(4)}.sock"
     command = program("cutgate.firmware_sim", "bus", "serve", "--socket", str(path))
     with subprocess.Popen(
         ["sh", "-c", f'exec "$@" {closed}', "sh", *command],
@@ -208,18 +211,29 @@ def test_a_hub_serves_whatever_is_closed_when_it_is_started(rig, closed):
         stderr=subprocess.STDOUT,
         text=True,
     ) as hub:
-        rig.until(path.is_socket)
-        with (
-            can.Bus(interface="cutgate", channel=str(path)) as one,
-            can.Bus(interface="cutgate", channel=str(path)) as other,
-        ):
-            one.send(can.Message(arbitration_id=0x42, is_extended_id=False))
-            assert other.recv(WAIT_S).arbitration_id == 0x42
-        hub.send_signal(signal.SIGHUP)
-        told, _ = hub.communicate(timeout=WAIT_S)
+        with ended(hub):
+            rig.until(lambda: is_served(path))  # not every one of them can say so
+            with (
+                can.Bus(interface="cutgate", channel=str(path)) as one,
+                can.Bus(interface="cutgate", channel=str(path)) as other,
+            ):
+                one.send(can.Message(arbitration_id=0x42, is_extended_id=False))
+                assert other.recv(WAIT_S).arbitration_id == 0x42
+            hub.send_signal(signal.SIGHUP)
+            told, _ = hub.communicate(timeout=WAIT_S)
         assert hub.returncode == 0
         assert "Traceback" not in told
     assert not path.exists()
+
+
+@contextmanager
+def ended(process):
+    """A test that fails leaves no process behind, for which leaving `Popen` would wait."""
+    try:
+        yield
+    except BaseException:
+        process.kill()
+        raise
 
 
 def test_a_hub_whose_screen_nobody_reads_carries_the_cut_to_its_end(rig):

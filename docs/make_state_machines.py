@@ -526,6 +526,7 @@ NAMED_BOUNDS: Final = {
     "path_digest": "SHA-256 of the path that was sent",
     "verdict_current": "digests of path, limits, calibration and tool equal",
     "registration_age": "<= `registration_max_age_s` of site.toml; none where it is not set",
+    "registration_residual": "<= `registration_max_residual_mm` of site.toml; none where it is not set",
     "log_space": ">= twice the bytes this path's log needs",
     "epoch_current": "the session's epoch",
 }

@@ -405,6 +405,7 @@ class Operator(AuditRecord):
     TOPIC: ClassVar[str] = "/audit/operator"
 
     word: str
+    what: str | None = None
     accepted: bool
     reason: str | None = None
 

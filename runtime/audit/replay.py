@@ -39,6 +39,7 @@ from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
 from cutgate.runtime.verification import approach, certificate
 from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import Verdict
@@ -46,8 +47,11 @@ from cutgate.runtime.verification.verdict import Verdict
 TOLERANCE: Final = 1e-9
 """mm, deg; relative for lengths above one."""
 NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance", "guidance_note")
-BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "reasons")
+BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "tip_mm", "reasons", "text")
 """Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
+
+BEFORE_WARNINGS: Final = ("cutgate 0.1.0",)
+"""Verifiers that did not say where a cut lies and what looks wrong."""
 
 MOVING: Final = ("starting", "cutting", "finishing")
 STOPPED: Final = ("stopping", "stopped")
@@ -110,6 +114,7 @@ class _Inputs:
     robot: Robot
     site: Site
     registration_sha256: bytes
+    placed: Placed | None
     size_max: int
     """Bytes of the largest attachment that is read: what the site allowed its input files."""
 
@@ -159,9 +164,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
             found.notes.append("the guidance was not computed again")
     else:
         found.notes.append("the session ended before a verdict: there is nothing to compute again")
-    found.differences += _permits(
-        log, opened[0], [document["verdict"] for document in found.documents], found.approaches
-    )
+    found.differences += _permits(log, opened[0], found.documents, found.approaches)
 
 
 # ---------------------------------------------------------------- what was decided on
@@ -192,8 +195,19 @@ def _inputs(log: Log) -> _Inputs:
         robot=robot,
         site=site,
         registration_sha256=sha256(registration[1] if registration else IDENTITY_REGISTRATION).digest(),
+        placed=_placed(registration, site),
         size_max=size_max,
     )
+
+
+def _placed(registration: tuple[FilePath, bytes] | None, site: Site) -> Placed | None:
+    if registration is None:
+        return None
+    try:
+        value = registration_from_bytes(*registration)
+    except InputError as error:
+        raise ReplayError(f"attachment {error}") from None
+    return Placed(value.matrix, value.residual_rms_mm, site.registration_max_residual_mm)
 
 
 def _derivation(log: Log, inputs: _Inputs, opened: records.Open) -> Iterator[str]:
@@ -267,13 +281,16 @@ def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> di
         calibration=sha256(inputs.calibration).digest(),
         registration=inputs.registration_sha256,
     )
-    return verdict_document(
+    document = verdict_document(
         verdict,
         poses=len(problem.tips_mm),
         guidance=None,
         digests=digests,
         elapsed_ms=recorded.elapsed_ms or 0.0,
     )
+    if recorded.verifier in BEFORE_WARNINGS:
+        return document
+    return described(document, problem, verdict, cautions(problem, verdict, inputs.placed))
 
 
 def _compare(
@@ -468,18 +485,25 @@ def _digests(permit: records.Permit, left: wire.Permit, configuration: bytes) ->
 # ---------------------------------------------------------------- what was enabled
 
 
-def _permits(log: Log, opened: records.Open, recomputed: list[str], ways: list[str]) -> Iterator[str]:
+def _permits(
+    log: Log, opened: records.Open, recomputed: list[dict[str, Any]], ways: list[str]
+) -> Iterator[str]:
     """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
     verdicts, approaches = iter(recomputed), iter(ways)
     ledger = _Ledger(_configuration(log, opened))
-    kinds = (records.Verdict, records.Approach, records.Decision, records.Permit)
+    kinds = (records.Verdict, records.Approach, records.Decision, records.Operator, records.Permit)
     for topic, data in log.each(*(kind.TOPIC for kind in kinds)):
         if topic == records.Verdict.TOPIC:
-            ledger.verdict, ledger.approach = (_model(records.Verdict, data), next(verdicts)), None
+            document = next(verdicts)
+            ledger.verdict = (_model(records.Verdict, data), document["verdict"])
+            ledger.approach, ledger.confirmed = None, set()
+            ledger.to_confirm = {one["code"] for one in document.get("warnings", ()) if one["confirm"]}
         elif topic == records.Approach.TOPIC:
             ledger.approach = (_model(records.Approach, data), next(approaches, "not computed again"))
         elif topic == records.Decision.TOPIC:
             yield from _decision(_model(records.Decision, data))
+        elif topic == records.Operator.TOPIC:
+            ledger.hear(_model(records.Operator, data))
         elif topic == records.Permit.TOPIC:
             yield from ledger.enter(_model(records.Permit, data))
     if any(kind != "reset" for kind, _ in ledger.authorised):
@@ -500,6 +524,15 @@ class _Ledger:
     permit: bytes | None = None
     """Digest of the permit that left last, which a start names."""
     permitted: bool = False
+    to_confirm: set[str] = field(default_factory=set)
+    """Warnings of the latest verdict, as recomputed, that keep from a permit."""
+    confirmed: set[str] = field(default_factory=set)
+    """What the operator has confirmed since."""
+
+    def hear(self, said: records.Operator) -> None:
+        """One word of the operator."""
+        if said.word == "confirm" and said.accepted and said.what is not None:
+            self.confirmed.add(said.what)
 
     def enter(self, permit: records.Permit) -> Iterator[str]:
         """One record of a permit, start or reset."""
@@ -526,6 +559,8 @@ class _Ledger:
 
     def _permit(self, permit: records.Permit, left: wire.Permit) -> Iterator[str]:
         self.permit = left.digest
+        for code in sorted(self.to_confirm - self.confirmed):
+            yield f"a permit left although the warning {code} was not confirmed"
         yield from _digests(permit, left, self.configuration)
         if self.approach is not None:
             yield from _bound(left, self.approach[0])

@@ -82,8 +82,8 @@ def run(
 ) -> None:
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
 
-    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, quit. Ctrl-C, Ctrl-Z and a
-    terminal that hangs up stop as well; a screen that nobody reads does not.
+    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, confirm CODE, quit. Ctrl-C, Ctrl-Z
+    and a terminal that hangs up stop as well; a screen that nobody reads does not.
     Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped, fault, or a log that could not be closed;
     141 --json without a reader.
     """
@@ -92,7 +92,7 @@ def run(
             files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
             job = make_job(files, now=utc_now())
-            check = Check(job, files.robot.value)
+            check = Check(job, files.robot.value, files.placed)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     fd = fd or files.settings.bus.fd

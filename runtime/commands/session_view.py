@@ -11,7 +11,14 @@ from cutgate.config.screen import SAID_MAX, STDERR, STDOUT, diverted, printable,
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.screen import LiveConsole
-from cutgate.runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
+from cutgate.runtime.commands.verdict_view import (
+    BAD,
+    GOOD,
+    boundaries_table,
+    caution_line,
+    guidance_lines,
+    headline,
+)
 from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
 from cutgate.runtime.interlock.state import (
     Announced,
@@ -27,6 +34,7 @@ from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
 from cutgate.runtime.verification.approach import Approach, summary
 from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.plausibility import cautions_of_move
 
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10
@@ -152,8 +160,14 @@ class SessionView:
             self.note(prompt, "yellow" if missing else GOOD)
 
     def verdict(self, answer: Answer) -> None:
-        """The verdict, with every boundary."""
-        self._output.print(lambda: Group(headline(answer.proved), boundaries_table(answer.proved)))
+        """The verdict, with every boundary, and what looks wrong."""
+        self._output.print(
+            lambda: Group(
+                headline(answer.proved),
+                boundaries_table(answer.proved),
+                *(caution_line(caution) for caution in answer.cautions),
+            )
+        )
         if (approach := answer.approach) is not None:
             self._output.print(lambda: approach_line(approach), soft_wrap=True)
 
@@ -162,7 +176,8 @@ class SessionView:
         if found is None:
             self.note(f"no move of the bone is shown: {note}", "yellow")
             return
-        self._output.print(lambda: Group("", guidance_lines(found)))
+        large = [caution_line(caution) for caution in cautions_of_move(found)]
+        self._output.print(lambda: Group(*large, "", guidance_lines(found)))
 
     def progress(self, segment: int, segments: int) -> None:
         """A line every ten percent."""

@@ -66,7 +66,13 @@ def print_cautions(console: Console, found: Sequence[Caution]) -> None:
     """Prints what looks wrong, before anybody acts on the rest."""
     for caution in found:
         console.print()
-        console.print(Text.assemble(("WARNING", WARNED), f" {caution.code}: {caution.text}"))
+        console.print(caution_line(caution))
+
+
+def caution_line(caution: Caution) -> Text:
+    """One warning, and whether it keeps from a permit."""
+    asked = f" (before a permit: confirm {caution.code})" if caution.confirm else ""
+    return Text.assemble(("WARNING", WARNED), f" {caution.code}: {printable(caution.text)}{asked}")
 
 
 def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:

@@ -1,7 +1,7 @@
 """``cutgate verify``: off-line verification of a plan or tool path."""
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from cutgate.config.load import PRESETS, InputError, load_robot
-from cutgate.config.model import Robot
+from cutgate.config.load import BYTES_PER_MB, PRESETS, InputError, load_robot, load_site
+from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
@@ -24,13 +24,13 @@ from cutgate.runtime.verification.document import Digests, document_text, verdic
 from cutgate.runtime.verification.guidance import Guidance, guide
 from cutgate.runtime.verification.plausibility import (
     Caution,
+    Placed,
     cautions,
     cautions_of_move,
-    cautions_of_reading,
+    described,
     extent,
-    place,
 )
-from cutgate.runtime.verification.problem import Floats, Problem
+from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import Verdict
 
@@ -91,7 +91,12 @@ def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -
 
 
 def read(
-    path: Path, robot: Path, registration: Path | None, tool_length_mm: float | None, feed_mm_s: float | None
+    path: Path,
+    robot: Path,
+    registration: Path | None,
+    tool_length_mm: float | None,
+    feed_mm_s: float | None,
+    site: Site | None = None,
 ) -> tuple[Robot, Prepared]:
     """Reads the files and prepares the path that the controller would be given.
 
@@ -100,7 +105,10 @@ def read(
     """
     with working(f"reading {path}"):
         arm = load_robot(robot).value
-        plan = load_plan(path)
+        bounds = (site or Site()).files
+        plan = load_plan(
+            path, size_limit=bounds.file_size_limit_mb * BYTES_PER_MB, pose_limit=bounds.pose_limit
+        )
         placed = load_registration(registration) if registration else None
         prepared = prepare(
             plan, placed, arm, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
@@ -133,17 +141,15 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
     )
 
 
-def _registration(prepared: Prepared) -> Floats | None:
-    return None if prepared.registration is None else prepared.registration.value.matrix
+def _cautions(checked: Checked, prepared: Prepared, residual_max_mm: float | None) -> tuple[Caution, ...]:
+    placed = None
+    if prepared.registration is not None:
+        value = prepared.registration.value
+        placed = Placed(value.matrix, value.residual_rms_mm, residual_max_mm)
+    return cautions(checked.problem, checked.verdict, placed)
 
 
-def _cautions(checked: Checked, prepared: Prepared) -> tuple[Caution, ...]:
-    placed = _registration(prepared)
-    otherwise = cautions_of_reading(checked.problem, checked.verdict, placed)
-    return (*cautions(checked.problem, placed), *otherwise)
-
-
-def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
+def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) -> dict[str, Any]:
     """The verdict's document, with where the cut lies and what looks wrong."""
     problem, verdict, guidance = checked.problem, checked.verdict, _guidance(checked, prepared)
     document = verdict_document(
@@ -153,10 +159,7 @@ def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
         digests=checked.digests,
         elapsed_ms=checked.elapsed_ms,
     )
-    for name, boundary in verdict.boundaries.items():
-        document["boundaries"][name]["tip_mm"] = place(problem, boundary)
-    found = (*_cautions(checked, prepared), *cautions_of_move(guidance))
-    return {**document, "extent": asdict(extent(problem)), "warnings": [asdict(one) for one in found]}
+    return described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
 
 
 def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
@@ -174,6 +177,10 @@ def verify(
     registration: RegistrationOption = None,
     tool_length_mm: ToolOption = None,
     feed_mm_s: FeedOption = None,
+    site: Annotated[
+        Path | None,
+        typer.Option(help="site.toml: how large the files may be, and the registration's residual."),
+    ] = None,
     certificate: Annotated[
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
@@ -189,17 +196,19 @@ def verify(
         raise typer.BadParameter(
             "the published march proves nothing between its steps; use --method certified"
         )
-    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
+    settings = load_site(site).value if site else Site()
+    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s, settings)
     checked = check(prepared, arm, method)
+    found = _cautions(checked, prepared, settings.registration_max_residual_mm)
     if certificate is not None:
         _write_proof(certificate, checked.problem, checked.verdict)
     if json:
-        echo(document_text(_document(checked, prepared)))
+        echo(document_text(_document(checked, prepared, found)))
     else:
         console = output()
         facts = _facts(prepared, checked)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
-        print_cautions(console, _cautions(checked, prepared))
+        print_cautions(console, found)
         guidance = _guidance(checked, prepared)
         print_cautions(console, cautions_of_move(guidance))
         print_end(console, checked.verdict, guidance)

@@ -201,6 +201,25 @@ def trajectory_known(state: Interlock, _now_s: float) -> Permissive:
     )
 
 
+def warnings_confirmed(state: Interlock, _now_s: float) -> Permissive:
+    """What looks wrong with the files may be meant: the operator has seen each warning, and says so of each."""
+    awaited = unconfirmed(state)
+    return _fact(
+        "warnings confirmed",
+        state.verdict is not None and not awaited,
+        f"waits for {', '.join(awaited)}" if awaited else "none waits" if state.verdict else "not verified",
+        "each one that asks for it",
+        "check what the warning says; only if it is meant, say "
+        + (", ".join(f"confirm {code}" for code in awaited) or "confirm with its code"),
+    )
+
+
+def unconfirmed(state: Interlock) -> tuple[str, ...]:
+    """Codes of the warnings that still wait for the operator."""
+    found = state.verdict.to_confirm if state.verdict else ()
+    return tuple(code for code in found if code not in state.confirmed)
+
+
 # ---------------------------------------------------------------- registration
 
 
@@ -211,6 +230,15 @@ def registration_age(state: Interlock, now_s: float) -> Permissive:
         return _fact(name, True, f"{state.job.registration_age_s:.0f} s", "no bound is configured", remedy)
     age_s = None if state.began_s is None else state.job.registration_age_s + now_s - state.began_s
     return _at_most(name, age_s, bound, "s", remedy)
+
+
+def registration_residual(state: Interlock, _now_s: float) -> Permissive:
+    name, remedy = "residual of the registration", "register the bone again"
+    residual, bound = state.job.registration_residual_mm, state.job.registration_max_residual_mm
+    if bound is None:
+        text = "not known" if residual is None else f"{residual:g} mm"
+        return _fact(name, True, text, "no bound is configured", remedy)
+    return _at_most(name, residual, bound, "mm", remedy)
 
 
 def registration_stands(state: Interlock, _now_s: float) -> Permissive:
@@ -433,6 +461,7 @@ FINAL: tuple[Evaluate, ...] = (
     approach_admissible,
     trajectory_known,
     registration_age,
+    registration_residual,
     log_writable,
     log_space,
 )
@@ -443,6 +472,7 @@ AT_START: tuple[Evaluate, ...] = (start_distance, start_angle)
 
 FOR_PERMIT: tuple[Evaluate, ...] = (
     *FINAL,
+    warnings_confirmed,
     heartbeat_fresh,
     no_stop_cause,
     not_latched,

@@ -72,6 +72,8 @@ class Word(StrEnum):
     ACKNOWLEDGE = auto()
     RESET = auto()
     WITHDRAW = auto()
+    CONFIRM = auto()
+    """A warning, which is named."""
     QUIT = auto()
 
 
@@ -125,6 +127,8 @@ class Job:
     registration_age_s: float = 0.0
     """At the first event; it grows from there."""
     registration_max_age_s: float | None = None
+    registration_residual_mm: float | None = None
+    registration_max_residual_mm: float | None = None
     simulation_allowed_by: str = ""
     """Who said that the controller may be a simulation; empty where nobody did. Never the controller itself."""
 
@@ -206,6 +210,8 @@ class Verdict:
     approach_reason: str
     trajectory: ReferenceTrajectory | None = None
     """Where the arm is when, by what was verified; without it nothing is permitted."""
+    to_confirm: tuple[str, ...] = ()
+    """Codes of the warnings that the operator must confirm before a permit."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +242,8 @@ class Interlock:
     block: int = 0
     stored: Stored | None = None
     verdict: Verdict | None = None
+    confirmed: frozenset[str] = frozenset()
+    """Codes of the warnings that the operator has confirmed."""
     nonce: bytes | None = None
     permit: records.Permit | None = None
     nonce_at_s: float = 0.0
@@ -409,9 +417,10 @@ class Gone:
 
 @dataclass(frozen=True)
 class Said:
-    """An operator word."""
+    """An operator word; ``what`` it is about, where it names something."""
 
     word: Word
+    what: str = ""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from cutgate.runtime.interlock.permissives import (
     failing,
     hopeless,
     measured_now,
+    unconfirmed,
 )
 from cutgate.runtime.interlock.state import (
     ENDED,
@@ -178,7 +179,7 @@ def log_changed(state: Interlock, event: LogChanged, now_s: float) -> Outcome:
 
 
 def said(state: Interlock, event: Said, now_s: float) -> Outcome:
-    """Words that apply everywhere; start, acknowledge and reset only where the table lists them."""
+    """Words that apply everywhere; start, acknowledge, reset and confirm only where the table lists them."""
     match event.word:
         case Word.STOP:
             return stop(state, StopCause.OPERATOR_STOP, "the operator said stop", now_s)
@@ -423,6 +424,18 @@ def offer_permit(state: Interlock, now_s: float) -> Outcome:
 def heartbeat_while_admitted(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
     seen, effects = heartbeat(state, event, now_s)
     return offer_permit(seen, now_s) if seen.phase is Phase.ADMITTED else (seen, effects)
+
+
+def said_while_admitted(state: Interlock, event: Said, now_s: float) -> Outcome:
+    """A warning counts as confirmed only by its own name, and only here, where it has been shown."""
+    if event.word is not Word.CONFIRM:
+        return said(state, event, now_s)
+    awaited = unconfirmed(state)
+    if event.what not in awaited:
+        waits = f"say confirm {awaited[0]}" if awaited else "none waits"
+        named = f"{event.what} is no warning that waits to be confirmed" if event.what else "name the warning"
+        return state, (Refused(event.word, f"{named}; {waits}"),)
+    return offer_permit(replace(state, confirmed=state.confirmed | {event.what}), now_s)
 
 
 # ---------------------------------------------------------------- permit
@@ -758,6 +771,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.UPLOADING, JointsMeasured): measured_while_uploading,
     (P.VERIFYING, VerdictReady): verdict_ready,
     (P.ADMITTED, HeartbeatReceived): heartbeat_while_admitted,
+    (P.ADMITTED, Said): said_while_admitted,
     (P.NONCE_PERMIT, NonceReceived): permit_nonce,
     (P.AUTHORISING_PERMIT, RecordDurable): permit_durable,
     (P.PERMITTING, ReplyReceived): permit_answered,

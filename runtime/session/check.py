@@ -10,7 +10,7 @@ The verification process must say the same (`disagreement`): it can refuse, and 
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, NamedTuple
 
 from cutgate.config.model import Robot
@@ -23,6 +23,7 @@ from cutgate.runtime.verification import verdict as verdicts
 from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.document import Digests, guidance_entries, verdict_document
 from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.plausibility import Caution, Placed, cautions, cautions_of_move, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.summary import summary
@@ -43,6 +44,8 @@ class Answer:
     approach: approach.Approach | None
     approach_document: dict[str, Any] | None
     proof: bytes | None
+    cautions: tuple[Caution, ...] = ()
+    """What looks wrong with the files."""
     guidance: Guidance | None = None
     """How to move the bone, once the verification process has said so: for people, it decides nothing."""
 
@@ -51,6 +54,7 @@ class _Ground(NamedTuple):
     """What is known before the session opens. ``lines`` and ``between`` are None as `Answer.approach` is."""
 
     proved: verdicts.Verdict
+    cautions: tuple[Caution, ...]
     document: dict[str, Any]
     proof: bytes | None
     lines: approach.StraightLines | approach.Approach | None
@@ -63,14 +67,15 @@ class Check:
     Args:
         job: what the session is about.
         robot: deadbands and wrist; everything else is in the job.
+        placed: how the bone was registered, for what may look wrong with it.
     """
 
-    def __init__(self, job: Job, robot: Robot) -> None:
+    def __init__(self, job: Job, robot: Robot, placed: Placed | None = None) -> None:
         self._job = job
         self._robot = robot
         self._ground: _Ground | ValueError
         try:
-            self._ground = _ground(job, robot)
+            self._ground = _ground(job, robot, placed)
         except ValueError as error:  # said, and recorded, when the session comes to it
             self._ground = error
 
@@ -103,7 +108,7 @@ class Check:
         return (yield from _steps(self._job, self._ground, request, start_joints_u))
 
 
-def _ground(job: Job, robot: Robot) -> _Ground:
+def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
     """Verify the cut and prove it, and all of approach and retract that does not depend on where the arm stands.
 
     Raises:
@@ -123,12 +128,14 @@ def _ground(job: Job, robot: Robot) -> _Ground:
         ),
         elapsed_ms=elapsed_ms,
     )
+    found = cautions(problem, verdict, placed)
+    document = described(document, problem, verdict, found)
     if not verdict.admissible:
-        return _Ground(verdict, document, None, None, None)
+        return _Ground(verdict, found, document, None, None, None)
     proof = checked_proof(problem, verdict)
     lines = approach.straight_lines(problem, _clearance_um(job))
     bound = approach.bound(lines, job.timing.approach_speed_percent)
-    return _Ground(verdict, document, proof, lines, course.between(problem, bound) if bound else None)
+    return _Ground(verdict, found, document, proof, lines, course.between(problem, bound) if bound else None)
 
 
 def _clearance_um(job: Job) -> int:
@@ -179,13 +186,18 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
         approach=bound,
         approach_reason=approach.summary(way) if way else "not verified: the cut is not admissible",
         trajectory=trajectory,
+        to_confirm=tuple(caution.code for caution in ground.cautions if caution.confirm),
     )
-    return Answer(verdict, ground.proved, ground.document, way, way_document, ground.proof)
+    return Answer(
+        verdict, ground.proved, ground.document, way, way_document, ground.proof, cautions=ground.cautions
+    )
 
 
 def with_guidance(answer: Answer, found: Guidance | None, note: str) -> Answer:
     """The answer with what was found where to move the bone; else with a note why there is nothing."""
-    return replace(answer, guidance=found, document={**answer.document, **guidance_entries(found, note)})
+    large = tuple(asdict(caution) for caution in cautions_of_move(found))
+    told = {**guidance_entries(found, note), "warnings": [*answer.document["warnings"], *large]}
+    return replace(answer, guidance=found, document={**answer.document, **told})
 
 
 def disagreement(claim: Claim, own: Verdict) -> str:

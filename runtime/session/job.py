@@ -14,6 +14,7 @@ from cutgate.runtime.interlock.state import Job, Timing
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.recorded import problem_from_records
 
 VERIFIER = f"cutgate {__version__}"
@@ -35,6 +36,18 @@ class Files:
         """Who said that the controller may be a simulation; empty where nobody did."""
         said = {ALLOW_SIMULATED: self.allow_simulated, "site.toml": self.settings.controller.simulated}
         return " and ".join(name for name, allowed in said.items() if allowed)
+
+    @property
+    def placed(self) -> Placed | None:
+        """How the bone was registered, and what the site allows of it."""
+        registration = self.prepared.registration
+        if registration is None:
+            return None
+        return Placed(
+            registration.value.matrix,
+            registration.value.residual_rms_mm,
+            self.settings.registration_max_residual_mm,
+        )
 
     @property
     def settings(self) -> Site:
@@ -87,6 +100,8 @@ def make_job(files: Files, *, now: datetime) -> Job:
         serial=settings.controller.serial,
         registration_age_s=age_s,
         registration_max_age_s=settings.registration_max_age_s,
+        registration_residual_mm=registration.value.residual_rms_mm if registration else None,
+        registration_max_residual_mm=settings.registration_max_residual_mm,
         simulation_allowed_by=files.simulation_allowed_by,
     )
 

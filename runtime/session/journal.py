@@ -115,7 +115,7 @@ NAMES: dict[type, Callable[[Any], str]] = {
     LogChanged: lambda _: "log's health",
     Failed: lambda e: f"failed {e.cause.name}",
     Gone: lambda e: f"gave up {e.cause.name}",
-    Said: lambda e: f"said {e.word}",
+    Said: lambda e: f"said {e.word} {plain(e.what)}".strip(),
     Tick: lambda _: "time passed",
 }
 """What each event is called in the log."""
@@ -243,10 +243,14 @@ class Journal:
                 self.log.write(audit.Fault(source="controller", code=event.code.name, cause=event.cause.name))
             case Failed() | Gone():
                 self._fault(event.cause, event.reason)
-            case Said(word=word):
+            case Said(word=word, what=what):
                 refused = next((effect.reason for effect in effects if isinstance(effect, Refused)), None)
                 reason = None if refused is None else plain(refused)
-                self.log.write(audit.Operator(word=word, accepted=refused is None, reason=reason))
+                self.log.write(
+                    audit.Operator(
+                        word=word, what=plain(what) or None, accepted=refused is None, reason=reason
+                    )
+                )
         for effect in effects:
             if isinstance(effect, Deviation):
                 self._fault(StopCause.TRACKING_DEVIATION, effect.reason)

@@ -497,8 +497,9 @@ class Session:
             return
         descriptor = words.descriptor
         for word in words.read():
-            if isinstance(word, Word):
-                self._feed(Said(word))
+            said = spoken(word)
+            if said is not None:
+                self._feed(said)
             else:
                 self._view.note(f"{word!r} is not a word here; say one of {', '.join(Word)}")
         if words.descriptor is None and descriptor is not None:
@@ -597,6 +598,14 @@ class Session:
         if endpoint.link.is_open and (due or endpoint.heartbeat_waits):
             code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
             endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
+
+
+def spoken(text: Word | str) -> Said | None:
+    """What the operator said; only a confirmation names something besides, and None is no word here."""
+    if isinstance(text, Word):
+        return Said(text)
+    word, _, what = text.partition(" ")
+    return Said(Word.CONFIRM, what.strip().upper()) if word == Word.CONFIRM else None
 
 
 def _view_of(beat: ControllerHeartbeat) -> ControllerView:

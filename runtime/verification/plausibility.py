@@ -1,11 +1,12 @@
 """Whether what was verified is likely what was meant: a file in another unit, direction or frame can be sound in itself.
 
-A warning decides nothing. It says what looks wrong, before anybody moves a bone for it.
+A warning says what looks wrong, before anybody moves a bone for it. Some must be confirmed, one by one, before a permit.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +32,17 @@ _ROTARY: Final = (0, 1, 3, 4)
 
 @dataclass(frozen=True)
 class Caution:
-    """What looks wrong, with what was found and what is usual."""
+    """What looks wrong, with what was found and what is usual.
+
+    Attributes:
+        confirm: whether the operator must confirm it, by its code, before a permit.
+    """
 
     code: str
     text: str
     value: float
     bound: float
+    confirm: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,25 +79,67 @@ def place(problem: Problem, boundary: Boundary) -> Vector | None:
     return _vector(begin + boundary.fraction * (end - begin))
 
 
-def cautions(problem: Problem, registration: Floats | None) -> tuple[Caution, ...]:
+@dataclass(frozen=True)
+class Placed:
+    """How the bone was registered.
+
+    Attributes:
+        matrix: from CT to robot coordinates, shape (4, 4), mm.
+        residual_mm: root mean square of what the registration left over.
+        residual_max_mm: what the site allows of it; None where it sets no bound.
+    """
+
+    matrix: Floats
+    residual_mm: float
+    residual_max_mm: float | None = None
+
+
+def cautions(problem: Problem, verdict: Verdict, placed: Placed | None) -> tuple[Caution, ...]:
     """What looks wrong with the files.
 
     Args:
         problem: as it was verified.
-        registration: from CT to robot coordinates, shape (4, 4), mm; None where none is given.
+        verdict: what was found.
+        placed: None where no registration is given.
     """
-    placed = None if registration is None else _near_the_origin(registration)
-    return tuple(one for one in (_size(problem), _radians(problem), placed) if one is not None)
+    found = [_size(problem), _radians(problem)]
+    if placed is not None:
+        found += [
+            _near_the_origin(placed.matrix),
+            _residual(placed),
+            *cautions_of_reading(problem, verdict, placed.matrix),
+        ]
+    return tuple(one for one in found if one is not None)
+
+
+def described(
+    document: dict[str, Any], problem: Problem, verdict: Verdict, found: Sequence[Caution]
+) -> dict[str, Any]:
+    """A verdict's document with where the cut lies, the tip at each worst place, and what looks wrong."""
+    boundaries = {
+        name: {**entry, "tip_mm": _listed(place(problem, verdict.boundaries[name]))}
+        for name, entry in document["boundaries"].items()
+    }
+    return {
+        **document,
+        "boundaries": boundaries,
+        "extent": {name: _listed(value) for name, value in asdict(extent(problem)).items()},
+        "warnings": [asdict(caution) for caution in found],
+    }
+
+
+def _listed(values: tuple[float, ...] | None) -> list[float] | None:
+    return None if values is None else list(values)
 
 
 def _size(problem: Problem) -> Caution | None:
     size, reach = extent(problem).size_mm, problem.arm.upper_mm + problem.arm.forearm_mm
     if size < CUT_LEAST_MM:
         text = f"the whole cut is {size:.3g} mm in size: check whether its file is in mm"
-        return Caution("CUT_TINY", text, size, CUT_LEAST_MM)
+        return Caution("CUT_TINY", text, size, CUT_LEAST_MM, confirm=True)
     if size > reach:
         text = f"the cut is {size:.0f} mm in size, more than the arm's reach of {reach:.0f} mm: check whether its file is in mm"
-        return Caution("CUT_HUGE", text, size, reach)
+        return Caution("CUT_HUGE", text, size, reach, confirm=True)
     return None
 
 
@@ -102,7 +150,7 @@ def _radians(problem: Problem) -> Caution | None:
     if largest > RADIANS_MOST:
         return None
     text = f"no rotary joint may leave +-{largest:.3g} deg: check whether the limits are in radians"
-    return Caution("LIMITS_IN_RADIANS", text, largest, RADIANS_MOST)
+    return Caution("LIMITS_IN_RADIANS", text, largest, RADIANS_MOST, confirm=True)
 
 
 def _near_the_origin(registration: Floats) -> Caution | None:
@@ -111,6 +159,14 @@ def _near_the_origin(registration: Floats) -> Caution | None:
         return None
     text = f"the registration moves the CT by {length:.3g} mm only: right for a plan in robot coordinates, else {_FRAME}"
     return Caution("CT_TRANSLATION_SMALL", text, length, CT_LEAST_MM)
+
+
+def _residual(placed: Placed) -> Caution | None:
+    residual, bound = placed.residual_mm, placed.residual_max_mm
+    if bound is None or residual <= bound:
+        return None
+    text = f"the registration's residual of {residual:g} mm is over the site's {bound:g} mm: register the bone again"
+    return Caution("REGISTRATION_RESIDUAL", text, residual, bound)
 
 
 def _readings(registration: Floats) -> dict[str, tuple[str, Floats]]:
@@ -130,11 +186,9 @@ def _readings(registration: Floats) -> dict[str, tuple[str, Floats]]:
     }
 
 
-def cautions_of_reading(
-    problem: Problem, verdict: Verdict, registration: Floats | None
-) -> tuple[Caution, ...]:
+def cautions_of_reading(problem: Problem, verdict: Verdict, registration: Floats) -> tuple[Caution, ...]:
     """Whether a path that is inadmissible as it is placed would be admissible if its registration is read otherwise."""
-    if registration is None or verdict.admissible:
+    if verdict.admissible:
         return ()
     violated = float(sum(boundary.violated for boundary in verdict.boundaries.values()))
     to_ct = _inverse(registration)
@@ -163,12 +217,11 @@ def cautions_of_move(guidance: Guidance | None) -> tuple[Caution, ...]:
         return ()
     length, turn = math.hypot(*guidance.translation_mm), abs(guidance.yaw_deg)
     if length > MOVE_MOST_MM:
-        return (
-            Caution("MOVE_LARGE", f"the move would be {length:.0f} mm long: {_FRAME}", length, MOVE_MOST_MM),
-        )
+        text = f"the move would be {length:.0f} mm long: {_FRAME}"
+        return (Caution("MOVE_LARGE", text, length, MOVE_MOST_MM, confirm=True),)
     if turn > TURN_MOST_DEG:
         text = f"the bone would be turned by {turn:.1f} deg: {_FRAME}"
-        return (Caution("TURN_LARGE", text, turn, TURN_MOST_DEG),)
+        return (Caution("TURN_LARGE", text, turn, TURN_MOST_DEG, confirm=True),)
     return ()
 
 

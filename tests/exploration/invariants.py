@@ -147,6 +147,8 @@ def _left_without_cover(before: RuntimeSide, event: r.Event, record: records.Rec
     verdict, held = state.verdict, state.collected
     if verdict is None or not verdict.admissible or verdict.approach is None:
         return f"2: a {name} left without an admissible verdict"
+    if not state.confirmed.issuperset(verdict.to_confirm):
+        return f"2: a {name} left although a warning was not confirmed"
     received = tuple(digest(data) if data else b"" for data in (held.limits, held.calibration, held.tool))
     made_for = (verdict.limits, verdict.calibration, verdict.tool, verdict.path)
     if made_for != (*received, digest(state.job.path)):

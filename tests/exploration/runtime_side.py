@@ -37,6 +37,7 @@ from tests.exploration.world import (
     OFF_START,
     OTHER_LIMITS,
     VERDICT,
+    WARNED,
     Change,
     Move,
     Numbers,
@@ -117,6 +118,9 @@ class Runtime:
             yield feed("disk", r.LogChanged(replace(state.log, writable=False)))
         if self.world.bone:
             yield feed("operator", r.Said(r.Word.WITHDRAW))
+        if self.world.warned:
+            yield feed("operator", r.Said(r.Word.CONFIRM, *WARNED.to_confirm), sound=True)
+            yield feed("operator", r.Said(r.Word.CONFIRM, "ANOTHER"))
         over = Passing.SESSION if state.session else 0
         yield Change(Move("runtime", "its process dies"), self.none, (), over)
 
@@ -128,7 +132,7 @@ class Runtime:
             yield feed("disk", durable, first=AWAY)
 
     def _verdicts(self, feed: Callable[..., Change]) -> Iterable[Change]:
-        yield feed("worker", r.VerdictReady(VERDICT), sound=True)
+        yield feed("worker", r.VerdictReady(WARNED if self.world.warned else VERDICT), sound=True)
         if self.world.disk:
             yield feed("worker", r.VerdictReady(replace(VERDICT, admissible=False)))
             yield feed("worker", r.VerdictReady(replace(VERDICT, approach=None)))

@@ -21,6 +21,7 @@ WORLDS: dict[str, World] = {
 """Explored to the last state in every run of the tests."""
 
 LARGER_WORLDS: dict[str, World] = {
+    "a warning to confirm": World(warned=True),
     "limits, disk, memory, loss of power": World(limits=True, disk=True, reboots=True),
 }
 """To the last state as well, in ``make test-all``."""

@@ -40,8 +40,8 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
     """An event, record or frame in a few words."""
     name = type(event).__name__
     match event:
-        case r.Said(word=word):
-            return f"says {word}"
+        case r.Said(word=word, what=what):
+            return f"says {word} {what}".strip()
         case c.HeartbeatReceived(code=code, cause=cause, fresh=fresh):
             return f"heartbeat {code.name}{_named(cause)}{'' if fresh else ', stale'}"
         case r.HeartbeatReceived(view=view, fresh=fresh):

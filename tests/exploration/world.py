@@ -31,6 +31,7 @@ VERDICT = r.Verdict(
     approach_reason="",
     trajectory=builders.trajectory(fixed.START_JOINTS),
 )
+WARNED = replace(VERDICT, to_confirm=("CUT_TINY",))
 POWERED_UP = replace(
     fixed.POWERED_UP, identity=replace(fixed.POWERED_UP.identity, boot_nonce=BOOT), epoch=EPOCH
 )
@@ -49,6 +50,7 @@ class World:
         bone: it moves, the registration is withdrawn, and there is another one.
         emergency_stop: it is pressed and released.
         disk: records late, log failing, the arm away from where it was verified, verdicts against the path.
+        warned: the verdict comes with a warning, which the operator confirms or does not.
         exact: of the signed records of the present session only those are said again that were said. Without it
             every record is taken as said already that differs in nothing but an earlier nonce, epoch, session or boot.
         begin: the controller at the beginning.
@@ -59,6 +61,7 @@ class World:
     bone: bool = False
     emergency_stop: bool = False
     disk: bool = False
+    warned: bool = False
     exact: bool = False
     begin: c.Controller = POWERED_UP
 

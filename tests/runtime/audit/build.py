@@ -28,9 +28,10 @@ from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import prepare, with_branch
 from cutgate.runtime.verification import approach, certificate, certified
 from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.recorded import problem_from_records
 
-VERIFIER = "cutgate 0.1.0"
+VERIFIER = "cutgate test"
 OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))
 LOG_ID = "0123456789abcdef0123456789abcdef"
 PATIENCE_S = 30.0
@@ -204,8 +205,9 @@ def verdict_of(given: float = 500.0) -> str:
     """The verdict document of these inputs, as JSON text."""
     i = inputs(given)
     problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    verdict = certified.verify(problem)
     document = verdict_document(
-        certified.verify(problem),
+        verdict,
         poses=6,
         guidance=None,
         digests=Digests(
@@ -213,7 +215,9 @@ def verdict_of(given: float = 500.0) -> str:
         ),
         elapsed_ms=1.25,
     )
-    return json.dumps(document)
+    value = registration_from_bytes(Path("registration.json"), i.registration)
+    found = cautions(problem, verdict, Placed(value.matrix, value.residual_rms_mm))
+    return json.dumps(described(document, problem, verdict, found))
 
 
 @cache

@@ -121,7 +121,7 @@ def test_a_log_that_ends_early_replays_as_far_as_it_goes(admitted):
 def test_another_verifier_is_stated(admitted):
     result = replayed(admitted, verifier="cutgate 9")
     assert result.outcome is Outcome.IDENTICAL
-    assert "cutgate 0.1.0 recorded, cutgate 9 recomputes" in result.notes[0]
+    assert "cutgate test recorded, cutgate 9 recomputes" in result.notes[0]
 
 
 def test_on_another_cpu_the_counts_are_not_comparable(admitted):
@@ -144,6 +144,19 @@ def test_on_another_cpu_clearances_are_compared(admitted):
     differs(forge(data, in_document(other_clearance)), "verdict boundaries.top.clearance")
 
 
+def test_a_log_of_0_1_0_that_says_nothing_of_warnings_replays(admitted):
+    def as_before(document):
+        del document["extent"], document["warnings"]
+        for boundary in document["boundaries"].values():
+            del boundary["tip_mm"]
+
+    earlier = "cutgate 0.1.0"
+    data = forge(forge(admitted, in_document(as_before)), changed(records.Verdict, verifier=earlier))
+    data = forge(data, changed(records.Open, verifier=earlier))
+    assert not [line for line in replayed(data).differences if "recomputed only" in line]
+    differs(forge(admitted, in_document(as_before)), "extent")
+
+
 # ---------------------------------------------------------------- forged verdicts
 
 
@@ -152,6 +165,25 @@ def admit(document):
     for entry in document["boundaries"].values():
         entry["violated"] = False
         entry["certified"] = entry["clearance"] = 50.0
+
+
+@pytest.mark.parametrize(
+    ("where", "key"), [("extent", "entry_tip_mm"), ("extent", "tilt_deg"), ("boundaries", "inner")]
+)
+def test_a_forged_place_of_the_cut_differs(admitted, where, key):
+    def change(document):
+        found = document[where][key]
+        (found if isinstance(found, list) else found["tip_mm"])[0] += 0.001
+
+    differs(forge(admitted, in_document(change)), f"verdict {where}.{key}")
+
+
+def test_a_warning_that_was_left_out_or_made_up_differs(admitted):
+    made_up = {"code": "CUT_HUGE", "text": "x", "value": 1.0, "bound": 2.0, "confirm": True}
+    differs(
+        forge(admitted, in_document(lambda document: document["warnings"].append(made_up))),
+        "verdict warnings",
+    )
 
 
 def test_a_forged_verdict_with_a_sound_chain_differs(refused):

@@ -58,6 +58,7 @@ class WarningPart(Part):
     text: Annotated[str, Field(min_length=1)]
     value: Real
     bound: Real
+    confirm: bool
 
 
 class ExtentPart(Part):

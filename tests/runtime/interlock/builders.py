@@ -116,6 +116,8 @@ JOB = Job(
     serial="SIM-1",
     registration_age_s=100.0,
     registration_max_age_s=3600.0,
+    registration_residual_mm=0.5,
+    registration_max_residual_mm=1.0,
 )
 
 SESSION = Session(

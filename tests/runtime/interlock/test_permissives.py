@@ -52,6 +52,17 @@ ALONE = [
     ("job.registration_age_s", math.nan, p.registration_age, math.nan, "<= 3600 s"),
     ("job.registration_age_s", -61.0, p.registration_age, -1.0, "<= 3600 s"),
     ("began_s", None, p.registration_age, "not known", "<= 3600 s"),
+    ("job.registration_residual_mm", 1.01, p.registration_residual, 1.01, "<= 1 mm"),
+    ("job.registration_residual_mm", -0.01, p.registration_residual, -0.01, "<= 1 mm"),
+    ("job.registration_residual_mm", math.nan, p.registration_residual, math.nan, "<= 1 mm"),
+    ("job.registration_residual_mm", None, p.registration_residual, "not known", "<= 1 mm"),
+    (
+        "verdict.to_confirm",
+        ("CUT_TINY", "LIMITS_IN_RADIANS"),
+        p.warnings_confirmed,
+        "waits for CUT_TINY, LIMITS_IN_RADIANS",
+        "each one that asks for it",
+    ),
     ("registration_withdrawn", True, p.registration_stands, "withdrawn", "not withdrawn"),
     ("log.writable", False, p.log_writable, "failed", "writable"),
     ("log.reserved_bytes", 1999, p.log_space, 1999.0, ">= 2000 bytes"),
@@ -246,6 +257,24 @@ def test_without_a_configured_bound_the_age_is_shown_and_holds():
     assert (one.holds, one.text, one.bound) == (True, "100 s", "no bound is configured")
 
 
+@pytest.mark.parametrize(("residual_mm", "text"), [(3.5, "3.5 mm"), (None, "not known")])
+def test_without_a_configured_bound_the_residual_is_shown_and_holds(residual_mm, text):
+    without = altered(READY, "job.registration_max_residual_mm", None)
+    one = p.registration_residual(altered(without, "job.registration_residual_mm", residual_mm), NOW)
+    assert (one.holds, one.text, one.bound) == (True, text, "no bound is configured")
+
+
+def test_each_warning_is_confirmed_by_its_own_code_and_the_remedy_names_the_rest():
+    two = altered(READY, "verdict.to_confirm", ("CUT_TINY", "LIMITS_IN_RADIANS"))
+    one = p.warnings_confirmed(altered(two, "confirmed", frozenset({"CUT_TINY", "CUT_HUGE"})), NOW)
+    assert (one.holds, one.text) == (False, "waits for LIMITS_IN_RADIANS")
+    assert one.remedy.endswith("say confirm LIMITS_IN_RADIANS")
+    both = altered(two, "confirmed", frozenset({"CUT_TINY", "LIMITS_IN_RADIANS"}))
+    assert p.warnings_confirmed(both, NOW).holds
+    assert p.unconfirmed(altered(two, "verdict", None)) == ()
+    assert not p.warnings_confirmed(altered(two, "verdict", None), NOW).holds
+
+
 SIMULATION = altered(READY, "job.simulation_allowed_by", "site.toml")
 
 
@@ -347,7 +376,7 @@ HOPELESS = [
     if evaluate
     in set(p.COLLECTED)
     | {p.path_accepted, p.path_digest, p.verdict_admissible, p.verdict_current, p.approach_admissible}
-    | {p.registration_age, p.registration_stands, p.log_writable}
+    | {p.registration_age, p.registration_residual, p.registration_stands, p.log_writable}
 ]
 
 

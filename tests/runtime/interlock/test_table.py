@@ -1236,6 +1236,44 @@ def test_an_admitted_path_waits_until_everything_holds():
     assert run.phase is Phase.STOPPING
 
 
+def _warned(*codes, confirmed=()):
+    verdict = replace(VERDICT, to_confirm=codes)
+    return in_phase(Phase.ADMITTED, verdict=verdict, confirmed=frozenset(confirmed))
+
+
+def test_an_admitted_path_waits_for_each_warning_to_be_confirmed():
+    run = Run(_warned("CUT_TINY", "LIMITS_IN_RADIANS"), NOW).feed(beat(ControllerState.LOADED))
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(Said(Word.CONFIRM, "LIMITS_IN_RADIANS"), beat(ControllerState.LOADED))
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(Said(Word.CONFIRM, "CUT_TINY"))
+    assert (run.phase, sent(run.effects)) == (
+        Phase.NONCE_PERMIT,
+        [records.NonceRequest(purpose=Purpose.PERMIT)],
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "confirmed", "why"),
+    [
+        ("", (), "name the warning; say confirm CUT_TINY"),
+        ("CUT_HUGE", (), "CUT_HUGE is no warning that waits to be confirmed; say confirm CUT_TINY"),
+        ("CUT_TINY", ("CUT_TINY",), "CUT_TINY is no warning that waits to be confirmed; none waits"),
+    ],
+)
+def test_only_a_warning_that_waits_can_be_confirmed(what, confirmed, why):
+    before = _warned("CUT_TINY", confirmed=confirmed)
+    assert step(before, Said(Word.CONFIRM, what), NOW) == (before, (Refused(Word.CONFIRM, why),))
+
+
+@pytest.mark.parametrize("phase", sorted({*Phase} - {Phase.ADMITTED} - ENDED))
+def test_a_warning_is_confirmed_only_where_it_has_been_shown(phase):
+    before = in_phase(phase)
+    after, effects = step(before, Said(Word.CONFIRM, "CUT_TINY"), NOW)
+    assert after.confirmed == frozenset()
+    assert [type(effect) for effect in effects] == [Refused]
+
+
 # ---------------------------------------------------------------- permit, start, cut
 
 

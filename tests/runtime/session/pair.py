@@ -56,6 +56,7 @@ from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach import Steps, finished
 from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.plausibility import Placed
 from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
@@ -174,10 +175,14 @@ def claim_of(verdict: Verdict) -> Claim:
     )
 
 
+PLACED: dict[bytes, Placed] = {}
+"""How the bone of each job was registered, by the registration's digest."""
+
+
 @cache
 def check_of(job: SessionJob, robot: Robot) -> Check:
     """The runtime's own verification of a job, made once for all tests."""
-    return Check(job, robot)
+    return Check(job, robot, PLACED.get(job.registration))
 
 
 class Altered(Check):
@@ -303,7 +308,10 @@ def _job(directory: Path, bone_x_mm: float) -> tuple[InputFiles, SessionJob]:
         None,
         allow_simulated=True,
     )
-    return files, make_job(files, now=NOW)
+    job = make_job(files, now=NOW)
+    if files.placed is not None:
+        PLACED[job.registration] = files.placed
+    return files, job
 
 
 def job_of(tmp_path_factory: Any, bone_x_mm: float = ADMISSIBLE_MM) -> tuple[InputFiles, SessionJob]:

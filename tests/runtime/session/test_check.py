@@ -263,7 +263,7 @@ ANOTHER = {
     ),
 }
 """A claim with one field altered, and what is said of it."""
-NOT_CLAIMED = {"reason", "approach_reason", "trajectory"}
+NOT_CLAIMED = {"reason", "approach_reason", "trajectory", "to_confirm"}
 """This side's alone."""
 
 

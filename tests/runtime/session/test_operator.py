@@ -7,8 +7,15 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.audit import records as audit
+from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.interlock.state import Phase, Refused, Word
+from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.messages import Broken
+from cutgate.runtime.verification import certified, plausibility
+from tests.runtime.audit.build import forge
+from tests.runtime.session.pair import check_of
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER
 
@@ -223,3 +230,60 @@ def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
     assert pair.controller.cause is cause
     assert (pair.job.registration in pair.controller.memory.withdrawn) is (word == "withdraw")
     assert pair.end() is Phase.STOPPED
+
+
+# ---------------------------------------------------------------- warnings
+
+
+@pytest.fixture
+def doubtful(pair, monkeypatch):
+    """A session whose cut is called tiny."""
+    monkeypatch.setattr(plausibility, "CUT_LEAST_MM", 1000.0)
+    monkeypatch.setattr("tests.runtime.session.pair.check_of", check_of.__wrapped__)
+    return pair.begin()
+
+
+def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubtful):
+    doubtful.to(Phase.ADMITTED).run(0.5)
+    assert doubtful.phase is Phase.ADMITTED
+    assert [caution.code for caution in doubtful.notes.verdicts[0].cautions] == ["CUT_TINY"]
+    doubtful.say("confirm").say("confirm cut_huge").run(0.1)
+    assert doubtful.phase is Phase.ADMITTED
+    assert not first_frames(doubtful, records.Permit)
+    doubtful.say("Confirm  cut_tiny")
+    assert doubtful.end() is Phase.DONE
+    doubtful.close()
+    said = [
+        (record["word"], record.get("what"), record["accepted"])
+        for record in doubtful.read().of("/audit/operator")
+    ]
+    assert said == [
+        ("confirm", None, False),
+        ("confirm", "CUT_HUGE", False),
+        ("confirm", "CUT_TINY", True),
+        ("start", None, True),
+    ]
+    assert doubtful.replayed().outcome is Outcome.IDENTICAL
+
+
+def test_a_warning_nobody_confirms_ends_the_session_and_is_named(doubtful):
+    doubtful.to(Phase.ADMITTED)
+    wait_s = doubtful.job.timing.operator_wait_s
+    assert doubtful.end(wait_s + 1.0) is Phase.REFUSED
+    assert "say confirm CUT_TINY" in doubtful.state.reason
+
+
+@pytest.mark.parametrize(
+    "change", [{"accepted": False}, {"what": "CUT_HUGE"}, {"what": None}, {"word": "start"}]
+)
+def test_replay_finds_a_permit_that_left_without_the_confirmation(doubtful, change):
+    doubtful.to(Phase.ADMITTED).say("confirm cut_tiny").end()
+    doubtful.close()
+
+    def edit(record):
+        confirms = isinstance(record, audit.Operator) and record.word == "confirm"
+        return record.model_copy(update=change) if confirms else record
+
+    forged = forge(doubtful.paths.log.read_bytes(), edit)
+    found = replay(read_log(forged), certified.verify, verifier=VERIFIER)
+    assert found.differences == ("a permit left although the warning CUT_TINY was not confirmed",)

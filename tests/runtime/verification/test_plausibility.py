@@ -2,17 +2,21 @@
 
 import json
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import certified
+from cutgate.runtime.verification import certified, plausibility
 from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.plausibility import (
+    Placed,
     cautions,
     cautions_of_move,
     cautions_of_reading,
+    described,
     extent,
     place,
 )
@@ -31,6 +35,10 @@ def at(*translation):
     placed = np.eye(4)
     placed[:3, 3] = translation
     return placed
+
+
+def found_in(one, placed=None):
+    return cautions(one, certified.verify(one), placed)
 
 
 def move(translation, yaw_deg=0.0):
@@ -62,7 +70,7 @@ def test_a_worst_place_lies_on_the_tips_path():
 
 
 def test_an_ordinary_case_gives_no_warning():
-    assert cautions(case(), at(500.0, 0.0, 0.0)) == cautions(case(), None) == ()
+    assert found_in(case(), Placed(at(500.0, 0.0, 0.0), 0.4, 0.5)) == found_in(case()) == ()
 
 
 @pytest.mark.parametrize(
@@ -70,28 +78,38 @@ def test_an_ordinary_case_gives_no_warning():
     [(0.05, "CUT_TINY"), (0.5, "CUT_TINY"), (2.0, None), (700.0, None), (1500.0, "CUT_HUGE")],
 )
 def test_a_cut_in_another_unit_is_too_small_or_too_large(size_mm, code):
-    found = cautions(case(size_mm, 0.0), None)
+    found = found_in(case(size_mm, 0.0))
     assert codes(found) == ([code] if code else [])
     for one in found:
         assert one.value == pytest.approx(extent(case(size_mm, 0.0)).size_mm)
         assert (one.value < one.bound) is (code == "CUT_TINY")
+        assert one.confirm
 
 
 @pytest.mark.parametrize(
     ("length_mm", "warns"), [(0.0, True), (0.5, True), (9.9, True), (10.1, False), (500.0, False)]
 )
 def test_a_registration_that_moves_the_ct_hardly_is_told(length_mm, warns):
-    found = cautions(case(), at(0.0, -length_mm, 0.0))
+    found = found_in(case(), Placed(at(0.0, -length_mm, 0.0), 0.1))
     assert codes(found) == ["CT_TRANSLATION_SMALL"] * warns
+    assert not any(one.confirm for one in found), "a plan in robot coordinates has it"
+
+
+@pytest.mark.parametrize(
+    ("residual_mm", "bound_mm", "warns"), [(0.5, None, False), (0.5, 0.5, False), (0.51, 0.5, True)]
+)
+def test_a_residual_over_the_sites_bound_is_told(residual_mm, bound_mm, warns):
+    found = found_in(case(), Placed(at(500.0, 0.0, 0.0), residual_mm, bound_mm))
+    assert codes(found) == ["REGISTRATION_RESIDUAL"] * warns
+    assert [(one.value, one.bound) for one in found] == [(residual_mm, bound_mm)] * warns
 
 
 def test_limits_in_radians_are_told():
     lower, upper = np.radians((-1.4, 0.0, 0.0, -2.97, 0.0)), np.radians((1.4, 2.5, 0.0, 2.97, 1.92))
     lower[2], upper[2] = 50.0, 450.0
-    assert codes(cautions(case(lower=lower, upper=upper), None)) == ["LIMITS_IN_RADIANS"]
-    assert (
-        cautions(case(lower=lower, upper=np.where(np.arange(5) == 1, math.radians(6.3), upper)), None) == ()
-    )
+    (found,) = found_in(case(lower=lower, upper=upper))
+    assert (found.code, found.confirm) == ("LIMITS_IN_RADIANS", True)
+    assert found_in(case(lower=lower, upper=np.where(np.arange(5) == 1, math.radians(6.3), upper))) == ()
 
 
 @pytest.mark.parametrize(
@@ -111,6 +129,7 @@ def test_a_large_move_is_doubted_before_it_is_made(guidance, code):
     for one in found:
         assert "check units, direction and frame (LPS or RAS) of the registration first" in one.text
         assert abs(one.value) > one.bound
+        assert one.confirm
         assert json.dumps(one.value)
 
 
@@ -141,5 +160,28 @@ def test_a_registration_that_was_written_otherwise_than_it_is_read_is_told(code)
     found = cautions_of_reading(misplaced, verdict, written)
     assert code in codes(found)
     assert all(one.value > one.bound for one in found)
-    assert cautions_of_reading(misplaced, verdict, None) == ()
+    assert {*codes(found)} <= {*codes(cautions(misplaced, verdict, Placed(written, 0.1)))}
     assert cautions_of_reading(cut, certified.verify(cut), right) == ()
+
+
+def test_a_described_document_is_plain_data_that_says_where_the_cut_lies_and_what_looks_wrong():
+    one = case(0.5, 0.0)
+    verdict = certified.verify(one)
+    document = {"boundaries": {name: {"unit": line.unit} for name, line in verdict.boundaries.items()}}
+    told = described(document, one, verdict, cautions(one, verdict, None))
+    assert json.loads(json.dumps(told)) == told
+    assert told["extent"]["entry_tip_mm"] == list(one.tips_mm[0])
+    assert [(warning["code"], warning["confirm"]) for warning in told["warnings"]] == [("CUT_TINY", True)]
+    for name, line in verdict.boundaries.items():
+        assert told["boundaries"][name] == {"unit": line.unit, "tip_mm": list(place(one, line))}
+
+
+def test_the_page_names_every_warning_and_which_must_be_confirmed():
+    source = Path(plausibility.__file__).read_text(encoding="utf-8")
+    codes_made = {*re.findall(r'"([A-Z]+(?:_[A-Z]+)+)"', source)}
+    page = (Path(__file__).parents[3] / "docs" / "verification.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`[A-Z_`, ]+`) \|.*\| (yes|no) \|$", page, re.MULTILINE)
+    told = {code: answer for names, answer in rows for code in re.findall(r"[A-Z_]+", names)}
+    assert told.keys() == codes_made
+    confirmed = {code for code in codes_made if re.search(rf'Caution\("{code}",.*confirm=True', source)}
+    assert {code for code, answer in told.items() if answer == "yes"} == confirmed

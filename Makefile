@@ -85,6 +85,7 @@ docs: $(READY) pictures
 	$(BIN)/python -m cutgate.config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
 	$(BIN)/python -m docs.make_error_matrix
+	$(BIN)/python -m docs.make_screens
 
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py

@@ -72,11 +72,14 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class OpenInfo:
-    """What record 0 says of the program; ``simulation`` holds options only a simulation has."""
+    """What record 0 says of the program and of who runs it; ``simulation`` holds options only a simulation has."""
 
     software: str
     verifier: str
     simulation: tuple[tuple[str, str], ...] = ()
+    account: str | None = None
+    host: str | None = None
+    operator: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -464,6 +467,9 @@ def _open_record(log_id: str, opened: OpenInfo, candump: str, previous: Previous
         previous_crashed=previous.crashed,
         previous_note=previous.note,
         simulation=tuple(records.Option(name=name, value=value) for name, value in opened.simulation),
+        account=opened.account,
+        host=opened.host,
+        operator=opened.operator,
     )
 
 

@@ -98,6 +98,11 @@ class Open(AuditRecord):
     previous_note: str | None = None
     simulation: tuple[Option, ...] = ()
     """Options that only a simulation has, such as a time scale."""
+    account: str | None = None
+    """The user of the process, as the operating system knows him."""
+    host: str | None = None
+    operator: str | None = None
+    """As he called himself."""
 
 
 class PermissiveValue(Entry):

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from socket import gethostname
 from threading import Thread
 from typing import Annotated, Final
 
@@ -17,6 +18,8 @@ import typer
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError
+from cutgate.config.ours import user
+from cutgate.config.screen import printable
 from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
 from cutgate.config.signals import wake as write_wake
 from cutgate.config.terminal import typed
@@ -28,7 +31,7 @@ from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, SIMULATED
 from cutgate.runtime.audit.directory import Listed, Previous
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import delivered, working
-from cutgate.runtime.commands.session_view import SessionView, run_document
+from cutgate.runtime.commands.session_view import SessionView, run_document, stopped
 from cutgate.runtime.commands.verdict_view import BAD
 from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
 from cutgate.runtime.exits import READER_GONE
@@ -42,6 +45,7 @@ from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.document import document_text
 
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
+OPERATOR_MAX: Final = 64
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
 TOLD: Final[dict[int, str]] = {
@@ -50,6 +54,19 @@ TOLD: Final[dict[int, str]] = {
     signal.SIGTSTP: "SIGTSTP (Ctrl-Z): a suspended runtime could not watch the arm",
 }
 """What is said of a signal that ends the session, where its name is not enough; Ctrl-C needs no telling."""
+
+
+def _name(text: str | None) -> str | None:
+    """A person's name, on one line."""
+    if text is not None and not (0 < len(text) <= OPERATOR_MAX and text.isprintable() and text.strip()):
+        raise InputError(
+            "--operator",
+            "",
+            printable(text[:OPERATOR_MAX]),
+            f"1 to {OPERATOR_MAX} printable characters",
+            "say a name",
+        )
+    return text
 
 
 def run(
@@ -75,6 +92,9 @@ def run(
         ),
     ] = False,
     log_dir: Annotated[Path | None, typer.Option(help="Where the audit log goes.")] = None,
+    operator: Annotated[
+        str | None, typer.Option(callback=_name, metavar="NAME", help="Who runs the session, for the log.")
+    ] = None,
     feed_mm_s: Annotated[
         float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
     ] = None,
@@ -102,7 +122,7 @@ def run(
         directory = log_dir or Path(files.settings.log.directory)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
-            log = _log(directory, files, job.path, name)
+            log = _log(directory, files, job.path, name, operator)
             _tell(log.previous, view)
             withdrawn_in = _withdrawn_in(log, job.registration)
             if withdrawn_in is not None:
@@ -112,9 +132,11 @@ def run(
         finally:
             bus.shutdown()
         if not json:
-            view.outcome(session.state, paths)
+            view.outcome(session.state, paths, stopped(session))
         view.close()
-    if json and not delivered(document_text(run_document(session.state, session.answer, paths))):
+    if json and not delivered(
+        document_text(run_document(session.state, session.answer, paths, stopped(session)))
+    ):
         raise typer.Exit(READER_GONE)
     # A cut that nobody can prove is never a success, nor a log that is not whole one of a session that was not admitted.
     raise typer.Exit(EXIT[session.state.phase if paths.closed else Phase.STOPPED])
@@ -279,13 +301,20 @@ def _key(option: Path | None, files: Files) -> bytes:
     return load_key(file)
 
 
-def _log(directory: Path, files: Files, path: bytes, bus: str) -> AuditLog:
+def _log(directory: Path, files: Files, path: bytes, bus: str, operator: str | None) -> AuditLog:
     """A new log with every input file attached: the bytes that were parsed."""
     with working(f"opening a log in {directory}; what a crash has left there is read first"):
         log = AuditLog.create(
             directory,
             log_id=os.urandom(16).hex(),
-            opened=OpenInfo(VERIFIER, VERIFIER, _options(files, bus)),
+            opened=OpenInfo(
+                VERIFIER,
+                VERIFIER,
+                _options(files, bus),
+                plain(user(os.getuid())),
+                plain(gethostname()),
+                operator,
+            ),
             chunk_period_s=files.settings.log.chunk_period_ms / 1000,
         )
     prepared = files.prepared

@@ -30,14 +30,18 @@ from cutgate.runtime.interlock.state import (
     Said,
     Word,
 )
+from cutgate.runtime.review.show import stop_lines
+from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
+from cutgate.runtime.session.loop import Session
 from cutgate.runtime.verification.approach import Approach, summary
 from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.plausibility import cautions_of_move
 
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10
+AT_REST: Final = (ControllerState.INHIBITED, ControllerState.FAULT)
 
 SAYS: Final = {
     Phase.OPENING: "controller found, opening a session",
@@ -164,7 +168,9 @@ class SessionView:
         self._output.print(
             lambda: Group(
                 headline(answer.proved),
+                "",
                 boundaries_table(answer.proved),
+                "",
                 *(caution_line(caution) for caution in answer.cautions),
             )
         )
@@ -186,9 +192,11 @@ class SessionView:
             self._percent = percent - percent % PERCENT_STEP
             self.note(f"cutting: {self._percent} %, segment {segment} of {segments}")
 
-    def outcome(self, state: Interlock, paths: Paths) -> None:
-        """The last lines: what came of it, why, and where the log is."""
-        self._output.print(lambda: outcome_lines(state, paths), soft_wrap=True)
+    def outcome(self, state: Interlock, paths: Paths, stop: dict[str, Any] | None = None) -> None:
+        """The last lines: what came of it, why, and where the log is; after a stop also what is to be known and done."""
+        if stop is not None:
+            self._output.print(lambda: Group("", *stop_lines(stop)))
+        self._output.print(lambda: outcome_lines(state, paths, told=stop is not None), soft_wrap=True)
 
 
 def approach_line(approach: Approach) -> Text:
@@ -198,11 +206,35 @@ def approach_line(approach: Approach) -> Text:
     return Text.assemble("approach and retract ", (word, style), f"{lengths}: {summary(approach)}")
 
 
-def outcome_lines(state: Interlock, paths: Paths) -> Group:
-    """What came of it, why, and where the log is."""
+def stopped(session: Session) -> dict[str, Any] | None:
+    """What is told after a stop; None where the session did not end by one."""
+    state, view, where = session.state, session.state.controller, session.stopped_in
+    if state.phase is not Phase.STOPPED or where is None:
+        return None
+    held, verdict = state.collected, state.verdict
+    way = None
+    if held.calibration is not None and held.tool is not None and verdict is not None and verdict.approach:
+        way = Way(state.job.path, held.calibration, held.tool, verdict.approach.entry_um)
+    return stop_document(
+        Stopped(
+            cause=state.cause,
+            reason=state.reason,
+            phase=where,
+            at_rest=view is not None and view.state in AT_REST,
+            latched=view is not None and view.state is ControllerState.FAULT,
+            standing=view.cause if view is not None else StopCause.NONE,
+            progress=session.progress,
+            joints_u=session.joints_u,
+        ),
+        way,
+    )
+
+
+def outcome_lines(state: Interlock, paths: Paths, *, told: bool = False) -> Group:
+    """What came of it and why, unless it is told already, and where the log is."""
     word, style = OUTCOME[state.phase]
     reason = f": {printable(state.reason)}" if state.reason else ""
-    lines: list[RenderableType] = ["", Text.assemble((word, style), reason)]
+    lines: list[RenderableType] = [""] if told else ["", Text.assemble((word, style), reason)]
     if state.job.simulation_allowed_by:
         lines.append(Text(printable(_simulation(state)), BAD))
     if state.controller is not None:
@@ -229,7 +261,9 @@ def _simulation(state: Interlock) -> str:
     return f"simulation: allowed by {state.job.simulation_allowed_by}; {speed}"
 
 
-def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[str, Any]:
+def run_document(
+    state: Interlock, answer: Answer | None, paths: Paths, stop: dict[str, Any] | None
+) -> dict[str, Any]:
     """What ``run --json`` prints."""
     view = state.controller
     return {
@@ -239,6 +273,7 @@ def run_document(state: Interlock, answer: Answer | None, paths: Paths) -> dict[
         ],
         "cause": state.cause.name,
         "reason": state.reason,
+        "stop": stop,
         "controller": view and {"state": view.state.name, "cause": view.cause.name, "epoch": view.epoch},
         "session": state.session.digest.hex() if state.session else None,
         "simulation": None

@@ -505,7 +505,20 @@ def failing(which: tuple[Evaluate, ...], state: Interlock, now_s: float) -> tupl
     return tuple(permissive for permissive in evaluate(which, state, now_s) if permissive.holds is not True)
 
 
+FOLLOWS: dict[Evaluate, Evaluate] = {
+    approach_admissible: verdict_admissible,
+    trajectory_known: approach_admissible,
+}
+"""What fails only because another one does: a person need not read it."""
+
+
 def hopeless(state: Interlock, now_s: float) -> tuple[Permissive, ...]:
-    """Those for the permit that do not hold and never will; the file system may still answer."""
+    """Those for the permit that do not hold and never will, without what only follows; the file system may still answer."""
     unanswered = {log_space} if state.log.reserved_bytes == 0 else set()
-    return failing(tuple(permissive for permissive in FINAL if permissive not in unanswered), state, now_s)
+    judged = {permissive: permissive(state, now_s) for permissive in FINAL if permissive not in unanswered}
+    broken = {permissive for permissive, found in judged.items() if found.holds is not True}
+    return tuple(
+        judged[permissive]
+        for permissive in FINAL
+        if permissive in broken and FOLLOWS.get(permissive) not in broken
+    )

@@ -5,11 +5,12 @@ from datetime import UTC, datetime
 from itertools import groupby
 from typing import Any, Final
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from cutgate.config.screen import printable
+from cutgate.runtime.review.stopped import SAFE
 from cutgate.runtime.review.story import failing
 
 GOOD: Final = "bold green"
@@ -26,9 +27,56 @@ def print_story(console: Console, story: Mapping[str, Any]) -> None:
         _verdict(console, verdict)
     for approach in story["approaches"]:
         _approach(console, approach)
+    if story["allowed"]:
+        _allowed(console, story["allowed"])
+    if story["stop"] is not None:
+        console.print()
+        console.print(*stop_lines(story["stop"]), sep="\n")
     print_time_line(console, story["decisions"])
     _facts(console, story)
     _files(console, story)
+
+
+def stop_lines(stop: Mapping[str, Any]) -> list[RenderableType]:
+    """What is told after a stop (`stop_document`): a block of its own."""
+    told = Table.grid(padding=(0, 2, 0, 0))
+    told.add_row("  what", Text(printable(f"{stop['text']} ({stop['cause']}, while {_phase(stop)})")))
+    for label, text in _where(stop):
+        told.add_row(f"  {label}", Text(text))
+    certain = "yes: the controller's last heartbeat says that it inhibits motion"
+    doubt = (
+        "NO: nobody has confirmed that the arm stands"
+        if stop["moving"]
+        else "not confirmed by the controller"
+    )
+    told.add_row("  at rest", Text(certain, GOOD) if stop["confirmed"] else Text(doubt, BAD))
+    steps = Table.grid(padding=(0, 1, 0, 0))
+    for number, step in enumerate(stop["next"], 1):
+        steps.add_row(f"  {number}.", Text(printable(step), BAD if step in SAFE else ""))
+    reason = f": {printable(stop['reason'])}" if stop["reason"] else ""
+    return [Text.assemble(("STOPPED", BAD), reason), told, Text("What to do next", "bold"), steps]
+
+
+def _phase(stop: Mapping[str, Any]) -> str:
+    return str(stop["while"]).replace("_", " ")
+
+
+def _where(stop: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The place on the path, and the tip's in the robot frame: label and text."""
+    where = stop["where"]
+    if where is None:
+        yield "where", "not known" if stop["moving"] else "the arm had not been started"
+        return
+    if where["segment"] is None:
+        yield "where", "not known: no progress was reported"
+    else:
+        done = f"{where['percent']:.1f} % of the path is cut, {where['to_go_mm']:.1f} mm to go"
+        yield "where", f"segment {where['segment']} of {where['segments']}: {done}"
+    if where["tip_mm"] is not None:
+        x, y, z = where["tip_mm"]
+        side = "below" if where["depth_mm"] > 0.0 else "above"
+        depth = f"{abs(where['depth_mm']):.1f} mm {side} the entry plane, along the tool"
+        yield "tip", f"x {x:.1f} y {y:.1f} z {z:.1f} mm; {depth}"
 
 
 def _head(console: Console, story: Mapping[str, Any]) -> None:
@@ -44,12 +92,20 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
         "opened": f"{moment:%Y-%m-%d %H:%M:%S} UTC" if moment else "",
         "software": f"{_text(opened, 'software')}, verifier {_text(opened, 'verifier')}",
         "previous session": _previous(opened),
+        "who": _who(opened),
         "simulation": ", ".join(
             f"{_text(option, 'name')} {_text(option, 'value')}" for option in _entries(opened, "simulation")
         ),
         "ended": _ending(closed) if closed else "no close record",
     }
     _pairs(console, rows)
+
+
+def _who(opened: Mapping[str, Any]) -> str:
+    """Account and host, which the operating system knows, and the name that was given."""
+    account, host, operator = (_text(opened, key) for key in ("account", "host", "operator"))
+    parts = (operator and f"operator {operator}", account and f"account {account}", host and f"on {host}")
+    return ", ".join(filter(None, parts))
 
 
 def _previous(opened: Mapping[str, Any]) -> str:
@@ -104,6 +160,25 @@ def _approach(console: Console, approach: Mapping[str, Any]) -> None:
     console.print(
         Text.assemble("Approach and retract: ", (word.upper(), style), where, _text(approach, "reason"))
     )
+
+
+def _allowed(console: Console, allowed: list[dict[str, Any]]) -> None:
+    """Why permit and start were allowed: everything that was asked as each left, with its value and bound."""
+    console.print()
+    console.print("Why it was allowed", style="bold")
+    heads = [f"{_text(one, 'what')}, {one['offset_s']:.3f} s" for one in allowed]
+    table = _table("permissive", *heads, "required")
+    asked: dict[str, list[Text]] = {}
+    bounds: dict[str, str] = {}
+    for number, one in enumerate(allowed):
+        for entry in one["permissives"]:
+            name, holds = _text(entry, "name"), entry.get("holds") is True
+            cells = asked.setdefault(name, [Text("")] * len(allowed))
+            cells[number] = Text(_shown(entry)) if holds else Text(f"{_shown(entry)}: DID NOT HOLD", BAD)
+            bounds[name] = _text(entry, "bound")
+    for name, cells in asked.items():
+        table.add_row(name, *cells, bounds[name])
+    console.print(table)
 
 
 def _um(record: Mapping[str, Any], key: str) -> str:
@@ -170,7 +245,10 @@ def _why(decision: Mapping[str, Any]) -> str:
 
 
 def _shown(permissive: Mapping[str, Any]) -> str:
-    return _number(permissive["value"]) if "value" in permissive else _text(permissive, "text")
+    value = permissive.get("value")
+    if isinstance(value, float) and value.is_integer() and abs(value) <= _SHOWN_MAX:
+        return f"{value:.0f}"
+    return _number(value) if "value" in permissive else _text(permissive, "text")
 
 
 def _facts(console: Console, story: Mapping[str, Any]) -> None:

@@ -1,18 +1,37 @@
 """A log as one document for people: what was decided, when, why, and where the files are."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from cutgate.config.load import DEFAULT_LIMIT
+from cutgate.protocol.e2e import intact
+from cutgate.protocol.frames import (
+    DATA_IDS,
+    IDS,
+    Frame,
+    Joint4,
+    Joints01,
+    Joints23,
+    Progress,
+    decode_frame,
+    joint_values,
+)
+from cutgate.protocol.records import joints_to_counts
+from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.runtime.audit import names
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.records import (
     Approach,
     Attachment,
     AuditRecord,
     Boundary,
+    CanFrame,
     Close,
     Collected,
+    Controller,
     Decision,
     Fault,
     Guidance,
@@ -22,6 +41,7 @@ from cutgate.runtime.audit.records import (
     Process,
     Verdict,
 )
+from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 
 SCHEMA = "cutgate.audit-show/1"
 _STAMPS = set(AuditRecord.model_fields)
@@ -74,15 +94,23 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         "operator": timed[Operator],
         "processes": timed[Process],
         "attachments": timed[Attachment],
+        "allowed": [_entry(one, start_ns) | {"what": what} for what, one in _allowed(log).items()],
+        "stop": _stop(log),
         "closed": _entry(_first(log, Close), start_ns) or None,
     }
 
 
 def failing(decision: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The permissives of a decision that did not hold."""
+    return [entry for entry in permissives_of(decision) if entry.get("holds") is not True]
+
+
+def permissives_of(decision: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What a decision rested on."""
     permissives = decision.get("permissives")
-    entries = permissives if isinstance(permissives, list) else []
-    return [entry for entry in entries if isinstance(entry, dict) and entry.get("holds") is not True]
+    return (
+        [entry for entry in permissives if isinstance(entry, dict)] if isinstance(permissives, list) else []
+    )
 
 
 def _verdicts(
@@ -118,6 +146,109 @@ def _json(record: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) else {}
+
+
+SENT: Final = {"send Permit": "permit", "send Start": "start"}
+
+
+def _allowed(log: Log) -> dict[str, dict[str, Any]]:
+    """The decisions by which the permit and the start left; of several the last."""
+    found = {}
+    for decision in log.of(Decision.TOPIC):
+        effects = decision.get("effects")
+        for effect in effects if isinstance(effects, list) else ():
+            if decision.get("disposition") == "sent" and isinstance(effect, str) and effect in SENT:
+                found[SENT[effect]] = {**decision, "permissives": permissives_of(decision)}
+    return found
+
+
+STOPPED: Final = ("stopping", "stopped")
+AT_REST: Final = (ControllerState.INHIBITED.name, ControllerState.FAULT.name)
+JOINTS: Final = (Joints01, Joints23, Joint4)
+SEEN: Final = {IDS[kind] for kind in (*JOINTS, Progress)}
+ENTRY_UM_MAX: Final = 10_000_000
+"""No approach is longer."""
+
+
+def _stop(log: Log) -> dict[str, Any] | None:
+    """What is to be known after a stop, from the log alone; None where it tells of none."""
+    steps = [one for one in log.of(Decision.TOPIC) if isinstance(one.get("from_state"), str)]
+    first = next(
+        (one for one in steps if one["from_state"] not in STOPPED and one.get("to_state") in STOPPED), None
+    )
+    if first is None:
+        return None
+    controller = next(iter(log.of(Controller.TOPIC)[-1:]), {})
+    session = next((one["session"] for one in steps if one.get("session")), None)
+    progress, joints_u = _last_seen(log, session)
+    return stop_document(
+        Stopped(
+            cause=_cause(first.get("first_out")),
+            reason=str(first.get("reason") or ""),
+            phase=first["from_state"],
+            at_rest=controller.get("state") in AT_REST,
+            latched=controller.get("state") == ControllerState.FAULT.name,
+            standing=_cause(controller.get("cause")),
+            progress=progress,
+            joints_u=joints_u,
+        ),
+        _way(log),
+    )
+
+
+def _cause(name: object) -> StopCause:
+    return StopCause[name] if isinstance(name, str) and name in StopCause.__members__ else StopCause.NONE
+
+
+def _last_seen(log: Log, session: object) -> tuple[tuple[int, int] | None, tuple[int, ...] | None]:
+    """The last progress and the last measured joints that the controller sent in a session, 1e-6 deg | mm."""
+    place, joints_u = None, None
+    parts: dict[int, tuple[int, Frame]] = {}
+    for counter, frame in _frames(log, _tag(session)):
+        if isinstance(frame, Progress):
+            place = (frame.segment, frame.fraction)
+            continue
+        parts[IDS[type(frame)]] = (counter, frame)
+        held = [parts.get(IDS[kind], (None, None)) for kind in JOINTS]
+        match [one for _, one in held]:
+            case [Joints01() as first, Joints23() as second, Joint4() as third] if (
+                len({at for at, _ in held}) == 1
+            ):
+                joints_u = joints_to_counts(joint_values(first, second, third))
+    return place, joints_u
+
+
+def _frames(log: Log, tag: int) -> Iterator[tuple[int, Frame]]:
+    """The controller's intact frames that tell where the arm is, with their counters."""
+    for data in log.of(CanFrame.TOPIC):
+        can_id = data.get("id")
+        if data.get("direction") == "received" and can_id in SEEN:
+            with suppress(ValueError, TypeError, KeyError):  # it is data
+                raw = bytes.fromhex(data["data"])
+                if intact(raw, DATA_IDS[can_id], tag):
+                    yield raw[2], decode_frame(can_id, raw)
+
+
+def _tag(session: object) -> int:
+    """The tag that protects a session's frames; 0, that of none, where its digest is not known."""
+    try:
+        return int.from_bytes(bytes.fromhex(str(session))[:4], "little")
+    except ValueError:
+        return 0
+
+
+def _way(log: Log) -> Way | None:
+    """What the arm was to do, by the attachments and the approach."""
+    approach = next(iter(log.of(Approach.TOPIC)[-1:]), {})
+    entry_um = approach.get("entry_um")
+    if not isinstance(entry_um, int) or not 0 <= entry_um <= ENTRY_UM_MAX:
+        return None
+    found = [log.scan.attachment(name) for name in (names.PATH, names.CALIBRATION, names.TOOL)]
+    held = [entry.data for entry in found if entry is not None and entry.size <= DEFAULT_LIMIT]
+    if len(held) < len(found):
+        return None
+    path, calibration, tool = held
+    return Way(path, calibration, tool, entry_um)
 
 
 def _first(log: Log, model: type[AuditRecord]) -> dict[str, Any]:

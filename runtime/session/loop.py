@@ -97,6 +97,7 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
 }
 """What each record from the controller means to the table."""
 
+STOPPED = frozenset({Phase.STOPPING, Phase.STOPPED})
 CHECK_HEARTBEATS = 1 / 8
 """So long does this side's own check hold up a turn; its steps are far shorter."""
 PAUSE_HEARTBEATS = 2
@@ -181,6 +182,12 @@ class Session:
     ) -> None:
         self.state = state
         self.answer: Answer | None = None
+        self.stopped_in: Phase | None = None
+        """Where the session stood when it was stopped."""
+        self.progress: tuple[int, int] | None = None
+        """Segment and fraction, in counts of 1/65535, as the controller reported them last."""
+        self.joints_u: tuple[int, ...] | None = None
+        """The joints it measured last, 1e-6 deg | mm."""
         self._check = check
         self._steps: Steps[Answer] | None = None
         self._own: Answer | None = None
@@ -308,6 +315,7 @@ class Session:
             cause = before.cause or event.cause
             ended = replace(before, phase=Phase.STOPPED, cause=cause, reason=event.reason)
             self.state = replace(ended, permit=None, nonce=None, tracking=None)
+            self._watch_for_stop(before)
         with suppress(Exception):  # without heartbeats the controller stops as well
             self._stop_now(event.cause)
         with suppress(Exception):  # the log will not be called clean
@@ -352,10 +360,12 @@ class Session:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
                 self._feed(HeartbeatReceived(_view_of(beat), fresh))
             case Accepted(sample=JointSample() as sample):
-                self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
+                self.joints_u = records.joints_to_counts(sample.joints)
+                self._feed(JointsMeasured(self.joints_u, sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
                 self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._turn_s)))
             case Accepted(frame=Progress() as progress):
+                self.progress = (progress.segment, progress.fraction)
                 self._view.progress(progress.segment, self._segments)
                 self._feed(ProgressReported(progress.segment, progress.fraction))
             case Violation():
@@ -516,10 +526,15 @@ class Session:
         """One step of the table, carried out and recorded; nothing else changes the phase."""
         before = self.state
         self.state, effects = step(before, event, now_s)
+        self._watch_for_stop(before)
         for effect in effects:
             self._carry_out(effect)
         self._journal.step(before, event, self.state, effects, now_s)
         return effects
+
+    def _watch_for_stop(self, before: Interlock) -> None:
+        if before.phase not in STOPPED and self.state.phase in STOPPED:
+            self.stopped_in = before.phase
 
     def _carry_out(self, effect: Effect) -> None:
         endpoint, now_s = self._port.endpoint, self._clock()

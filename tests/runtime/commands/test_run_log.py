@@ -1,5 +1,7 @@
 """What ``cutgate run`` does about its log: whom it tells what, and that a log that was not closed is no success."""
 
+import os
+import socket
 import threading
 from types import SimpleNamespace
 
@@ -41,7 +43,9 @@ def test_a_session_whose_log_was_not_closed_exits_3_however_it_ended(
     from tests.runtime.session.pair import job_of  # noqa: PLC0415 - it imports both sides of the bus
 
     files, job = job_of(tmp_path_factory)
-    session = SimpleNamespace(state=SimpleNamespace(phase=phase, reason="", controller=None), answer=None)
+    session = SimpleNamespace(
+        state=SimpleNamespace(phase=phase, reason="", controller=None), answer=None, stopped_in=None
+    )
     paths = Paths(tmp_path / "a.mcap", tmp_path / "a.candump.log", closed, "" if closed else "it was deleted")
     for name, value in {
         "read_files": lambda *_, **__: files,
@@ -146,3 +150,17 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")
     assert (closed["clean"], closed["outcome"]) == (False, "the verification process cannot be started")
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("operator", [None, "Dr. Müller"])
+def test_the_log_says_who_ran_the_session_and_where(tmp_path, tmp_path_factory, operator):
+    from tests.runtime.session.pair import job_of  # noqa: PLC0415 - it imports both sides of the bus
+
+    files, job = job_of(tmp_path_factory)
+    log = command._log(tmp_path, files, job.path, "test/x", operator)
+    log.close(final_state=Phase.WAITING, outcome="x", clean=True)
+    (opened,) = read_log(log.path.read_bytes(), log.candump_path.read_bytes()).of("/audit/open")
+    assert opened.get("operator") == operator
+    assert str(os.getuid()) in opened["account"]
+    assert opened["host"] == socket.gethostname()

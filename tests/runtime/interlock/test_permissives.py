@@ -387,6 +387,15 @@ def test_what_no_act_can_cure_is_not_waited_for(field, value, evaluate):
     assert [one.name for one in p.hopeless(altered(READY, field, value), NOW)] == [_name(evaluate)]
 
 
+def test_what_only_follows_from_another_failure_is_not_told_beside_it():
+    """A path that is inadmissible has neither approach nor trajectory, and nobody can do anything about those."""
+    none = altered(altered(READY, "verdict.approach", None), "verdict.trajectory", None)
+    assert [one.name for one in p.hopeless(none, NOW)] == [_name(p.approach_admissible)]
+    refused = altered(none, "verdict.admissible", False)
+    assert [one.name for one in p.hopeless(refused, NOW)] == [_name(p.verdict_admissible)]
+    assert _name(p.trajectory_known) in {one.name for one in p.failing(p.FOR_PERMIT, refused, NOW)}
+
+
 def test_a_reset_needs_the_same_controller_at_rest_and_the_log():
     assert set(p.FOR_RESET) == {
         p.protocol_version,

@@ -36,7 +36,7 @@ def told(outside):
     assert outside.replayed().outcome is Outcome.IDENTICAL
     (entry,) = outside.read().of("/audit/guidance")
     (verdict,) = story(outside.read(), outside.paths.log, outside.paths.candump)["verdicts"]
-    document = run_document(outside.state, outside.session.answer, outside.paths)["verdict"]
+    document = run_document(outside.state, outside.session.answer, outside.paths, None)["verdict"]
     return entry, verdict, document
 
 

@@ -1,0 +1,125 @@
+"""After a stop the session, its document and its log say the same: what, where, whether confirmed, and what next."""
+
+import math
+
+import pytest
+
+from cutgate.firmware_sim.kinematics import calibrated_arm, forward
+from cutgate.protocol import records
+from cutgate.protocol.frames import IDS, Joints01, Progress
+from cutgate.protocol.states import StopCause
+from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.records import CanFrame
+from cutgate.runtime.commands.session_view import run_document, stopped
+from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.review.story import story
+from tests.runtime.audit.build import forge
+
+
+def from_the_log(pair, data=None):
+    log = read_log(data) if data is not None else pair.read()
+    return story(log, pair.paths.log, pair.paths.candump)["stop"]
+
+
+def moving(pair, time_scale=1.0):
+    """The cut is half done."""
+    pair.power_up(time_scale=time_scale)
+    pair.to(Phase.CUTTING)
+    return pair.until(lambda: (pair.session.progress or (0, 0))[0] >= 2, 60.0)
+
+
+def operator(pair):
+    pair.say("stop")
+
+
+def device(pair):
+    pair.controller_terminal.type("release")
+
+
+def emergency(pair):
+    pair.controller_terminal.type("estop")
+
+
+def disk(pair):
+    pair.disk.answers = False
+
+
+def silence(pair):
+    pair.controller_turns = False
+
+
+ACTS = {
+    operator: StopCause.OPERATOR_STOP,
+    device: StopCause.DEVICE_RELEASED,
+    emergency: StopCause.EMERGENCY_STOP,
+    disk: StopCause.AUDIT_FAILED,
+    silence: StopCause.HEARTBEAT_LOST,
+}
+
+
+@pytest.mark.parametrize("act", ACTS, ids=lambda act: act.__name__)
+def test_a_stopped_cut_is_told_alike_by_session_and_log(pair, act):
+    moving(pair, 0.1 if act is disk else 1.0)  # for a silent disk is waited some seconds
+    act(pair)
+    assert pair.end(20.0) is Phase.STOPPED
+    told = stopped(pair.session)
+    assert (told["cause"], told["moving"]) == (ACTS[act].name, True)
+    assert told["confirmed"] is (act is not silence)
+    pair.disk.answers = True
+    pair.close()
+    assert from_the_log(pair) == told
+    assert run_document(pair.state, pair.session.answer, pair.paths, told)["stop"] == told
+
+
+def test_the_place_is_where_the_plant_stands(pair):
+    moving(pair).say("stop").end()
+    where = stopped(pair.session)["where"]
+    assert 0 < where["segment"] < where["segments"]
+    assert 0.0 < where["percent"] < 100.0
+    tool, path = records.Tool.parse(pair.job.tool), records.Path.parse(pair.job.path)
+    arm = calibrated_arm(
+        records.Calibration.parse(pair.job.calibration), tool_mm=tool.length_mm, elbow=path.elbow
+    )
+    pose = forward(arm, pair.process._arm_state.joints)
+    assert math.dist(where["tip_mm"], pose.tip) < 0.2, "a joint frame's last digit is 0.005 deg"
+    assert where["segment"] == pair.process._arm_state.segment
+
+
+@pytest.mark.parametrize("phase", [Phase.COLLECTING, Phase.PERMITTED])
+def test_a_session_that_is_left_before_the_start_has_moved_nothing(pair, phase):
+    pair.to(phase).say("quit").run(0.1)
+    told = stopped(pair.session)
+    assert (told["cause"], told["moving"], told["where"]) == ("OPERATOR_QUIT", False, None)
+    pair.close()
+    assert from_the_log(pair) == told
+
+
+@pytest.mark.parametrize("name", ["pair", "outside"])
+def test_a_cut_that_was_completed_or_refused_tells_of_no_stop(request, name):
+    one = request.getfixturevalue(name)
+    one.end()
+    assert stopped(one.session) is None
+    one.close()
+    assert from_the_log(one) is None
+
+
+def test_what_a_stranger_says_of_the_arm_is_not_believed_of_a_log(pair):
+    """Frames without the session's tag tell nobody where the arm is."""
+    moving(pair).say("stop").end()
+    told = stopped(pair.session)
+    pair.close()
+
+    def edit(record):
+        if isinstance(record, CanFrame) and record.id in (IDS[Progress], IDS[Joints01]):
+            return record.model_copy(update={"data": "0000" + record.data[4:]})
+        return record
+
+    found = from_the_log(pair, forge(pair.paths.log.read_bytes(), edit))
+    assert found["where"] | {"tip_mm": None, "depth_mm": None} == {
+        "segment": None,
+        "segments": told["where"]["segments"],
+        "percent": None,
+        "to_go_mm": None,
+        "tip_mm": None,
+        "depth_mm": None,
+    }

@@ -1,6 +1,7 @@
 """A whole session, from announcement to the closed log."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
-from tests.system.harness import FAST, POSES, is_kind, judged, registration
+from tests.system.harness import FAST, POSES, ROBOT, is_kind, judged, registration
 from tests.tool_paths import tool_path
 
 pytestmark = pytest.mark.processes
@@ -71,10 +72,26 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
     run, sim = rig.run(), rig.sim(joints="0,70,52,0,55")
     assert run.exit() == 1
     assert "approach and retract INADMISSIBLE" in run.document
-    assert "bottom: clearance 2.000000 mm, needs 5.5 mm" in run.document.partition("NOT ADMITTED")[2]
+    assert "move q2 by +3.51 mm, to 55.51 mm" in run.document.partition("NOT ADMITTED")[2]
     assert rig.at_rest(sim) == "INHIBITED"
     assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
     assert "state PERMITTED" not in sim.told
+
+
+@pytest.mark.parametrize("robot", ["unlimited roll", "figure2"])
+def test_joints_without_limits_run_a_whole_session(rig, robot):
+    """What must fit a joints frame is where the arm goes, not what its limits allow."""
+    described = Path("figure2")
+    if robot == "unlimited roll":
+        described = rig.folder / "unlimited.toml"
+        text = re.sub(r"q3_deg = .*", "q3_deg = [-36000, 36000]", ROBOT.read_text(encoding="utf-8"))
+        described.write_text(text, encoding="utf-8")
+    run, sim = rig.run(robot=described), rig.sim(robot=described, scale=8 * FAST)
+    run.line("permitted:")
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
 
 
 def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):

@@ -45,7 +45,7 @@ from cutgate.runtime.verification.verdict import Verdict
 
 TOLERANCE: Final = 1e-9
 """mm, deg; relative for lengths above one."""
-NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance", "guidance_note")
+NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance", "guidance_note", "other_elbow")
 BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "reasons")
 """Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
 

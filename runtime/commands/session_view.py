@@ -154,6 +154,8 @@ class SessionView:
     def verdict(self, answer: Answer) -> None:
         """The verdict, with every boundary."""
         self._output.print(lambda: Group(headline(answer.proved), boundaries_table(answer.proved)))
+        if (elbow := answer.document.get("other_elbow")) is not None:
+            self._output.print(lambda: Text(f"Other elbow: {elbow['text']}"), soft_wrap=True)
         if (approach := answer.approach) is not None:
             self._output.print(lambda: approach_line(approach), soft_wrap=True)
 

@@ -12,6 +12,7 @@ from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.other_elbow import OtherElbow
 from cutgate.runtime.verification.plausibility import Caution
 from cutgate.runtime.verification.summary import summary
 from cutgate.runtime.verification.verdict import Verdict
@@ -67,6 +68,13 @@ def print_cautions(console: Console, found: Sequence[Caution]) -> None:
     for caution in found:
         console.print()
         console.print(Text.assemble(("WARNING", WARNED), f" {caution.code}: {caution.text}"))
+
+
+def print_other_elbow(console: Console, found: OtherElbow | None) -> None:
+    """Prints what the other elbow would say, where that was asked: before any move of the bone."""
+    if found is not None:
+        console.print()
+        console.print(Text(f"Other elbow: {found.text}"))
 
 
 def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:

@@ -15,13 +15,14 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
-from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_verdict
+from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_other_elbow, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.guidance import Guidance, guide
+from cutgate.runtime.verification.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import (
     Caution,
     cautions,
@@ -152,6 +153,7 @@ def _document(checked: Checked, prepared: Prepared) -> dict[str, Any]:
         guidance=guidance,
         digests=checked.digests,
         elapsed_ms=checked.elapsed_ms,
+        other_elbow=other_elbow(problem, verdict),
     )
     for name, boundary in verdict.boundaries.items():
         document["boundaries"][name]["tip_mm"] = place(problem, boundary)
@@ -200,6 +202,7 @@ def verify(
         facts = _facts(prepared, checked)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
         print_cautions(console, _cautions(checked, prepared))
+        print_other_elbow(console, other_elbow(checked.problem, checked.verdict))
         guidance = _guidance(checked, prepared)
         print_cautions(console, cautions_of_move(guidance))
         print_end(console, checked.verdict, guidance)

@@ -23,6 +23,7 @@ from cutgate.runtime.verification import verdict as verdicts
 from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.document import Digests, guidance_entries, verdict_document
 from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.other_elbow import other_elbow
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.summary import summary
@@ -122,6 +123,7 @@ def _ground(job: Job, robot: Robot) -> _Ground:
             job.path_digest, records.digest(job.limits), records.digest(job.calibration), job.registration
         ),
         elapsed_ms=elapsed_ms,
+        other_elbow=other_elbow(problem, verdict),
     )
     if not verdict.admissible:
         return _Ground(verdict, document, None, None, None)

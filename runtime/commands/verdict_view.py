@@ -210,6 +210,9 @@ def _path_facts(verdict: Verdict) -> dict[str, str]:
         if branch
         else "none"
     )
+    others = [f"{one.joint} {one.feasible}" for one in verdict.windings if one.first < one.last]
+    if others:
+        turns += f"; turns in which the path fits: {', '.join(others)}"
     evaluations = verdict.evaluations
     least = "at most" if evaluations.best_case is None else f"{evaluations.best_case} to"
     return {

@@ -19,6 +19,7 @@ from cutgate.runtime.commands.verdict_view import print_cautions, print_end, pri
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.guidance import Guidance, guide
@@ -52,6 +53,13 @@ FeedOption = Annotated[
 ]
 
 
+Q0TurnsOption = Annotated[
+    int | None,
+    typer.Option(help="Whole turns of the shoulder at the first pose; the best are chosen if left out."),
+]
+RollTurnsOption = Annotated[int | None, typer.Option(help="Likewise of the roll.")]
+
+
 class Method(StrEnum):
     """How to decide; the gate uses ``certified``."""
 
@@ -70,16 +78,22 @@ class Checked:
     elapsed_ms: float
 
 
-def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -> Checked:
+def check(
+    prepared: Prepared, robot: Robot, method: Method = Method.certified, asked: AskedTurns = BEST
+) -> Checked:
     """Verifies off-line exactly what the controller would be given.
 
     Args:
         prepared: the quantised path.
         robot: limits, calibration, deadband.
         method: which verifier decides.
+        asked: the turns of the joint branch, where not the best are to be taken.
+
+    Raises:
+        InputError: the path does not fit in the turns asked for.
     """
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    problem = off_line_problem(prepared, robot)
+    problem = in_branch(off_line_problem(prepared, robot), asked)
     decide = certified.verify if method is Method.certified else stocco.verify
     with working(f"verifying {len(prepared.path)} poses"):
         began = time.perf_counter()
@@ -176,6 +190,8 @@ def verify(
     registration: RegistrationOption = None,
     tool_length_mm: ToolOption = None,
     feed_mm_s: FeedOption = None,
+    q0_turns: Q0TurnsOption = None,
+    roll_turns: RollTurnsOption = None,
     certificate: Annotated[
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
@@ -192,7 +208,7 @@ def verify(
             "the published march proves nothing between its steps; use --method certified"
         )
     arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
-    checked = check(prepared, arm, method)
+    checked = check(prepared, arm, method, AskedTurns(q0_turns, roll_turns))
     if certificate is not None:
         _write_proof(certificate, checked.problem, checked.verdict)
     if json:

@@ -601,11 +601,11 @@ def document(verdict: Approach, start: Start) -> dict[str, Any]:
         "clearance_um": start.clearance_um,
         "start_tolerance_mm": start.tolerance_mm,
         "start_tolerance_deg": math.degrees(start.tolerance_rad),
-        "start_joints": _shown(start.joints),
+        "start_joints": shown(start.joints),
         "entry_um": verdict.entry_um,
         "exit_um": verdict.exit_um,
-        "entry_joints": None if verdict.entry is None else _shown(verdict.entry),
-        "exit_joints": None if verdict.exit is None else _shown(verdict.exit),
+        "entry_joints": None if verdict.entry is None else shown(verdict.entry),
+        "exit_joints": None if verdict.exit is None else shown(verdict.exit),
         "legs": {
             leg.name: {
                 b.name: {
@@ -624,7 +624,7 @@ def document(verdict: Approach, start: Start) -> dict[str, Any]:
     }
 
 
-def _shown(joints: Floats) -> list[float | None]:
-    """Deg, deg, mm, deg, deg."""
+def shown(joints: Floats) -> list[float | None]:
+    """Joints in deg, deg, mm, deg, deg; None for any that is not finite."""
     values = [float(q) if joint == 2 else math.degrees(float(q)) for joint, q in enumerate(joints)]
     return [value if math.isfinite(value) else None for value in values]

@@ -78,20 +78,31 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
     assert "state PERMITTED" not in sim.told
 
 
-@pytest.mark.parametrize("robot", ["unlimited roll", "figure2"])
-def test_joints_without_limits_run_a_whole_session(rig, robot):
+def test_a_roll_without_limits_runs_a_whole_session_in_the_turns_that_were_asked_for(rig):
     """What must fit a joints frame is where the arm goes, not what its limits allow."""
-    described = Path("figure2")
-    if robot == "unlimited roll":
-        described = rig.folder / "unlimited.toml"
-        text = re.sub(r"q3_deg = .*", "q3_deg = [-36000, 36000]", ROBOT.read_text(encoding="utf-8"))
-        described.write_text(text, encoding="utf-8")
-    run, sim = rig.run(robot=described), rig.sim(robot=described, scale=8 * FAST)
+    robot = rig.folder / "unlimited.toml"
+    text = re.sub(r"q3_deg = .*", "q3_deg = [-36000, 36000]", ROBOT.read_text(encoding="utf-8"))
+    robot.write_text(text, encoding="utf-8")
+    run, sim = rig.run(robot=robot, more=["--roll-turns", "2"]), rig.sim(robot=robot, scale=8 * FAST)
+    run.line("permitted:")
+    assert re.search(r"the approach moves q0 .*, q3 \+7\d\d\.\d deg \(2\.0 turns\)", run.told)
+    assert "WARNING q3 turns 2.0 times on the approach" in run.told
+    assert "--roll-turns 0 is nearest to where the arm stands (the path fits in -6 to 6)" in run.told
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    (verdict,), (opened,) = (list(rig.log().of(topic)) for topic in ("/audit/verdict", "/audit/open"))
+    assert (verdict["q0_turns"], verdict["roll_turns"]) == (0, 2)
+    assert {"name": "joint branch", "value": "asked for: --roll-turns 2"} in opened["simulation"]
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+
+
+def test_the_unlimited_arm_of_the_paper_runs_a_whole_session(rig):
+    run, sim = rig.run(robot=Path("figure2")), rig.sim(robot=Path("figure2"), scale=8 * FAST)
     run.line("permitted:")
     rig.begin(sim, run)
     assert run.exit() == 0
     assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
 
 
 def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):

@@ -93,6 +93,19 @@ def test_a_refusal_says_what_the_other_elbow_would_before_any_move_is_proposed(c
     assert admitted.other_elbow is None
 
 
+def test_the_joint_branch_can_be_asked_for_and_one_that_does_not_fit_is_refused(cutgate, verdict, tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("x,y,z,i,j,k\n500,0,100,0.5,0,0.8660254\n520,10,110,0.5,0,0.8660254\n", encoding="utf-8")
+    wide = ["--robot", "figure2"]
+    code, found = verdict(path, *wide, "--roll-turns", 2, "--q0-turns", -1)
+    assert (code, found.branch.q0_turns, found.branch.roll_turns) == (0, -1, 2)
+    code, out, said = cutgate("verify", path, *wide, "--roll-turns", 8)
+    assert (code, out) == (2, "")
+    assert "--roll-turns is 8, must be -" in said
+    assert "+-2261 deg, what a joints frame carries with one revolution to spare" in " ".join(said.split())
+    assert "turns that fit: -" in said
+
+
 def test_the_second_registration_is_admissible_with_room_to_spare(verdict):
     code, found = verdict(PLAN, *MOUNTED, "--registration", SECOND)
     assert (code, found.verdict, found.guidance) == (0, "admissible", None)

@@ -140,7 +140,7 @@ def test_an_approach_is_admitted_exactly_where_dense_sampling_keeps_every_deadba
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(seed):
     case = random_case(seed, segments=2)
     if case is None:
@@ -312,7 +312,7 @@ def test_an_arm_at_a_limit_is_told_which_joint_to_move_and_may_begin_there(joint
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_after_the_moves_that_it_is_told_no_arm_stands_too_near_to_a_limit(seed):
     """Both elbows, calibrated arms, several joints at once, shoulders of less and of more than a turn."""
     rng = np.random.default_rng(seed)

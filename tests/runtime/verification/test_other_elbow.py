@@ -44,7 +44,7 @@ def test_a_path_that_the_other_elbow_admits_is_said_so_with_the_limits_it_was_ta
 def test_the_answer_is_the_certified_methods_whatever_the_arm():
     rng = np.random.default_rng(20261127)
     said = []
-    for _ in range(40):
+    for _ in range(16):
         case = random_problem(rng)
         case = replace(case, branch=(0, 0))
         verdict = certified.verify(case)
@@ -54,7 +54,7 @@ def test_the_answer_is_the_certified_methods_whatever_the_arm():
             said.append(found.admissible)
             assert found.admissible is certified.verify(replace(swapped(case), branch=None)).admissible
             assert (f"the {found.elbow} elbow would not admit" in found.text) is not found.admissible
-    assert len(said) > 10
+    assert len(said) > 4
 
 
 def test_where_the_work_is_spent_nothing_is_said_either_way():

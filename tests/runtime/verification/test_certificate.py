@@ -266,6 +266,31 @@ def test_a_shoulder_of_less_than_a_turn_beyond_the_frame_is_followed_as_well():
             assert any("q0 goes from 227" in r and "+-2261 deg" in r for r in verdict.reasons)
 
 
+def test_a_shoulder_that_goes_beyond_the_frame_between_two_poses_is_found():
+    """Past the column q0 falls and rises again: neither pose is beyond -2261 deg, the middle is."""
+    tips, axes = wrist_path(np.array([[300.0, -600.0, 250.0], [300.0, -50.0, 250.0]]), axis(60 * DEG, 0.0))
+    at = {
+        "lower": np.array([-WIDE, 0.0, 50.0, -WIDE, 0.0]),
+        "upper": np.array([WIDE, 145 * DEG, 450.0, WIDE, 110 * DEG]),
+    }
+    case = problem(tips, axes, speed=np.full(5, 1e6), **at)
+    whole = certified.verify(case).windings[0]
+    ends = [
+        certified.verify(replace(case, tips_mm=tips[[i, i]], axes=axes[[i, i]])).windings[0] for i in (0, 1)
+    ]
+    least = min(end.least_deg for end in ends)
+    assert whole.least_deg < least - 2.0
+    for line, fits in ((whole.least_deg - 1.0, True), ((whole.least_deg + least) / 2.0, False)):
+        turn = (-2261.0 - line) * DEG
+        c, s = math.cos(turn), math.sin(turn)
+        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        limits = [np.array([q0 * DEG, *at[end][1:]]) for q0, end in ((-2400.0, "lower"), (-2100.0, "upper"))]
+        turned = replace(
+            case, tips_mm=tips @ around.T, axes=axes @ around.T, lower=limits[0], upper=limits[1]
+        )
+        assert (certified.verify(turned).branch is not None) is fits
+
+
 def test_limits_that_lie_beyond_every_joints_frame_are_named():
     case = winding(0.5, 3)
     lower, upper = case.lower.copy(), case.upper.copy()

@@ -18,6 +18,7 @@ from cutgate.runtime.verification import approach, certified
 from cutgate.runtime.verification.approach import Start
 from cutgate.runtime.verification.geometry import canonical
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.standing import standing
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
@@ -335,6 +336,35 @@ def test_where_no_place_keeps_the_deadband_no_move_is_named():
         for r in verdict.reasons
     )
     assert any("q2 at 250.000 mm" in r and "no place of it keeps 460 mm" in r for r in verdict.reasons)
+
+
+def test_where_next_to_no_place_is_left_no_move_is_named():
+    """The slide has 10.001 mm, 5 mm are kept from either end."""
+    narrow = cut().upper.copy()
+    narrow[2] = 60.001
+    verdict = approach.verify(cut(upper=narrow), Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000))
+    assert "must be kept: let the arm start from elsewhere" in standing_of(cut(upper=narrow), 2, 52.0)[0]
+    assert not verdict.admissible
+
+
+def test_an_arm_without_workspace_or_without_a_place_that_is_reported_is_told_no_move():
+    """An offset leaves the elbow no angle; limits of the shoulder that begin beyond every joints frame."""
+    folded = cut(calibration=Calibration(joint_offset=np.array([0.0, -146.0 * DEG, 0.0, 0.0, 0.0])))
+    assert standing_of(folded, 2, 52.0) == ()
+    far = {"lower": cut().lower.copy(), "upper": cut().upper.copy()}
+    far["lower"][0], far["upper"][0] = 3000 * DEG, 3100 * DEG
+    (said,) = standing_of(cut(**far), 0, 3050 * DEG)
+    assert "no place of it keeps 5 mm" in said
+    far["lower"][0], far["upper"][0] = -0.2 * DEG, 0.2 * DEG
+    (said,) = standing_of(cut(**far), 0, 0.0)
+    assert "no place of it keeps 5 mm" in said
+
+
+def standing_of(given_problem, joint, value):
+    """What is said of the middle with one joint elsewhere."""
+    stands = MIDDLE.copy()
+    stands[joint] = value
+    return standing(canonical(given_problem)[0], stands, 0.0, 0.0, held=False)
 
 
 @pytest.mark.parametrize("joint", [0, 3])

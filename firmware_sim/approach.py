@@ -15,11 +15,13 @@ from cutgate.firmware_sim.kinematics import (
     KinematicsError,
     Pose,
     as_joints,
+    beyond_text,
     follow,
     limit_text,
 )
 from cutgate.firmware_sim.path_check import pose_of
 from cutgate.protocol import records
+from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.protocol.records import UNIT, Calibration, Limits, PathCodes, joints_to_counts, joints_to_memory
 
 ROUNDING_UM: Final = 1
@@ -74,7 +76,8 @@ def own_ends(
             raise KinematicsError(
                 f"{name} pose, {distance_um / 1000:.3f} mm along the tool: {error}"
             ) from None
-        if text := limit_text(reached, as_joints(limits.q_min), as_joints(limits.q_max)):
+        text = limit_text(reached, as_joints(limits.q_min), as_joints(limits.q_max)) or beyond_text(reached)
+        if text:
             raise KinematicsError(f"{name} pose, {distance_um / 1000:.3f} mm along the tool: {text}")
         found.append((distance_um, joints_to_counts(reached)))
     return Ends(found[0][0], found[1][0], found[0][1], found[1][1])
@@ -95,13 +98,13 @@ def agrees(own: Ends | None, bound: records.Approach) -> bool:
     )
 
 
-def inside(limits: Limits, *joints_u: tuple[int, ...]) -> bool:
-    """Whether joints, and with them every joint line between them, lie inside the limits."""
+def inside(limits: Limits, *joints_u: tuple[int, ...], within_deg: int = ROTATION_DEG_GOES) -> bool:
+    """Whether joints, and with them every joint line between them, lie inside the limits, and where the bus reports them."""
     return all(
         low <= count <= high
         for joints in joints_u
         for low, count, high in zip(limits.q_min_u, joints, limits.q_max_u, strict=True)
-    )
+    ) and all(abs(joints[joint]) <= within_deg * UNIT for joints in joints_u for joint in (0, 3))
 
 
 def start_offset(

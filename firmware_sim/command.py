@@ -141,6 +141,8 @@ def _joints(text: str | None, limits: Limits) -> Joints:
         joints = middle_of(limits) if text is None else _five(text)
         joint_frames(joints)
     except FrameError as error:
+        if text is None:
+            raise RefusedError(f"no place inside the limits of robot.toml can be reported: {error}") from None
         raise RefusedError(f"--joints: {error}; name joints that the bus can report") from None
     except ValueError:
         raise RefusedError(

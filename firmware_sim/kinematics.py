@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.protocol.records import Calibration, Elbow
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,8 @@ Vector3 = tuple[float, float, float]
 
 VERTICAL_SIN: Final = 1e-9
 """|sin q4| below which the axis is vertical and roll has no meaning."""
+GOES_RAD: Final = math.radians(ROTATION_DEG_GOES)
+"""How far, either way, shoulder and roll may go: the bus must always be able to report them."""
 FOLLOW_STEP_RAD: Final = 0.3
 """`follow` halves a step until no joint turns by more, so that the nearest turn is the right one."""
 _FOLLOW_DEPTH: Final = 40
@@ -266,6 +269,19 @@ def as_joints(values: Floats) -> Joints:
     """Five numbers of an array as joints."""
     q0, q1, q2, q3, q4 = (float(value) for value in values)
     return q0, q1, q2, q3, q4
+
+
+def beyond_text(joints: Joints) -> str:
+    """The joints that go beyond what a joints frame reports, one revolution to spare, in deg; empty if none does.
+
+    The slide and the joints whose limits are narrow by themselves never do.
+    """
+    return ", ".join(
+        f"q{joint} = {math.degrees(joints[joint]):.6f} deg is beyond +-{ROTATION_DEG_GOES} deg, what the bus reports "
+        "with one revolution to spare"
+        for joint in (0, 3)
+        if not abs(joints[joint]) <= GOES_RAD
+    )
 
 
 def limit_text(joints: Joints, lower: Joints, upper: Joints) -> str:

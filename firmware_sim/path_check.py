@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.firmware_sim.kinematics import (
+    GOES_RAD,
     VERTICAL_SIN,
     Floats,
     Joints,
     KinematicsError,
     Pose,
     as_joints,
+    beyond_text,
     calibrated_arm,
     follow,
     inverse,
@@ -128,14 +130,17 @@ class PathCheck:
         joints = inverse_many(self._arm, tips, axes)
         broken = self._unwind(joints, begin)
         inside = np.all((joints >= self._limits.q_min) & (joints <= self._limits.q_max), axis=1)
+        reported = np.all(np.abs(joints[:, [0, 3]]) <= GOES_RAD, axis=1)
         vertical = _is_vertical(axes)
-        wrong = ~(inside & (vertical == self._vertical))
+        wrong = ~(inside & reported & (vertical == self._vertical))
         if begin == 0 and not wrong[0]:
             self._first = as_joints(joints[0])
         self._before = joints[-1]
         if not np.any(wrong):
             return None
         row = int(np.argmax(wrong))
+        if inside[row] and not reported[row]:
+            return PathVerdict(Refusal.JOINTS_BEYOND_WIRE, begin + row, beyond_text(as_joints(joints[row])))
         detail = broken.get(row) or self._why(joints[row], vertical=bool(vertical[row]))
         return PathVerdict(Refusal.POSE_OUTSIDE_LIMITS, begin + row, detail)
 

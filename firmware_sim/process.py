@@ -21,7 +21,7 @@ from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.approach import Approach, Ends, own_ends
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
-from cutgate.firmware_sim.kinematics import Joints, KinematicsError, calibrated_arm
+from cutgate.firmware_sim.kinematics import GOES_RAD, Joints, KinematicsError, calibrated_arm
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Plant, PlantState, StoredPath
 from cutgate.firmware_sim.state import (
@@ -63,7 +63,6 @@ from cutgate.protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
     ControllerHeartbeat,
-    FrameError,
     Progress,
     RuntimeHeartbeat,
     RuntimeStop,
@@ -359,8 +358,6 @@ class Process:
         verdict = check.verdict
         assert verdict is not None  # noqa: S101 - step() has just said that it is done
         refusal, pose, detail = verdict
-        if refusal is Refusal.ACCEPTED and not self._joints_fit_the_wire():
-            refusal, detail = Refusal.JOINTS_BEYOND_WIRE, "limits beyond what a joints frame can carry"
         if refusal is not Refusal.ACCEPTED:
             self._say(f"path refused: {refusal.name} at pose {pose}: {detail}")
         self._feed(PathChecked(self._checked_path, refusal, pose, self._own_ends(check)))
@@ -384,15 +381,6 @@ class Process:
         except KinematicsError as error:
             self._say(f"no approach: {error}")
             return None
-
-    def _joints_fit_the_wire(self) -> bool:
-        limits = records.Limits.parse(self.controller.holdings.limits)
-        try:
-            joint_frames(limits.q_min)
-            joint_frames(limits.q_max)
-        except FrameError:
-            return False
-        return True
 
     # ------------------------------------------------------------ the person at the controller
 
@@ -675,9 +663,14 @@ class Process:
 
 
 def middle_of(limits: records.Limits) -> Joints:
-    """Each joint in the middle of its limits; a turning joint with half a turn left on either side of 0 stands at 0."""
+    """Each joint in the middle of its limits; a turning joint with half a turn left on either side of 0 stands at 0.
+
+    Of limits beyond what a joints frame reports, in the middle of the part where the joint may go; if there is any.
+    """
 
     def middle(joint: int, low: float, high: float) -> float:
+        if joint != 2 and low <= GOES_RAD and high >= -GOES_RAD:
+            low, high = max(low, -GOES_RAD), min(high, GOES_RAD)
         return 0.0 if joint != 2 and low <= -math.pi and math.pi <= high else (low + high) / 2.0
 
     q0, q1, q2, q3, q4 = (

@@ -13,6 +13,7 @@ from cutgate.firmware_sim.approach import agrees, inside, start_offset
 from cutgate.firmware_sim.state import Controller, DeviceCycle
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
+from cutgate.protocol.parameters import ROTATION_DEG_STANDS
 from cutgate.protocol.path import PathHeader
 from cutgate.protocol.records import digest
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
@@ -115,7 +116,7 @@ def at_start(case: Case) -> bool:
     bound_u = _permit(case).start_joints_u
     off_mm, off_deg = start_offset(records.Calibration.parse(held.calibration), measured_u, bound_u)
     return (
-        inside(records.Limits.parse(held.limits), bound_u)
+        inside(records.Limits.parse(held.limits), bound_u, within_deg=ROTATION_DEG_STANDS)
         and 0.0 <= off_mm <= session.start_tolerance_mm
         and 0.0 <= off_deg <= session.start_tolerance_deg
     )

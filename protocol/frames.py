@@ -24,6 +24,8 @@ ECHO_NONE = 255
 """Echo of a side that has not yet accepted a heartbeat of its peer."""
 ROTATION_DEG = 0.005
 SLIDE_MM = 0.01
+JOINT_COUNT_MAX = 524_287
+"""Of a joint, either way: 20 bits."""
 FRACTION_MAX = 65535
 
 CONTROL_IDS = (0x600, 0x601)
@@ -249,16 +251,24 @@ def joint_frames(joints: Sequence[float] | NDArray[np.float64]) -> tuple[Joints0
     """One sample of measured joints, (rad, rad, mm, rad, rad), to the nearest count.
 
     Raises:
-        FrameError: not five values, not finite, or beyond what the frames can carry.
+        FrameError: not five values, not finite, or beyond what the frames can carry, said in deg and mm.
     """
     values = [float(value) for value in joints]
     if len(values) != 5 or not all(math.isfinite(value) for value in values):
         raise FrameError(f"joints are {values}, must be five finite values")
-    q0, q1, q2, q3, q4 = (
-        round(value / SLIDE_MM) if joint == 2 else round(math.degrees(value) / ROTATION_DEG)
-        for joint, value in enumerate(values)
-    )
+    q0, q1, q2, q3, q4 = (_joint_count(joint, value) for joint, value in enumerate(values))
     return Joints01(q0, q1), Joints23(q2, q3), Joint4(q4)
+
+
+def _joint_count(joint: int, value: float) -> int:
+    """A joint to the nearest count. A person reads what is refused here, hence no counts in it."""
+    scale, step, unit = (1.0, SLIDE_MM, "mm") if joint == 2 else (math.degrees(1.0), ROTATION_DEG, "deg")
+    count = value * scale / step
+    if not abs(count) <= JOINT_COUNT_MAX:
+        raise FrameError(
+            f"q{joint} is {value * scale:.3f} {unit}, a joints frame carries +-{JOINT_COUNT_MAX * step:.3f} {unit}"
+        )
+    return round(count)
 
 
 def joint_values(first: Joints01, second: Joints23, third: Joint4) -> NDArray[np.float64]:

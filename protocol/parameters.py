@@ -29,6 +29,12 @@ SLIDE_MM_MAX = 5_242
 """The slide travel that a joints frame can report."""
 ROTATION_DEG_MAX = 36_000
 """Stands for an unlimited joint."""
+ROTATION_DEG_REPORTED = 2_621
+"""The angle, either way, that a joints frame can report."""
+ROTATION_DEG_GOES = ROTATION_DEG_REPORTED - 360
+"""How far, either way, a cut may turn a joint: what a frame can report, with one revolution to spare."""
+ROTATION_DEG_STANDS = 2_600
+"""How far, either way, a joint may stand where an approach begins and a retract ends: it only comes back from there."""
 SLIDE_TILT_MRAD_MAX = 20
 LENGTH_MM_MAX = 10_000
 

@@ -6,7 +6,7 @@ is held against that verdict. A log in which a verdict was changed and the whole
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntEnum
@@ -28,7 +28,7 @@ from cutgate.config.load import (
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
-from cutgate.protocol.records import Path, RecordError
+from cutgate.protocol.records import UNIT, Path, RecordError
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.configuration import allowed_by_option, configuration_digest
 from cutgate.runtime.audit.inspect import Log, Status
@@ -46,7 +46,7 @@ from cutgate.runtime.verification.verdict import Verdict
 
 TOLERANCE: Final = 1e-9
 """mm, deg; relative for lengths above one."""
-NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance", "guidance_note")
+NOT_RECOMPUTED: Final = ("elapsed_ms", "guidance", "guidance_note", "other_elbow")
 BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "tip_mm", "reasons", "text")
 """Follow from the last bit of arctan2 and arccos: compared only on an equal numpy and CPU."""
 
@@ -151,6 +151,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
         inputs = _inputs(log)
         found.differences += _derivation(log, inputs, opened[0])
         comparable = _comparable(opened[0], verifier, found)
+        words = opened[0].verifier == verifier
         for recorded in verdicts:
             document = _recompute(recorded, inputs, verify)
             found.documents.append(document)
@@ -159,7 +160,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
         if verdicts[-1].verdict == "admissible":
             found.differences += _proof(log, inputs)
         for way in _typed(log, records.Approach):
-            found.differences += _approach(way, inputs, found, comparable=comparable)
+            found.differences += _approach(way, inputs, found, comparable=comparable, words=words)
         if any(document["verdict"] == "inadmissible" for document in found.documents):
             found.notes.append("the guidance was not computed again")
     else:
@@ -408,9 +409,9 @@ def _proof(log: Log, inputs: _Inputs) -> Iterator[str]:
 
 
 def _approach(
-    recorded: records.Approach, inputs: _Inputs, found: _Findings, *, comparable: bool
+    recorded: records.Approach, inputs: _Inputs, found: _Findings, *, comparable: bool, words: bool
 ) -> Iterator[str]:
-    """Approach and retract again, from the recorded start joints and the site's settings."""
+    """Approach and retract again, from the recorded start joints and the site's settings; ``words``: the reasons as well."""
     settings = inputs.site
     try:
         start = approach.Start.of(
@@ -428,6 +429,10 @@ def _approach(
     if theirs is None:
         yield "approach: the recorded document is not a JSON object"
         return
+    if not words:  # another version may say the same in other sentences
+        theirs, document = (
+            {key: value for key, value in one.items() if key != "reasons"} for one in (theirs, document)
+        )
     yield from _documents("approach", theirs, document, comparable=comparable)
     again = records.Approach.of(
         document,
@@ -435,12 +440,15 @@ def _approach(
         bound=approach.bound(verdict, settings.approach.approach_speed_percent),
         reason=approach.summary(verdict),
     )
-    last_bits = set() if comparable else {"worst_leg", "worst_boundary", "reason"}
+    last_bits = set() if words else {"reason"}
+    last_bits |= set() if comparable else {"worst_leg", "worst_boundary", "reason"}
     fields = records.Approach.model_fields.keys() - records.AuditRecord.model_fields.keys()
     for name in sorted(fields - {"document"}):
         one, other = getattr(recorded, name), getattr(again, name)
         same = _same(one, other, absolute=True) if name == "worst_certified" else one == other
         if not same and name not in last_bits:
+            if name.endswith("_joints_u"):
+                one, other = _joints(one), _joints(other)
             yield f"approach {name}: recorded {one}, recomputed {other}"
 
 
@@ -461,14 +469,32 @@ def _bound(left: wire.Permit, way: records.Approach) -> Iterator[str]:
     """The permit's start joints and approach are those that were verified."""
     bound = left.approach
     pairs = {
-        "start joints": (left.start_joints_u, way.start_joints_u),
-        "entry": ((bound.entry_um, bound.entry_joints_u), (way.entry_um, way.entry_joints_u)),
-        "exit": ((bound.exit_um, bound.exit_joints_u), (way.exit_um, way.exit_joints_u)),
-        "approach speed": (bound.speed_percent, way.speed_percent),
+        "start joints": (_joints(left.start_joints_u), _joints(way.start_joints_u)),
+        "entry": (_end(bound.entry_um, bound.entry_joints_u), _end(way.entry_um, way.entry_joints_u)),
+        "exit": (_end(bound.exit_um, bound.exit_joints_u), _end(way.exit_um, way.exit_joints_u)),
+        "approach speed": (f"{bound.speed_percent} %", f"{way.speed_percent} %"),
     }
     for name, (one, other) in pairs.items():
         if one != other:
             yield f"the permit's {name} are not the verified: {one}, verified {other}"
+
+
+def _joints(counts: Sequence[int]) -> str:
+    """Joints as people read them."""
+    return ", ".join(
+        f"q{joint} {_decimal(count, 6)} {'mm' if joint == 2 else 'deg'}" for joint, count in enumerate(counts)
+    )
+
+
+def _end(distance_um: int, counts: Sequence[int]) -> str:
+    """Entry or exit likewise."""
+    return f"{_decimal(distance_um, 3)} mm along the tool, at {_joints(counts) or 'no joints'}"
+
+
+def _decimal(count: int, digits: int) -> str:
+    """Counts of a power of ten as a number with so many decimals; exact, however large what a log says is."""
+    whole, part = divmod(abs(count), 10**digits)
+    return f"{'-' if count < 0 else ''}{whole}.{part:0{digits}d}"
 
 
 def _digests(permit: records.Permit, left: wire.Permit, configuration: bytes) -> Iterator[str]:

@@ -33,7 +33,13 @@ from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.commands.screen import delivered, working
 from cutgate.runtime.commands.session_view import SessionView, run_document, stopped
 from cutgate.runtime.commands.verdict_view import BAD
-from cutgate.runtime.commands.verify import PLAN_HELP, REGISTRATION_HELP, ROBOT_HELP
+from cutgate.runtime.commands.verify import (
+    PLAN_HELP,
+    REGISTRATION_HELP,
+    ROBOT_HELP,
+    Q0TurnsOption,
+    RollTurnsOption,
+)
 from cutgate.runtime.exits import READER_GONE
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
@@ -42,10 +48,13 @@ from cutgate.runtime.session.job import VERIFIER, Files, make_job, read_files, u
 from cutgate.runtime.session.journal import Journal, plain
 from cutgate.runtime.session.loop import Session, wake_pipe
 from cutgate.runtime.session.worker import Worker
+from cutgate.runtime.verification.asked import AskedTurns
 from cutgate.runtime.verification.document import document_text
 
 EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
 OPERATOR_MAX: Final = 64
+BRANCH: Final = "joint branch"
+"""Name of record 0's option that says which turns were asked for; the path and the permit hold the branch itself."""
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
 TOLD: Final[dict[int, str]] = {
@@ -98,6 +107,8 @@ def run(
     feed_mm_s: Annotated[
         float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
     ] = None,
+    q0_turns: Q0TurnsOption = None,
+    roll_turns: RollTurnsOption = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
@@ -111,7 +122,8 @@ def run(
         with working(f"reading {path}"):
             files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
-            job = make_job(files, now=utc_now())
+            asked = AskedTurns(q0_turns, roll_turns)
+            job = make_job(files, now=utc_now(), asked=asked)
             check = Check(job, files.robot.value, files.placed)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
@@ -122,7 +134,7 @@ def run(
         directory = log_dir or Path(files.settings.log.directory)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
-            log = _log(directory, files, job.path, name, operator)
+            log = _log(directory, files, job.path, name, asked, operator)
             _tell(log.previous, view)
             withdrawn_in = _withdrawn_in(log, job.registration)
             if withdrawn_in is not None:
@@ -301,7 +313,9 @@ def _key(option: Path | None, files: Files) -> bytes:
     return load_key(file)
 
 
-def _log(directory: Path, files: Files, path: bytes, bus: str, operator: str | None) -> AuditLog:
+def _log(
+    directory: Path, files: Files, path: bytes, bus: str, asked: AskedTurns, operator: str | None
+) -> AuditLog:
     """A new log with every input file attached: the bytes that were parsed."""
     with working(f"opening a log in {directory}; what a crash has left there is read first"):
         log = AuditLog.create(
@@ -310,7 +324,7 @@ def _log(directory: Path, files: Files, path: bytes, bus: str, operator: str | N
             opened=OpenInfo(
                 VERIFIER,
                 VERIFIER,
-                _options(files, bus),
+                _options(files, bus, asked),
                 plain(user(os.getuid())),
                 plain(gethostname()),
                 operator,
@@ -330,11 +344,12 @@ def _log(directory: Path, files: Files, path: bytes, bus: str, operator: str | N
     return log
 
 
-def _options(files: Files, bus: str) -> tuple[tuple[str, str], ...]:
-    """What record 0 says of the bus, and of a simulation where one is allowed."""
+def _options(files: Files, bus: str, asked: AskedTurns) -> tuple[tuple[str, str], ...]:
+    """What record 0 says of the bus, of a joint branch that was asked for, and of a simulation where one is allowed."""
     allowed_by = files.simulation_allowed_by
     allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
-    return (("bus", plain(bus)), *allowed)
+    branch = ((BRANCH, f"asked for: {asked}"),) if str(asked) else ()
+    return (("bus", plain(bus)), *branch, *allowed)
 
 
 def register(app: typer.Typer) -> None:

@@ -11,6 +11,7 @@ from cutgate.config.screen import SAID_MAX, STDERR, STDOUT, diverted, printable,
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.screen import LiveConsole
+from cutgate.runtime.commands.travel_view import travel_lines
 from cutgate.runtime.commands.verdict_view import (
     BAD,
     GOOD,
@@ -174,8 +175,12 @@ class SessionView:
                 *(caution_line(caution) for caution in answer.cautions),
             )
         )
+        if (elbow := answer.document.get("other_elbow")) is not None:
+            self._output.print(lambda: Text(f"Other elbow: {elbow['text']}"), soft_wrap=True)
         if (approach := answer.approach) is not None:
             self._output.print(lambda: approach_line(approach), soft_wrap=True)
+            for line in travel_lines(approach, answer.verdict.start_joints_u, answer.proved):
+                self._output.print(lambda line=line: line, soft_wrap=True)  # type: ignore[misc]
 
     def guidance(self, found: Guidance | None, note: str) -> None:
         """Where to move the bone; else why nothing is said of it."""

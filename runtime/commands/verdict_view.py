@@ -12,6 +12,7 @@ from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.other_elbow import OtherElbow
 from cutgate.runtime.verification.plausibility import Caution
 from cutgate.runtime.verification.summary import summary
 from cutgate.runtime.verification.verdict import Verdict
@@ -73,6 +74,13 @@ def caution_line(caution: Caution) -> Text:
     """One warning, and whether it keeps from a permit."""
     asked = f" (before a permit: confirm {caution.code})" if caution.confirm else ""
     return Text.assemble(("WARNING", WARNED), f" {caution.code}: {printable(caution.text)}{asked}")
+
+
+def print_other_elbow(console: Console, found: OtherElbow | None) -> None:
+    """Prints what the other elbow would say, where that was asked: before any move of the bone."""
+    if found is not None:
+        console.print()
+        console.print(Text(f"Other elbow: {found.text}"))
 
 
 def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:
@@ -208,6 +216,9 @@ def _path_facts(verdict: Verdict) -> dict[str, str]:
         if branch
         else "none"
     )
+    others = [f"{one.joint} {one.feasible}" for one in verdict.windings if one.first < one.last]
+    if others:
+        turns += f"; turns in which the path fits: {', '.join(others)}"
     evaluations = verdict.evaluations
     least = "at most" if evaluations.best_case is None else f"{evaluations.best_case} to"
     return {

@@ -15,13 +15,15 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
-from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_verdict
+from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_other_elbow, print_verdict
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.guidance import Guidance, guide
+from cutgate.runtime.verification.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import (
     Caution,
     Placed,
@@ -51,6 +53,13 @@ FeedOption = Annotated[
 ]
 
 
+Q0TurnsOption = Annotated[
+    int | None,
+    typer.Option(help="Whole turns of the shoulder at the first pose; the best are chosen if left out."),
+]
+RollTurnsOption = Annotated[int | None, typer.Option(help="Likewise of the roll.")]
+
+
 class Method(StrEnum):
     """How to decide; the gate uses ``certified``."""
 
@@ -69,16 +78,22 @@ class Checked:
     elapsed_ms: float
 
 
-def check(prepared: Prepared, robot: Robot, method: Method = Method.certified) -> Checked:
+def check(
+    prepared: Prepared, robot: Robot, method: Method = Method.certified, asked: AskedTurns = BEST
+) -> Checked:
     """Verifies off-line exactly what the controller would be given.
 
     Args:
         prepared: the quantised path.
         robot: limits, calibration, deadband.
         method: which verifier decides.
+        asked: the turns of the joint branch, where not the best are to be taken.
+
+    Raises:
+        InputError: the path does not fit in the turns asked for.
     """
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    problem = off_line_problem(prepared, robot)
+    problem = in_branch(off_line_problem(prepared, robot), asked)
     decide = certified.verify if method is Method.certified else stocco.verify
     with working(f"verifying {len(prepared.path)} poses"):
         began = time.perf_counter()
@@ -158,6 +173,7 @@ def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) 
         guidance=guidance,
         digests=checked.digests,
         elapsed_ms=checked.elapsed_ms,
+        other_elbow=other_elbow(problem, verdict),
     )
     return described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
 
@@ -181,6 +197,8 @@ def verify(
         Path | None,
         typer.Option(help="site.toml: how large the files may be, and the registration's residual."),
     ] = None,
+    q0_turns: Q0TurnsOption = None,
+    roll_turns: RollTurnsOption = None,
     certificate: Annotated[
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
@@ -198,7 +216,7 @@ def verify(
         )
     settings = load_site(site).value if site else Site()
     arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s, settings)
-    checked = check(prepared, arm, method)
+    checked = check(prepared, arm, method, AskedTurns(q0_turns, roll_turns))
     found = _cautions(checked, prepared, settings.registration_max_residual_mm)
     if certificate is not None:
         _write_proof(certificate, checked.problem, checked.verdict)
@@ -209,6 +227,7 @@ def verify(
         facts = _facts(prepared, checked)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
         print_cautions(console, found)
+        print_other_elbow(console, other_elbow(checked.problem, checked.verdict))
         guidance = _guidance(checked, prepared)
         print_cautions(console, cautions_of_move(guidance))
         print_end(console, checked.verdict, guidance)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.protocol import records
-from cutgate.protocol.parameters import UNIT, Calibration, Limits, Tool, joints_to_counts
+from cutgate.protocol.parameters import ROTATION_DEG_GOES, UNIT, Calibration, Limits, Tool, joints_to_counts
 from cutgate.protocol.path import Elbow
 from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
@@ -87,9 +87,14 @@ def sample(reported: Reported, poses: int = SHORT) -> Sample:
 
 
 def _middle(limits: Limits) -> Floats:
-    """The middle of each joint's limits; a turning joint with half a turn left on either side of 0 stands at 0."""
-    low, high = limits.q_min, limits.q_max
-    free = (low <= -math.pi) & (high >= math.pi) & np.array([True, False, False, True, False])
+    """The middle of each joint's limits; a turning joint with half a turn left on either side of 0 stands at 0.
+
+    Of limits beyond what a joints frame reports, the middle of the part where a joint may go.
+    """
+    turning, goes = np.array([True, False, False, True, False]), math.radians(ROTATION_DEG_GOES)
+    low = np.where(turning, np.maximum(limits.q_min, -goes), limits.q_min)
+    high = np.where(turning, np.minimum(limits.q_max, goes), limits.q_max)
+    free = (low <= -math.pi) & (high >= math.pi) & turning
     return np.where(free, 0.0, (low + high) / 2.0)
 
 

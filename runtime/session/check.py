@@ -23,6 +23,7 @@ from cutgate.runtime.verification import verdict as verdicts
 from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.document import Digests, guidance_entries, verdict_document
 from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import Caution, Placed, cautions, cautions_of_move, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -127,6 +128,7 @@ def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
             job.path_digest, records.digest(job.limits), records.digest(job.calibration), job.registration
         ),
         elapsed_ms=elapsed_ms,
+        other_elbow=other_elbow(problem, verdict),
     )
     found = cautions(problem, verdict, placed)
     document = described(document, problem, verdict, found)

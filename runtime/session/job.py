@@ -14,7 +14,9 @@ from cutgate.runtime.interlock.state import Job, Timing
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.plausibility import Placed
+from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 
 VERIFIER = f"cutgate {__version__}"
@@ -79,12 +81,23 @@ def read_files(
     return Files(arm, settings, prepared, allow_simulated)
 
 
-def make_job(files: Files, *, now: datetime) -> Job:
-    """The job of these files: approved records, the path on its best joint branch, digests and deadlines."""
+def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST) -> Job:
+    """The job of these files: approved records, the path on its joint branch, digests and deadlines.
+
+    Args:
+        files: what was read.
+        now: aware.
+        asked: the turns of the joint branch, where not the best are to be taken.
+
+    Raises:
+        InputError: the path does not fit in the turns asked for.
+    """
     robot, settings = files.robot.value, files.settings
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
     tool = tool_record(robot).body()
-    path = _on_best_branch(files.prepared.path, limits, calibration, tool, robot)
+    path = files.prepared.path
+    problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
+    path = _on_branch(path, problem, asked)
     registration = files.prepared.registration
     age_s = (now - registration.value.created).total_seconds() if registration else 0.0
     return Job(
@@ -106,13 +119,12 @@ def make_job(files: Files, *, now: datetime) -> Job:
     )
 
 
-def _on_best_branch(
-    path: records.Path, limits: bytes, calibration: bytes, tool: bytes, robot: Robot
-) -> records.Path:
-    """The branch with the largest worst margin; where none is feasible the path keeps (0, 0) and is refused later."""
-    problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
-    branch = certified.verify(problem).branch
-    return with_branch(path, branch.q0_turns, branch.roll_turns) if branch else path
+def _on_branch(path: records.Path, problem: Problem, asked: AskedTurns) -> records.Path:
+    """The branch asked for, else that with the largest worst margin; where none is feasible (0, 0), refused later."""
+    chosen = in_branch(problem, asked).branch
+    if chosen is None and (best := certified.verify(problem).branch):
+        chosen = best.q0_turns, best.roll_turns
+    return with_branch(path, *chosen) if chosen else path
 
 
 def configuration(files: Files) -> bytes:

@@ -30,14 +30,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.protocol import records
+from cutgate.protocol.parameters import ROTATION_DEG_STANDS
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
 from cutgate.runtime.kinematics.arm import TURN, turns
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.verification.chain import build
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.enclosures import HALF_TURN
 from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, VERTICAL, Geometry, canonical
 from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.standing import standing
 from cutgate.runtime.verification.verdict import Boundary
 from cutgate.runtime.workspace.planar import SIDES, Arc, distance_to_arc, segment_to_arc
 
@@ -56,6 +59,8 @@ SMALLEST: Final = 2.0**-40
 """No interval is split below this part of the line."""
 BUDGET: Final = 200_000
 """Intervals looked at for one arc of one line; the rest stays undecided, which is refused."""
+AT_END: Final = 1e-6
+"""A worst place so near to an end of its line is that end's."""
 BLOCK: Final = 1024
 """So many of them in one step: under a millisecond."""
 
@@ -94,11 +99,15 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One line of the four: each boundary's worst place, and in sentences what it lacks."""
+    """One line of the four: each boundary's worst place, and in sentences what it lacks.
+
+    ``at_start`` are those of the sentences that speak of the start joints.
+    """
 
     name: LegName
     boundaries: dict[str, Boundary]
     reasons: tuple[str, ...]
+    at_start: frozenset[str] = frozenset()
 
     @property
     def violated(self) -> bool:
@@ -217,9 +226,24 @@ def joint_lines(lines: StraightLines | Approach, start: Start) -> Steps[Approach
         lines.outward,
         (yield from _joint_line(geometry, start, "retract", lines.exit, held=held)),
     )
-    reasons = tuple(f"{_TITLE[leg.name]}: {reason}" for leg in legs for reason in leg.reasons)
+    # What both joint lines lack where the arm stands is said once, and with what to do about it.
+    ill = any(leg.at_start for leg in legs)
+    said = _standing(geometry, start, held=held) if ill else ()
+    reasons = (
+        *said,
+        *(
+            f"{_TITLE[leg.name]}: {reason}"
+            for leg in legs
+            for reason in leg.reasons
+            if not (said and reason in leg.at_start)
+        ),
+    )
     admissible = not any(leg.violated for leg in legs)
     return Approach(admissible, lines.entry_um, lines.exit_um, lines.entry, lines.exit, legs, reasons)
+
+
+def _standing(geometry: Geometry, start: Start, *, held: bool) -> tuple[str, ...]:
+    return standing(geometry, start.joints, start.tolerance_mm, start.tolerance_rad, held=held)
 
 
 def _refused(reasons: tuple[str, ...]) -> Approach:
@@ -329,6 +353,9 @@ def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *
     space = geometry.workspace
     lower, upper = geometry.lower.copy(), geometry.upper.copy()
     lower[1], upper[1] = space.q1_lo, space.q1_hi
+    for joint in (0, 3):  # both ends where a joints frame can carry them: then all of the line
+        low, high = goes(geometry, joint, ROTATION_DEG_STANDS)
+        lower[joint], upper[joint] = max(lower[joint], low), min(upper[joint], high)
     inside = bool(((lower <= line) & (line <= upper)).all()) and not space.empty
     values = _linear(geometry, line)
     if held and geometry.lower[4] <= 0.0:  # as for the cut: below a vertical tool there is no stop
@@ -340,9 +367,18 @@ def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *
     for source, least in {**names, **values}.items():
         shown = _MIRRORED.get(source, source) if geometry.side < 0.0 else source
         boundaries[shown] = _boundary(shown, least, geometry, start)
-    reasons = [] if inside else _outside(geometry, line, lower, upper)
+    begins = 0 if name == "approach" else 1
+    outside = [] if inside else _outside(geometry, line, lower, upper)
+    reasons = [text for _, text in outside]
     reasons += [_sentence(b, name) for b in boundaries.values() if b.violated]
-    return Leg(name, boundaries, tuple(reasons))
+    at_start = {text for end, text in outside if end == begins}
+    by_start = len(at_start) == len(outside)  # then what is not defined is not for its sake alone
+    at_start |= {
+        _sentence(b, name)
+        for b in boundaries.values()
+        if b.violated and (by_start if b.fraction is None else abs(b.fraction - begins) <= AT_END)
+    }
+    return Leg(name, boundaries, tuple(reasons), frozenset(at_start))
 
 
 def _linear(geometry: Geometry, line: Floats) -> dict[str, _Least]:
@@ -502,8 +538,8 @@ def _sentence(b: Boundary, leg: LegName) -> str:
     return f"{b.name}: clearance {b.clearance:.6f} {b.unit}, {needs} {place}; {remedy}"
 
 
-def _outside(geometry: Geometry, line: Floats, lower: Floats, upper: Floats) -> list[str]:
-    """The joints whose ends are not inside their limits, as the controller reports them."""
+def _outside(geometry: Geometry, line: Floats, lower: Floats, upper: Floats) -> list[tuple[int, str]]:
+    """The joints whose ends are not where they may go, as the controller reports them, each with which end it is."""
     flip = _flip(geometry)
     reported = (line - geometry.offset) * flip
     low, high = np.sort(((np.stack((lower, upper)) - geometry.offset) * flip), axis=0)
@@ -514,10 +550,8 @@ def _outside(geometry: Geometry, line: Floats, lower: Floats, upper: Floats) -> 
                 continue
             scale, unit = (1.0, "mm") if joint == 2 else (math.degrees(1.0), "deg")
             value, least, most = (float(x) * scale for x in (reported[end, joint], low[joint], high[joint]))
-            found.append(
-                f"q{joint} is {value:.6f} {unit} at its {('beginning', 'end')[end]}, "
-                f"must be in [{least:.6g}, {most:.6g}]"
-            )
+            text = f"q{joint} is {value:.6f} {unit} at its {('beginning', 'end')[end]}, must be in [{least:.6g}, {most:.6g}]"
+            found.append((end, text))
     return found
 
 
@@ -567,11 +601,11 @@ def document(verdict: Approach, start: Start) -> dict[str, Any]:
         "clearance_um": start.clearance_um,
         "start_tolerance_mm": start.tolerance_mm,
         "start_tolerance_deg": math.degrees(start.tolerance_rad),
-        "start_joints": _shown(start.joints),
+        "start_joints": shown(start.joints),
         "entry_um": verdict.entry_um,
         "exit_um": verdict.exit_um,
-        "entry_joints": None if verdict.entry is None else _shown(verdict.entry),
-        "exit_joints": None if verdict.exit is None else _shown(verdict.exit),
+        "entry_joints": None if verdict.entry is None else shown(verdict.entry),
+        "exit_joints": None if verdict.exit is None else shown(verdict.exit),
         "legs": {
             leg.name: {
                 b.name: {
@@ -590,7 +624,7 @@ def document(verdict: Approach, start: Start) -> dict[str, Any]:
     }
 
 
-def _shown(joints: Floats) -> list[float | None]:
-    """Deg, deg, mm, deg, deg."""
+def shown(joints: Floats) -> list[float | None]:
+    """Joints in deg, deg, mm, deg, deg; None for any that is not finite."""
     values = [float(q) if joint == 2 else math.degrees(float(q)) for joint, q in enumerate(joints)]
     return [value if math.isfinite(value) else None for value in values]

@@ -16,9 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bisection import Aim, survey
-from cutgate.runtime.verification.branch import Candidate, candidates
+from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, confined, goes
 from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
 from cutgate.runtime.verification.chain import BLOCK, Chain, build, cut
 from cutgate.runtime.verification.closed_form import Extremes, extremes
@@ -26,6 +27,8 @@ from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.enclosures import (
     ACCELERATION,
     COLUMNS,
+    Q0_MAX,
+    Q0_MIN,
     ROLL_MAX,
     ROLL_MIN,
     SPEED,
@@ -157,8 +160,9 @@ def recheck(problem: Problem, certificate: Certificate) -> tuple[str, ...]:
     except ValueError as error:
         return (str(error),)
     proof = _Proof(problem, geometry, pieces, branch, extremes(geometry, segments, pieces.poses))
-    proven = proof.named(proof.least(segments, pieces))
-    return (*proof.astray(pieces), *_compared(proof, proven, certificate.bounds))
+    least = proof.least(segments, pieces)
+    proven = proof.named(least)
+    return (*proof.astray(pieces), *proof.beyond(least), *_compared(proof, proven, certificate.bounds))
 
 
 def _compared(proof: _Proof, proven: dict[str, float], stated: dict[str, float]) -> tuple[str, ...]:
@@ -225,8 +229,12 @@ class _Proof:
         target[: len(SIDES)] = g.arm_mm
         for _, first, limits in rates(self.problem):
             target[first : first + 5] = -limits
-        target[ROLL_MIN] = g.lower[3] + g.wrist_rad - self.roll.shift
-        target[ROLL_MAX] = self.roll.shift - (g.upper[3] - g.wrist_rad)
+        least, most = goes(g, 3)
+        target[ROLL_MIN] = max(g.lower[3] + g.wrist_rad, least) - self.roll.shift
+        target[ROLL_MAX] = self.roll.shift - min(g.upper[3] - g.wrist_rad, most)
+        if not confined(g, 0):
+            least, most = goes(g, 0)
+            target[Q0_MIN], target[Q0_MAX] = least - self.q0.shift, self.q0.shift - most
         if self.held is not None:
             target[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = np.inf
         return target
@@ -287,6 +295,23 @@ class _Proof:
         if self.held is not None and self.turns[1] != int(turns(np.array(self.held))):
             out.append(f"the roll is not held in turn {self.turns[1]}")
         return tuple(out)
+
+    def beyond(self, least: Floats) -> tuple[str, ...]:
+        """Joints of which it is not proven that a joints frame can carry them, whatever their limits."""
+        g, found = self.geometry, []
+        for joint, column, shift in ((0, Q0_MIN, self.q0.shift), (3, ROLL_MIN, self.roll.shift)):
+            bounds = least[column : column + 2]
+            if joint == 3 and self.held is not None:
+                inside = abs(self.held) <= GOES_RAD
+            else:
+                low, high = goes(g, joint)
+                inside = confined(g, joint) or bool(bounds[0] + shift >= low and bounds[1] - shift >= -high)
+            if not inside:
+                found.append(
+                    f"q{joint} is not proven to stay within +-{ROTATION_DEG_GOES} deg, what a joints frame carries "
+                    "with one revolution to spare"
+                )
+        return tuple(found)
 
 
 def _candidate(geometry: Geometry, joint: int, start: float, asked: int) -> Candidate:

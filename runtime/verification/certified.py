@@ -6,7 +6,8 @@ Rules, in order; every admitting comparison asks "inside?", so NaN denies:
 2. The path starts inside the planar workspace, by inverse kinematics.
 3. No boundary's proven bound is below its deadband. As the signed distances are enclosed along the
    whole path, a path that starts inside and keeps them cannot leave, nor change its branch.
-4. Shoulder and roll, followed continuously, stay within their limits for one choice of whole turns.
+4. Shoulder and roll, followed continuously, stay within their limits for one choice of whole turns, and where a
+   joints frame can carry them, with one revolution to spare.
 5. The joint speeds at the planned feed stay within their limits, and so do the accelerations inside the
    segments where limits are given.
 """
@@ -14,13 +15,21 @@ Rules, in order; every admitting comparison asks "inside?", so NaN denies:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bisection import Aim, Survey, survey
-from cutgate.runtime.verification.branch import Candidate, candidates, choose
+from cutgate.runtime.verification.branch import (
+    GOES_RAD,
+    Candidate,
+    candidates,
+    choose,
+    confined,
+    winding,
+)
 from cutgate.runtime.verification.chain import Chain, build
 from cutgate.runtime.verification.closed_form import Extremes, extremes
 from cutgate.runtime.verification.defects import defects
@@ -50,7 +59,7 @@ from cutgate.runtime.verification.quantities import (
     slide_and_pitch,
     wrist_length,
 )
-from cutgate.runtime.verification.reasons import sentences
+from cutgate.runtime.verification.reasons import held_beyond, sentences, unfit
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,
@@ -59,6 +68,7 @@ from cutgate.runtime.verification.verdict import (
     Quantity,
     SpeedLine,
     Verdict,
+    Winding,
 )
 from cutgate.runtime.workspace.planar import SIDES
 
@@ -130,6 +140,7 @@ class _Verification:
         self.limits = limits
         self.evaluations = [0, 0]
         self.budget = 0
+        self.windings: list[Winding] = []
         self.held = held_roll(problem, limits)
         self.roll_defined = chain.wound and azimuth_defined(limits)
         self.tip_at = np.concatenate(
@@ -164,6 +175,7 @@ class _Verification:
             boundaries=boundaries,
             speed=lines[:5],
             acceleration=lines[5:],
+            windings=tuple(self.windings),
             reasons=(*other, *sentences(boundaries, lines, self.problem.arm.elbow)),
         )
 
@@ -173,7 +185,7 @@ class _Verification:
         wanted = np.ones(COLUMNS, dtype=np.bool_)
         full = self.geometry.workspace.full_turn
         wanted[[LEFT, RIGHT]] = not full
-        wanted[[Q0_MIN, Q0_MAX]] = full
+        wanted[[Q0_MIN, Q0_MAX]] = full or not confined(self.geometry, 0)
         wanted[ACCELERATION:] = self.problem.acceleration is not None
         if self.held is not None:
             wanted[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = False
@@ -214,17 +226,19 @@ class _Verification:
         start = float(self.chain.points.shoulder[0])
         if not (self.chain.wound and math.isfinite(start)):
             return None
-        if not self.geometry.workspace.full_turn:
-            if not all(values[name].attained >= 0.0 for name in SIDES):
-                return None
-            found = candidates(self.geometry, 0, start, (start, start), asked)[0]
+        full = self.geometry.workspace.full_turn
+        if not all(values[name].attained >= 0.0 for name in (SIDES[:LEFT] if full else SIDES)):
+            return None  # out of these there is no shoulder to follow
+        reach, proven = self._shoulder_range(first)
+        if not all(map(math.isfinite, (*reach, *proven))):
+            return None
+        self._wind(0, start, reach)
+        if not full:  # the sides keep it within its limits
+            found = candidates(self.geometry, 0, start, (start, start), asked, proven)[0]
             return found if found.fits else None
-        if not (values["inner"].attained >= 0.0 and values["outer"].attained >= 0.0):
-            return None  # out of the annulus there is no shoulder to follow
-        reach = (float(first.attained[Q0_MIN]), -float(first.attained[Q0_MAX]))
         others = self._worst_ratio(values, leave_out=("left", "right"))
         best: tuple[float, Candidate, dict[str, Enclosed]] | None = None
-        for option in candidates(self.geometry, 0, start, reach, asked):
+        for option in candidates(self.geometry, 0, start, reach, asked, proven):
             sides = self._lifted_sides(option, reach)
             ratio = min([others, *(v.certified / self.geometry.arm_mm for v in sides.values())])
             if best is None or ratio > best[0]:
@@ -237,6 +251,14 @@ class _Verification:
             del values[name]
         values.update(best[2])
         return best[1] if best[1].fits else None
+
+    def _shoulder_range(self, first: Survey) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Least and largest lifted q0 as found and, where its limits do not say so themselves, as proven."""
+        if self._first_columns()[Q0_MIN]:
+            return _range(first.attained, Q0_MIN), _range(first.certified, Q0_MIN)
+        points = self.chain.points.shoulder
+        found = (float(points.min()), float(points.max()))
+        return found, found
 
     def _lifted_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, Enclosed]:
         """Left and right for one choice of turns; left out where the path stays half a turn away."""
@@ -262,12 +284,12 @@ class _Verification:
         asked = None if self.problem.branch is None else self.problem.branch[1]
         if self.held is not None:
             return self._held_roll(values, asked)
-        reach = (float(first.attained[ROLL_MIN]), -float(first.attained[ROLL_MAX]))
+        reach, proven = (_range(bounds, ROLL_MIN) for bounds in (first.attained, first.certified))
         start = float(self.chain.points.roll[0])
-        proven = np.isfinite(first.certified[[ROLL_MIN, ROLL_MAX]]).all()
-        if not (proven and all(map(math.isfinite, (*reach, start)))):
+        if not all(map(math.isfinite, (*proven, *reach, start))):
             return None
-        options = candidates(g, 3, start, reach, asked)
+        self._wind(3, start, reach)
+        options = candidates(g, 3, start, reach, asked, proven)
         chosen = choose(options, g.wrist_rad, self._worst_ratio(values, leave_out=()))
         shift = chosen.shift
         target = (g.lower[3] + g.wrist_rad - shift, -(g.upper[3] - g.wrist_rad - shift))
@@ -293,10 +315,18 @@ class _Verification:
             ("roll_max", float(self.geometry.upper[3]) - true),
         ):
             values[name] = Enclosed(margin, margin, 0, 0.0)
-        fits = min(values["roll_min"].attained, values["roll_max"].attained) >= 0.0
+        fits = min(values["roll_min"].attained, values["roll_max"].attained) >= 0.0 and abs(held) <= GOES_RAD
+        self.windings.append(
+            replace(winding(self.geometry, 3, true, (true, true)), first=reported, last=reported)
+        )
         if not fits or asked not in {None, reported}:
             return None
         return Candidate(0.0, reported, fits=True, margin=0.0)
+
+    def _wind(self, joint: int, start: float, reach: tuple[float, float]) -> None:
+        """What is known of a joint's turns, for people."""
+        if all(map(math.isfinite, (start, *reach))):
+            self.windings.append(winding(self.geometry, joint, start, reach))
 
     def _worst_ratio(self, values: dict[str, Enclosed], leave_out: tuple[str, ...]) -> float:
         g = self.geometry
@@ -361,11 +391,20 @@ class _Verification:
                 else f"q0_turns {asked[0]}, roll_turns {asked[1]} do not keep"
             )
             out.append(f"{turn} shoulder and roll within their limits along the whole path")
+            wanted = {"q0": None, "q3": None} if asked is None else {"q0": asked[0], "q3": asked[1]}
+            if self.held is not None and not abs(self.held) <= GOES_RAD:
+                out.append(held_beyond(self.held))
+            out += [text for found in self.windings if (text := unfit(found, wanted[found.joint]))]
         return tuple(out)
 
     def _wrist_length(self) -> float:
         """Length of the wrist-centre path, mm: Gauss-Legendre on each segment's smooth speed."""
         return wrist_length(self.segments, self.geometry.tool_mm)
+
+
+def _range(bounds: Floats, column: int) -> tuple[float, float]:
+    """Least and largest value of a column pair: the second has the other sign."""
+    return float(bounds[column]), -float(bounds[column + 1])
 
 
 def _value(done: Survey, column: int, offset: float = 0.0) -> Enclosed:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.other_elbow import OtherElbow
 from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Verdict
 
 SCHEMA: Final = "cutgate.verdict/1"
@@ -22,7 +23,13 @@ class Digests:
 
 
 def verdict_document(
-    verdict: Verdict, *, poses: int, guidance: Guidance | None, digests: Digests, elapsed_ms: float
+    verdict: Verdict,
+    *,
+    poses: int,
+    guidance: Guidance | None,
+    digests: Digests,
+    elapsed_ms: float,
+    other_elbow: OtherElbow | None = None,
 ) -> dict[str, Any]:
     """The verdict as ``verify --json`` prints it; undefined values are None.
 
@@ -32,6 +39,7 @@ def verdict_document(
         guidance: how to move the bone, where it was computed; one that is not settled leaves null and a note.
         digests: of the records and files the verdict was made for.
         elapsed_ms: of the verification alone.
+        other_elbow: whether the other elbow would admit the path, where that was asked.
     """
     return {
         "schema": SCHEMA,
@@ -62,6 +70,7 @@ def verdict_document(
         "boundaries": {name: _boundary(boundary) for name, boundary in verdict.boundaries.items()},
         "speed": _speed(verdict),
         "acceleration": [_rate(line) for line in verdict.acceleration],
+        "other_elbow": other_elbow and other_elbow.document,
         **guidance_entries(guidance),
         "digests": {
             "path": digests.path.hex(),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
-from cutgate.runtime.verification.verdict import Boundary, SpeedLine
+from cutgate.protocol.parameters import ROTATION_DEG_GOES
+from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Winding
 
 _REMEDY = {
     "inner": "move the bone away from the column",
@@ -63,6 +65,37 @@ def _boundary(b: Boundary, elbow: str, left: Sequence[str]) -> str:
     return (
         f"{b.name}: clearance {b.clearance:.6f} {b.unit}, needs {b.deadband:.6g} {b.unit} {place}; {remedy}"
     )
+
+
+FRAME = f"+-{ROTATION_DEG_GOES} deg, what a joints frame carries with one revolution to spare"
+
+
+def held_beyond(held_rad: float) -> str:
+    """Why a declared roll cannot be held."""
+    return f"the roll is held at {math.degrees(held_rad):.3f} deg, must be within {FRAME}; declare another hold_roll_deg"
+
+
+def unfit(winding: Winding, turns: int | None) -> str:
+    """Why a joint cannot take these turns, None for those that come nearest; empty where it can.
+
+    Its range on the path, the limit, and which turns it can take.
+    """
+    if winding.first <= winding.last if turns is None else winding.first <= turns <= winding.last:
+        return ""
+    limits = f"its limits [{winding.lower_deg:.6g}, {winding.upper_deg:.6g}] deg"
+    low, high = max(winding.lower_deg, -ROTATION_DEG_GOES), min(winding.upper_deg, ROTATION_DEG_GOES)
+    if low > high:
+        return f"{winding.joint}: {limits} lie beyond {FRAME}; correct the limits"
+    if turns is None:
+        nearest = round(((low + high) - (winding.least_deg + winding.most_deg)) / 720.0)
+        (least, most), taken = winding.range_deg(nearest), ""
+    else:
+        (least, most), taken = winding.range_deg(turns), f" where its turns are {turns}"
+    bound = FRAME if winding.lower_deg <= least and most <= winding.upper_deg else limits
+    remedy = "no turns fit: part the path or move the bone"
+    if winding.first <= winding.last:
+        remedy = f"turns that fit: {winding.feasible}"
+    return f"{winding.joint} goes from {least:.3f} to {most:.3f} deg on the path{taken}, must stay within {bound}; {remedy}"
 
 
 def _rate(line: SpeedLine) -> str:

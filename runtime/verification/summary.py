@@ -6,7 +6,7 @@ from cutgate.runtime.verification.verdict import Boundary, Verdict
 
 
 def summary(verdict: Verdict) -> str:
-    """The smallest margin, or what is violated: known shortfalls first, worst first."""
+    """The smallest margin, or what is violated: known shortfalls first, worst first; else the reasons themselves."""
     known = [b for b in verdict.boundaries.values() if b.certified is not None]
     if verdict.admissible:
         if not known:
@@ -30,7 +30,7 @@ def summary(verdict: Verdict) -> str:
         unbounded = [f"q{line.joint}" for line in lines if not line.ok and line.peak is None]
         undefined += [f"{lines[0].quantity} of {', '.join(unbounded)}"] if unbounded else []
     parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
-    return "; ".join(parts) if parts else "see the reasons below"
+    return "; ".join(parts or verdict.reasons) or "see the reasons below"
 
 
 def _relative(boundary: Boundary) -> float:

@@ -28,6 +28,40 @@ class Branch:
 
 
 @dataclass(frozen=True, slots=True)
+class Winding:
+    """What whole turns do for shoulder or roll, as the controller reports it.
+
+    Attributes:
+        joint: ``q0`` or ``q3``.
+        least_deg: least angle found along the path in turn 0.
+        most_deg: the largest.
+        lower_deg: the joint's limits.
+        upper_deg: the upper one.
+        first: least turn that keeps the path within them, and within what a joints frame carries.
+        last: the largest; less than ``first`` where no turn does.
+    """
+
+    joint: Literal["q0", "q3"]
+    least_deg: float
+    most_deg: float
+    lower_deg: float
+    upper_deg: float
+    first: int
+    last: int
+
+    def range_deg(self, turns: int) -> tuple[float, float]:
+        """Least and largest angle along the path in these turns."""
+        return self.least_deg + 360.0 * turns, self.most_deg + 360.0 * turns
+
+    @property
+    def feasible(self) -> str:
+        """The turns that fit, for people."""
+        if self.first > self.last:
+            return "none"
+        return f"{self.first}" if self.first == self.last else f"{self.first} to {self.last}"
+
+
+@dataclass(frozen=True, slots=True)
 class Evaluations:
     """How many times a distance was evaluated for the arm and for the wrist; the bounds for the arm.
 
@@ -87,7 +121,7 @@ class SpeedLine:
 class Verdict:
     """The whole answer; ``reasons`` says in sentences what keeps the path from being admitted.
 
-    ``acceleration`` is empty where no limits are given.
+    ``acceleration`` is empty where no limits are given; ``windings`` has shoulder and roll as far as they can be followed.
     """
 
     method: Method
@@ -103,3 +137,4 @@ class Verdict:
     speed: tuple[SpeedLine, ...]
     reasons: tuple[str, ...]
     acceleration: tuple[SpeedLine, ...] = ()
+    windings: tuple[Winding, ...] = ()

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.approach import Approach, own_ends, start_offset
+from cutgate.firmware_sim.approach import Approach, inside, own_ends, start_offset
 from cutgate.firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
+from cutgate.protocol.states import Refusal
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, WIDE, line_path
 from tests.firmware_sim.controllers import PERMIT
 
@@ -57,6 +58,30 @@ def test_an_exit_outside_the_limits_is_named():
     path = line_path((500.0, 0.0, 100.0), (500.0, 20.0, 290.0), polar=(30, 30), azimuth=(0, 0))
     with pytest.raises(KinematicsError, match=r"exit pose, 50.000 mm along the tool: q2 = .* outside"):
         ends_of(path, clearance_um=50_000)
+
+
+def test_an_entry_beyond_what_the_bus_reports_is_named():
+    """The path itself is still where it may go."""
+    tip = (500.0 * math.cos(2.52), 500.0 * math.sin(2.52), 100.0)
+    path = line_path(tip, (tip[0], tip[1] + 0.1, tip[2]), poses=3, azimuth=(250.0, 250.0), q0_turns=6)
+    assert PathCheck(path, WIDE, NOMINAL, TOOL).run()[0] is Refusal.ACCEPTED
+    with pytest.raises(
+        KinematicsError, match=r"entry pose, 200.000 mm along the tool: q0 = 2267\..* is beyond \+-2261 deg"
+    ):
+        ends_of(path, limits=WIDE, clearance_um=200_000)
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_bound_joints_must_be_such_as_the_bus_reports_whatever_the_limits(joint):
+    def inner(degrees, **within):
+        return inside(
+            WIDE, tuple(degrees * 1_000_000 if j == joint else 1_000_000 for j in range(5)), **within
+        )
+
+    assert inner(2261) and inner(-2261)  # noqa: PT018
+    assert not inner(2262) and not inner(-2262)  # noqa: PT018
+    assert inner(2600, within_deg=2600)
+    assert not inner(2601, within_deg=2600)
 
 
 joint = st.floats(-1.0, 1.0)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -193,6 +194,17 @@ def test_a_time_scale_is_said_to_be_for_simulation_only(given, capfd):
 )
 def test_bad_input_is_one_line_and_exit_code_2(given, capfd, more, texts):
     refused(capfd, [*given[0], *more], *texts)
+
+
+def test_limits_without_any_place_that_the_bus_can_report_are_said_in_degrees(given, capfd, tmp_path):
+    text = Path(given[0][1]).read_text(encoding="utf-8")
+    far = tmp_path / "far.toml"
+    far.write_text(re.sub(r"q3_deg = .*", "q3_deg = [3000.0, 4000.0]", text), encoding="utf-8")
+    refused(
+        capfd,
+        [*given[0], "--robot", str(far)],
+        "no place inside the limits of robot.toml can be reported: q3 is 3500.000 deg, a joints frame carries +-2621",
+    )
 
 
 def test_there_is_no_key_built_in(given, capfd):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import time
 
 import numpy as np
@@ -43,6 +44,27 @@ def path_of(joints, calibration=NOMINAL, elbow="right", **header):
 
 def test_a_path_inside_the_limits_is_accepted():
     assert check(PATH) == (Refusal.ACCEPTED, 0, "")
+
+
+@pytest.mark.parametrize(("joint", "turns"), [(0, "q0_turns"), (3, "roll_turns")])
+def test_what_must_fit_a_joints_frame_is_where_the_path_goes_not_the_limits(joint, turns):
+    """Limits of +-3000 deg: six turns leave a revolution to spare, seven do not, and the pose and the angle are named."""
+    assert check(line_path((500.0, 0.0, 100.0), (450.0, 120.0, 60.0), **{turns: 6}), WIDE) == (
+        Refusal.ACCEPTED,
+        0,
+        "",
+    )
+    refusal, pose, detail = check(line_path((500.0, 0.0, 100.0), (450.0, 120.0, 60.0), **{turns: 7}), WIDE)
+    assert (refusal, pose) == (Refusal.JOINTS_BEYOND_WIRE, 0)
+    assert re.fullmatch(
+        rf"q{joint} = 2[45]\d\d\.\d+ deg is beyond \+-2261 deg, what the bus .* spare", detail
+    )
+
+
+def test_limits_that_a_pose_leaves_are_named_before_the_frame():
+    refusal, _, detail = check(line_path((500.0, 0.0, 100.0), (450.0, 120.0, 60.0), roll_turns=7))
+    assert refusal is Refusal.POSE_OUTSIDE_LIMITS
+    assert "outside [-170.000000, 170.000000]" in detail
 
 
 def test_the_first_joints_are_known_afterwards():

@@ -344,10 +344,11 @@ def test_a_stored_path_does_not_move_the_arm(bench):
         ((-80, 0, 50, -170, 0), (80, 145, 450, 170, 110), (0, 72.5, 250, 0, 55)),
         ((-36_000, -145, -10, 100, 20), (36_000, 0, 20, 220, 180), (0, -72.5, 5, 160, 100)),
         ((-180, 0, 0, -100, 0), (500, 180, 1, 700, 180), (0, 90, 0.5, 300, 90)),
+        ((-39, 0, 0, -36_000, 0), (36_000, 180, 1, -139, 180), (1111, 90, 0.5, -1200, 90)),
     ],
 )
 def test_the_arm_powers_up_in_the_middle_of_its_limits(lower, upper, expected):
-    """0 where a joint has half a turn on either side of it."""
+    """0 where a joint has half a turn on either side of it; of limits beyond what the bus reports, where it may go."""
     limits = records.Limits.quantised(q_min_deg=lower, q_max_deg=upper, speed_deg_s=(57, 57, 200, 114, 114))
     joints = middle_of(limits)
     shown = [joint if index == 2 else math.degrees(joint) for index, joint in enumerate(joints)]

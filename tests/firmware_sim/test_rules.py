@@ -13,6 +13,7 @@ from cutgate.firmware_sim.rules import (
     RESET_RULES,
     START_RULES,
     Case,
+    at_start,
     first_refusal,
 )
 from cutgate.firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory, OpenReceived
@@ -370,6 +371,31 @@ def test_the_arm_stands_at_the_bound_start_joints_within_the_tolerance(joint, si
     measured = _joints(joint, sign * JUST_INSIDE[joint])
     for case, rules in ((PERMIT_CASE, PERMIT_RULES), (START_CASE, START_RULES)):
         assert first_refusal(rules, changed(case, "controller.measured_u", measured)) is Refusal.ACCEPTED
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_without_limits_stands_and_goes_where_the_bus_surely_reports_it(joint, sign):
+    """A cut leaves a revolution to spare; from where the arm stands it only comes back."""
+    limits = records.Limits.parse(PERMIT_CASE.controller.holdings.limits)
+    lower, upper = (
+        tuple(end * 36_000_000_000 if j == joint else bound for j, bound in enumerate(bounds))
+        for end, bounds in ((-1, limits.q_min_u), (1, limits.q_max_u))
+    )
+    wide = changed(
+        PERMIT_CASE, "controller.holdings.limits", replace(limits, q_min_u=lower, q_max_u=upper).body()
+    )
+
+    def at(place, degrees):
+        joints = START_JOINTS if place == "start_joints" else getattr(ENDS, f"{place}_joints_u")
+        return _twin(wide, f"both.{place}", _moved(joints, joint, sign * degrees * 1_000_000 - joints[joint]))
+
+    assert at_start(at("start_joints", 2600))
+    assert not at_start(at("start_joints", 2601))
+    own_approach = dict(PERMIT_RULES)[Refusal.APPROACH]
+    for end in ("entry", "exit"):
+        assert own_approach(at(end, 2261))
+        assert not own_approach(at(end, 2262))
 
 
 @pytest.mark.parametrize("by", [1, -1])

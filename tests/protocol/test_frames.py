@@ -20,7 +20,10 @@ from cutgate.protocol.frames import (
     DATABASE,
     FRAMES,
     IDS,
+    JOINT_COUNT_MAX,
+    ROTATION_DEG,
     SENT_BY,
+    SLIDE_MM,
     ControllerFault,
     ControllerHeartbeat,
     Frame,
@@ -39,6 +42,7 @@ from cutgate.protocol.frames import (
     message_of,
 )
 from cutgate.protocol.link import Link
+from cutgate.protocol.parameters import ROTATION_DEG_GOES, ROTATION_DEG_STANDS, SLIDE_MM_MAX
 from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
 from cutgate.protocol.wire import Side
 
@@ -199,6 +203,29 @@ def test_joint_that_cannot_be_reported_is_refused(joint: int, value: float):
     joints[joint] = value
     with pytest.raises(FrameError):
         joint_frames(joints)
+
+
+@pytest.mark.parametrize(
+    ("joint", "value", "text"),
+    [
+        (0, math.radians(2700), r"q0 is 2700\.000 deg, a joints frame carries \+-2621\.435 deg"),
+        (2, -5300.0, r"q2 is -5300\.000 mm, a joints frame carries \+-5242\.870 mm"),
+        (3, -1e300, r"q3 is .* deg"),
+    ],
+)
+def test_what_cannot_be_reported_is_said_in_degrees_and_mm_never_in_counts(joint, value, text):
+    joints = [0.0] * 5
+    joints[joint] = value
+    with pytest.raises(FrameError, match=text):
+        joint_frames(joints)
+
+
+def test_a_joint_may_go_where_a_frame_reports_it_with_a_revolution_to_spare():
+    most = JOINT_COUNT_MAX * ROTATION_DEG
+    assert bounds(Joints01, "q0")[1] == bounds(Joints23, "q2")[1] == JOINT_COUNT_MAX
+    assert most - 361 < ROTATION_DEG_GOES <= most - 360
+    assert ROTATION_DEG_GOES < ROTATION_DEG_STANDS < most
+    assert SLIDE_MM_MAX <= JOINT_COUNT_MAX * SLIDE_MM  # no limit of the slide, elbow or pitch lies beyond
 
 
 def test_four_joints_are_no_sample():

@@ -1,6 +1,7 @@
 """A whole session, from announcement to the closed log."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
-from tests.system.harness import FAST, POSES, is_kind, judged, registration
+from tests.system.harness import FAST, POSES, ROBOT, is_kind, judged, registration
 from tests.tool_paths import tool_path
 
 pytestmark = pytest.mark.processes
@@ -71,10 +72,37 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
     run, sim = rig.run(), rig.sim(joints="0,70,52,0,55")
     assert run.exit() == 1
     assert "approach and retract INADMISSIBLE" in run.document
-    assert "bottom: clearance 2.000000 mm, needs 5.5 mm" in run.document.partition("NOT ADMITTED")[2]
+    assert "move q2 by +3.51 mm, to 55.51 mm" in run.document.partition("NOT ADMITTED")[2]
     assert rig.at_rest(sim) == "INHIBITED"
     assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
     assert "state PERMITTED" not in sim.told
+
+
+def test_a_roll_without_limits_runs_a_whole_session_in_the_turns_that_were_asked_for(rig):
+    """What must fit a joints frame is where the arm goes, not what its limits allow."""
+    robot = rig.folder / "unlimited.toml"
+    text = re.sub(r"q3_deg = .*", "q3_deg = [-36000, 36000]", ROBOT.read_text(encoding="utf-8"))
+    robot.write_text(text, encoding="utf-8")
+    run, sim = rig.run(robot=robot, more=["--roll-turns", "2"]), rig.sim(robot=robot, scale=8 * FAST)
+    run.line("permitted:")
+    assert re.search(r"the approach moves q0 .*, q3 \+7\d\d\.\d deg \(2\.0 turns\)", run.told)
+    assert "WARNING q3 turns 2.0 times on the approach" in run.told
+    assert "--roll-turns 0 is nearest to where the arm stands (the path fits in -6 to 6)" in run.told
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
+    (verdict,), (opened,) = (list(rig.log().of(topic)) for topic in ("/audit/verdict", "/audit/open"))
+    assert (verdict["q0_turns"], verdict["roll_turns"]) == (0, 2)
+    assert {"name": "joint branch", "value": "asked for: --roll-turns 2"} in opened["simulation"]
+    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+
+
+def test_the_unlimited_arm_of_the_paper_runs_a_whole_session(rig):
+    run, sim = rig.run(robot=Path("figure2")), rig.sim(robot=Path("figure2"), scale=8 * FAST)
+    run.line("permitted:")
+    rig.begin(sim, run)
+    assert run.exit() == 0
+    assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
 
 
 def test_the_bus_saw_one_permit_one_start_and_an_orderly_end(rig):

@@ -327,6 +327,16 @@ def test_an_approach_from_elsewhere_is_computed_from_there(admitted):
     differs(forged, "a permit left; the approach is recorded as admissible and recomputed as inadmissible")
     differs(forged, "a start left; the approach is recorded as admissible and recomputed as inadmissible")
     differs(forged, "the permit's start joints are not the verified")
+    differs(forged, " mm, q3 ")
+    differs(forged, "verified q0 ")
+    differs(forged, "q2 52.000000 mm")
+
+
+def test_the_words_of_an_older_verifier_may_be_others(admitted):
+    other = changed(records.Approach, reason="in other words")
+    differs(forge(admitted, other), "approach reason: recorded in other words")
+    older = replayed(forge(forge(admitted, changed(records.Open, verifier="another")), other))
+    assert not any("reason" in line for line in older.differences)
 
 
 @pytest.mark.parametrize(

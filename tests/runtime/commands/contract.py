@@ -109,6 +109,13 @@ class GuidancePart(Part):
         return self
 
 
+class OtherElbowPart(Part):
+    elbow: Literal["right", "left"]
+    q1_deg: tuple[Real, Real]
+    admissible: bool | None
+    text: Annotated[str, Field(min_length=1)]
+
+
 class DigestsPart(Part):
     path: Hex
     limits: Hex
@@ -127,6 +134,7 @@ class VerdictDocument(Part):
     boundaries: dict[Name, BoundaryPart]
     speed: list[SpeedPart]
     acceleration: list[SpeedPart]  # beside the contract's keys; empty where no limits are given
+    other_elbow: OtherElbowPart | None = None  # absent in what 0.1.0 wrote
     guidance: GuidancePart | None
     guidance_note: Annotated[str, Field(min_length=1)] | None = None
     digests: DigestsPart

@@ -15,6 +15,7 @@ from cutgate.runtime.commands import run as command
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.interlock.state import ENDED, Phase
 from cutgate.runtime.session import withdrawn
+from cutgate.runtime.verification.asked import BEST
 from tests.runtime.audit.build import LOG_ID, OPENED, PATIENCE_S, small_log
 from tests.runtime.audit.test_directory import Later
 from tests.runtime.interlock.builders import TIMING
@@ -158,7 +159,7 @@ def test_the_log_says_who_ran_the_session_and_where(tmp_path, tmp_path_factory, 
     from tests.runtime.session.pair import job_of  # noqa: PLC0415 - it imports both sides of the bus
 
     files, job = job_of(tmp_path_factory)
-    log = command._log(tmp_path, files, job.path, "test/x", operator)
+    log = command._log(tmp_path, files, job.path, "test/x", BEST, operator)
     log.close(final_state=Phase.WAITING, outcome="x", clean=True)
     (opened,) = read_log(log.path.read_bytes(), log.candump_path.read_bytes()).of("/audit/open")
     assert opened.get("operator") == operator

@@ -31,9 +31,8 @@ def test_an_approach_is_told_in_a_line_with_what_decided_it():
     low = np.array([*MIDDLE[:2], 53.0, *MIDDLE[3:]])
     bad = approach_line(verify(cut(), Start(low, 10_000))).plain
     assert "INADMISSIBLE" in bad
-    assert (
-        "bottom: clearance 3.000000 mm, needs 5 mm at fraction 0.000000 of the line; let the arm start" in bad
-    )
+    assert "the arm stands with q2 at 53.000 mm" in bad
+    assert "move q2 by +2.01 mm, to 55.01 mm" in bad
 
 
 def test_the_signal_that_ends_a_session_is_told_once_it_is_obeyed(capfd):

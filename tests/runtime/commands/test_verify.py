@@ -76,6 +76,36 @@ def test_the_first_registration_is_inadmissible_with_a_verified_way_out(verdict)
     assert {"outer", "top"} <= {move.boundary for move in found.guidance.moves}
 
 
+def test_a_refusal_says_what_the_other_elbow_would_before_any_move_is_proposed(cutgate, verdict, tmp_path):
+    """A shoulder that stops at 0 deg cannot cut this path with its right elbow, and could with its left one."""
+    robot, path = tmp_path / "robot.toml", tmp_path / "path.csv"
+    text = ROBOT.read_text(encoding="utf-8").replace("q0_deg = [-80.0", "q0_deg = [0.0")
+    robot.write_text(text, encoding="utf-8")
+    path.write_text("x,y,z,i,j,k\n500,0,100,0.5,0,0.8660254\n520,10,110,0.5,0,0.8660254\n", encoding="utf-8")
+    code, found = verdict(path, "--robot", robot)
+    assert (code, found.other_elbow.elbow, found.other_elbow.admissible) == (1, "left", True)
+    assert found.other_elbow.q1_deg == (-145.0, 0.0)
+    _, out, _ = cutgate("verify", path, "--robot", robot)
+    told = " ".join(out.split())
+    assert f"Other elbow: {found.other_elbow.text}" in told
+    assert told.index("Other elbow: ") < told.index("How to move the bone")
+    _, admitted = verdict(path, *MOUNTED)
+    assert admitted.other_elbow is None
+
+
+def test_the_joint_branch_can_be_asked_for_and_one_that_does_not_fit_is_refused(cutgate, verdict, tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("x,y,z,i,j,k\n500,0,100,0.5,0,0.8660254\n520,10,110,0.5,0,0.8660254\n", encoding="utf-8")
+    wide = ["--robot", "figure2"]
+    code, found = verdict(path, *wide, "--roll-turns", 2, "--q0-turns", -1)
+    assert (code, found.branch.q0_turns, found.branch.roll_turns) == (0, -1, 2)
+    code, out, said = cutgate("verify", path, *wide, "--roll-turns", 8)
+    assert (code, out) == (2, "")
+    assert "--roll-turns is 8, must be -" in said
+    assert "+-2261 deg, what a joints frame carries with one revolution to spare" in " ".join(said.split())
+    assert "turns that fit: -" in said
+
+
 def test_the_second_registration_is_admissible_with_room_to_spare(verdict):
     code, found = verdict(PLAN, *MOUNTED, "--registration", SECOND)
     assert (code, found.verdict, found.guidance) == (0, "admissible", None)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cutgate.firmware_sim import process as process_module
@@ -13,8 +14,10 @@ from cutgate.firmware_sim.process import Word
 from cutgate.firmware_sim.state import Controller, PathChecked
 from cutgate.protocol.frames import IDS, Joints01
 from cutgate.protocol.link import Link, Violation
+from cutgate.protocol.records import Limits
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.protocol.wire import Side
+from cutgate.runtime.conform import sample
 from cutgate.runtime.conform.suite import Verdict
 from cutgate.runtime.conform.table import cases
 from tests.runtime.conform.rig import Rig, by_name, failing
@@ -346,3 +349,14 @@ def test_every_case_has_a_name_of_its_own_and_a_requirement() -> None:
     assert all(case.requirement and case.sent and case.expected for case in all_cases)
     latching = [case.latches for case in all_cases[:-1]]
     assert latching == sorted(latching), "what latches comes last"
+
+
+def test_the_sample_path_of_joints_without_limits_lies_where_they_may_go() -> None:
+    limits = Limits.quantised(
+        q_min_deg=(-39, 0, 0, -36_000, 0),
+        q_max_deg=(36_000, 180, 1, -139, 180),
+        speed_deg_s=(57, 57, 200, 114, 114),
+    )
+    middle = sample._middle(limits)
+    assert np.degrees(middle[[0, 3]]) == pytest.approx([1111, -1200])
+    assert middle[2] == 0.5

@@ -121,10 +121,11 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(pair):
     pair.power_up(joints=as_joints(joints_to_memory(LOW)))
     assert pair.begin().end() is Phase.REFUSED
     assert (
-        "approach and retract: joint line from the start joints to the entry pose: bottom: "
+        "approach and retract: the arm stands with q2 at 52.050 mm, its limits are [50, 450] mm"
         in pair.state.reason
     )
-    assert "clearance 2.050000 mm, needs 5.5 mm" in pair.state.reason
+    assert "move q2 by +3.46 mm, to 55.51 mm" in pair.state.reason
+    assert "5.5 mm (deadband and start tolerance) must be kept" in pair.state.reason
     assert not first_frames(pair, records.Permit)
     assert standing(pair) == LOW
     pair.close()

@@ -99,6 +99,12 @@ def test_step_by_step_it_finds_what_is_found_in_one_go(tmp_path_factory):
             assert [b.name for b in one.boundaries.values()] == [b.name for b in other.boundaries.values()]
 
 
+def test_an_inadmissible_path_says_what_the_other_elbow_would(tmp_path_factory):
+    found = own(tmp_path_factory, INADMISSIBLE_MM).document["other_elbow"]
+    assert (found["elbow"], found["admissible"]) == ("left", False)
+    assert own(tmp_path_factory).document["other_elbow"] is None
+
+
 def test_an_inadmissible_path_has_neither_proof_nor_approach_nor_trajectory(tmp_path_factory):
     answer = own(tmp_path_factory, INADMISSIBLE_MM)
     verdict = answer.verdict
@@ -113,7 +119,8 @@ def test_an_approach_that_is_not_admissible_binds_nothing_and_has_no_trajectory(
     answer = own(tmp_path_factory, joints_u=LOW)
     assert answer.verdict.admissible
     assert (answer.verdict.approach, answer.verdict.trajectory) == (None, None)
-    assert "bottom: clearance 2.050000 mm, needs 5.5 mm" in answer.verdict.approach_reason
+    assert "q2 at 52.050 mm" in answer.verdict.approach_reason
+    assert "move q2 by +3.46 mm, to 55.51 mm" in answer.verdict.approach_reason
     assert answer.approach_document["verdict"] == "inadmissible"
 
 

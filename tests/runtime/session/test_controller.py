@@ -253,16 +253,37 @@ def test_a_path_block_outside_loading_is_ignored(pair):
     assert pair.process._check is None
 
 
-@pytest.mark.parametrize("side", ["q_min_u", "q_max_u"])
-def test_limits_beyond_what_a_joints_frame_can_carry_are_refused(pair, side):
+def unlimited(pair, joint, turns=0):
+    """The same session with a joint that has no limits, and the path that many turns further on."""
     i = records.Limits.parse(pair.job.limits)
-    far = {"q_min_u": -36_000_000_000, "q_max_u": 36_000_000_000}[side]
-    bounds = getattr(i, side)
-    wide = replace(i, **{side: (*bounds[:3], far, bounds[4])})
-    pair.job = replace(pair.job, limits=wide.body())
+    far = 36_000_000_000
+    lower, upper = (
+        tuple(sign * far if j == joint else bound for j, bound in enumerate(bounds))
+        for sign, bounds in ((-1, i.q_min_u), (1, i.q_max_u))
+    )
+    path = records.Path.parse(pair.job.path)
+    path = replace(path, **{{0: "q0_turns", 3: "roll_turns"}[joint]: turns})
+    pair.job = replace(
+        pair.job,
+        limits=replace(i, q_min_u=lower, q_max_u=upper).body(),
+        path=path.body(),
+        branch=records.Branch(path.elbow, path.q0_turns, path.roll_turns),
+    )
     pair.power_up()
-    pair.begin().end()
+    return pair
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_without_limits_runs_a_whole_session(pair, joint):
+    """What must fit a joints frame is where the arm goes."""
+    assert unlimited(pair, joint).begin().end() is Phase.DONE
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_path_that_goes_beyond_what_a_joints_frame_carries_is_refused_by_the_controller_itself(pair, joint):
+    assert unlimited(pair, joint, turns=7).begin().end() is Phase.REFUSED
     assert "JOINTS_BEYOND_WIRE" in pair.state.reason
+    assert any(f"q{joint} = " in line and "deg is beyond +-2261 deg" in line for line in pair.said)
 
 
 # ---------------------------------------------------------------- a bone that moves while the runtime stops anyway

@@ -11,6 +11,7 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.protocol import records
 from cutgate.protocol.path import BLOCK_BYTES
 from cutgate.runtime.session.job import VERIFIER, configuration, make_job, read_files, utc_now
+from cutgate.runtime.verification.asked import AskedTurns
 from tests.runtime.session.pair import NOW, job_of
 
 
@@ -40,6 +41,18 @@ def test_a_job_names_what_was_read(files):
 def test_the_age_of_a_registration_counts_from_its_creation(files):
     created = files.prepared.registration.value.created
     assert make_job(files, now=created + timedelta(seconds=90)).registration_age_s == 90.0
+
+
+def test_the_turns_that_are_asked_for_are_the_jobs_and_others_are_refused(files):
+    limits = files.robot.value.limits.model_copy(update={"q3_deg": (-1000.0, 1000.0)})
+    wide = replace(files.robot, value=files.robot.value.model_copy(update={"limits": limits}))
+    files = replace(files, robot=wide)
+    job = make_job(files, now=NOW, asked=AskedTurns(roll=2))
+    assert job.branch == records.Branch("right", 0, 2)
+    assert records.Path.parse(job.path).roll_turns == 2
+    assert make_job(files, now=NOW).branch == records.Branch("right", 0, 0)
+    with pytest.raises(InputError, match="--roll-turns is 3, must be -2 to 2; q3 goes from"):
+        make_job(files, now=NOW, asked=AskedTurns(roll=3))
 
 
 def test_without_a_registration_there_is_no_age(files):

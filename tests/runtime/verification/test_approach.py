@@ -2,11 +2,12 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cutgate.firmware_sim.approach import own_ends
@@ -17,6 +18,7 @@ from cutgate.runtime.verification import approach, certified
 from cutgate.runtime.verification.approach import Start
 from cutgate.runtime.verification.geometry import canonical
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.standing import standing
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
@@ -139,7 +141,7 @@ def test_an_approach_is_admitted_exactly_where_dense_sampling_keeps_every_deadba
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(seed):
     case = random_case(seed, segments=2)
     if case is None:
@@ -266,11 +268,11 @@ def test_a_line_whose_ends_keep_inner_and_whose_middle_does_not_is_refused():
 @pytest.mark.parametrize(
     ("joint", "value", "text"),
     [
-        (0, 80.1 * DEG, "q0 is 80.100000 deg at its beginning, must be in [-80, 80]"),
-        (1, 145.1 * DEG, "q1 is 145.100000 deg"),
-        (2, 49.9, "q2 is 49.900000 mm at its beginning, must be in [50, 450]"),
-        (3, -170.1 * DEG, "q3 is -170.100000 deg"),
-        (4, -0.1 * DEG, "q4 is -0.100000 deg"),
+        (0, 80.1 * DEG, "q0 at 80.100 deg, its limits are [-80, 80] deg, 5 mm at the wrist centre"),
+        (1, 145.1 * DEG, "q1 at 145.100 deg, its limits are [0, 145] deg, 5 mm at the wrist centre"),
+        (2, 49.9, "q2 at 49.900 mm, its limits are [50, 450] mm, 5 mm"),
+        (3, -170.1 * DEG, "q3 at -170.100 deg, its limits are [-170, 170] deg, 2 deg"),
+        (4, -0.1 * DEG, "q4 at -0.100 deg, its limits are [0, 110] deg, 2 deg"),
     ],
 )
 def test_start_joints_outside_their_limits_are_named(joint, value, text):
@@ -278,8 +280,110 @@ def test_start_joints_outside_their_limits_are_named(joint, value, text):
     start[joint] = value
     verdict = approach.verify(cut(), Start(start, 10_000))
     assert not verdict.admissible
-    assert any(text in reason for reason in verdict.reasons)
+    assert f"the arm stands with {text}" in verdict.reasons[0]
     assert all(b.certified is None and b.violated for b in map(verdict.legs[0].boundaries.get, ARCS))
+
+
+def told(verdict, stands):
+    """The joints after the moves that the sentences ask for."""
+    moved = np.array(stands, float)
+    for sentence in verdict.reasons:
+        match = re.search(r"move q(\d) by [+-][\d.]+ (deg|mm), to (-?[\d.]+) (deg|mm)$", sentence)
+        if match:
+            moved[int(match[1])] = float(match[3]) * (1.0 if match[4] == "mm" else DEG)
+    return moved
+
+
+@pytest.mark.parametrize("far", [0.0, 0.3, -0.3], ids=["at its limit", "inside", "beyond"])
+@pytest.mark.parametrize("end", ["lower", "upper"])
+@pytest.mark.parametrize("joint", range(5))
+def test_an_arm_at_a_limit_is_told_which_joint_to_move_and_may_begin_there(joint, end, far):
+    arm, stands = cut(), MIDDLE.copy()
+    limit = getattr(arm, end)[joint]
+    stands[joint] = limit + far * (1.0 if joint == 2 else DEG) * (1.0 if end == "lower" else -1.0)
+    tolerances = {"tolerance_mm": 0.5, "tolerance_rad": 0.5 * DEG}
+    verdict = approach.verify(arm, Start(stands, 10_000, **tolerances))
+    assert not verdict.admissible
+    assert len(verdict.reasons) == 1
+    assert f"move q{joint} by {'+' if end == 'lower' else '-'}" in verdict.reasons[0]
+    moved = told(verdict, stands)
+    assert approach.verify(arm, Start(moved, 10_000, **tolerances)).admissible
+    short = stands + (moved - stands) * 0.95 if joint > 1 else moved
+    assert joint <= 1 or not approach.verify(arm, Start(short, 10_000, **tolerances)).admissible
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_after_the_moves_that_it_is_told_no_arm_stands_too_near_to_a_limit(seed):
+    """Both elbows, calibrated arms, several joints at once, shoulders of less and of more than a turn."""
+    rng = np.random.default_rng(seed)
+    case = random_case(seed, spinning=bool(rng.integers(2)))
+    assume(case is not None)
+    made, start = case
+    part = rng.choice([-0.01, 0.0, 0.001, 0.5, 0.999, 1.0, 1.01], 5)
+    stands = made.lower + part * (made.upper - made.lower)
+    verdict = approach.verify(made, replace(start, joints=stands))
+    assume(verdict.legs and not re.search("no place|stand.*elsewhere", str(verdict.reasons)))
+    after = approach.verify(made, replace(start, joints=told(verdict, stands)))
+    assert not any(leg.at_start for leg in after.legs), (verdict.reasons, after.reasons)
+
+
+def test_where_no_place_keeps_the_deadband_no_move_is_named():
+    arm, stands = cut(deadband=Deadband(460.0, 2 * DEG)), MIDDLE.copy()
+    verdict = approach.verify(arm, Start(stands, 10_000))
+    assert any(
+        "q1 at 72.500 deg" in r and "no place of it keeps 460 mm at the wrist centre" in r
+        for r in verdict.reasons
+    )
+    assert any("q2 at 250.000 mm" in r and "no place of it keeps 460 mm" in r for r in verdict.reasons)
+
+
+def test_where_next_to_no_place_is_left_no_move_is_named():
+    """The slide has 10.001 mm, 5 mm are kept from either end."""
+    narrow = cut().upper.copy()
+    narrow[2] = 60.001
+    verdict = approach.verify(cut(upper=narrow), Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000))
+    assert "must be kept: let the arm start from elsewhere" in standing_of(cut(upper=narrow), 2, 52.0)[0]
+    assert not verdict.admissible
+
+
+def test_an_arm_without_workspace_or_without_a_place_that_is_reported_is_told_no_move():
+    """An offset leaves the elbow no angle; limits of the shoulder that begin beyond every joints frame."""
+    folded = cut(calibration=Calibration(joint_offset=np.array([0.0, -146.0 * DEG, 0.0, 0.0, 0.0])))
+    assert standing_of(folded, 2, 52.0) == ()
+    far = {"lower": cut().lower.copy(), "upper": cut().upper.copy()}
+    far["lower"][0], far["upper"][0] = 3000 * DEG, 3100 * DEG
+    (said,) = standing_of(cut(**far), 0, 3050 * DEG)
+    assert "no place of it keeps 5 mm" in said
+    far["lower"][0], far["upper"][0] = -0.2 * DEG, 0.2 * DEG
+    (said,) = standing_of(cut(**far), 0, 0.0)
+    assert "no place of it keeps 5 mm" in said
+
+
+def standing_of(given_problem, joint, value):
+    """What is said of the middle with one joint elsewhere."""
+    stands = MIDDLE.copy()
+    stands[joint] = value
+    return standing(canonical(given_problem)[0], stands, 0.0, 0.0, held=False)
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_an_arm_beyond_what_a_joints_frame_carries_is_told_to_come_back_first(joint):
+    """The limits allow it, and from 2600 deg it may unwind."""
+    wide = {"lower": cut().lower.copy(), "upper": cut().upper.copy()}
+    wide["lower"][joint], wide["upper"][joint] = -36000 * DEG, 36000 * DEG
+    arm, stands = cut(**wide), MIDDLE.copy()
+    stands[joint] = 2610 * DEG
+    verdict = approach.verify(arm, Start(stands, 10_000))
+    assert not verdict.admissible
+    (reason,) = verdict.reasons
+    assert (
+        f"q{joint} at 2610.000 deg, its limits are [-36000, 36000] deg, and it is surely reported within +-2600 deg"
+        in reason
+    )
+    moved = told(verdict, stands)
+    assert moved[joint] == pytest.approx(2600 * DEG, abs=0.2 * DEG)
+    assert approach.verify(arm, Start(moved, 10_000)).admissible
 
 
 def test_a_line_past_the_straight_elbow_is_refused_though_the_reported_limit_allows_it():

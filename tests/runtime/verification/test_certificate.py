@@ -11,7 +11,7 @@ from cutgate.runtime.verification import bisection, certificate, certified
 from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
 from cutgate.runtime.verification.problem import Deadband
 from tests.oracle.dense import COLUMNS, Dense
-from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
+from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, random_problem, wrist_path
 from tests.runtime.verification.random_paths import random_paths
 
 SEEDS = range(12)
@@ -188,6 +188,115 @@ def test_another_turn_is_another_proof():
         replace(case, upper=np.array([*case.upper[:3], 7.0, case.upper[4]])), replace(proof, roll_turns=9)
     )
     assert any(reason.startswith("roll_max") for reason in turned)
+
+
+def winding(turns, joint, elbow="right", **changes):
+    """A path that turns the shoulder or the roll so many times, on an arm whose joints have no limits."""
+    count = math.ceil(8 * turns) + 1
+    around, still = np.linspace(0.0, 2 * math.pi * turns, count), np.zeros(count)
+    bearing, azimuth = (around, around) if joint == 0 else (still, around)
+    centres = np.stack((500 * np.cos(bearing), 500 * np.sin(bearing), np.full(count, 250.0)), axis=1)
+    tips, axes = wrist_path(centres, axis(30 * DEG, azimuth), tool=1.0)
+    lower, upper = (np.array([sign * WIDE, 0.0, 50.0, sign * WIDE, 0.0]) for sign in (-1, 1))
+    upper += (0.0, 145 * DEG, 400.0, 0.0, 110 * DEG)
+    wide = {"lower": lower, "upper": upper, "speed": np.full(5, 1e6), "tool_length_mm": 1.0}
+    made = problem(tips, axes, **(wide | changes))
+    return made if elbow == "right" else mirrored(made)
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_proof_says_that_a_joints_frame_carries_the_path_whatever_the_limits(joint, elbow):
+    """Twelve turns fit with a revolution to spare, from -2261 deg on; thirteen do not, wherever they begin."""
+    case = winding(12, joint, elbow)
+    verdict = certified.verify(case)
+    assert verdict.admissible
+    proof = certify(case, verdict)
+    assert recheck(case, proof) == ()
+    name = {0: "q0_turns", 3: "roll_turns"}[joint]
+    other = replace(proof, **{name: getattr(proof, name) + 1})
+    assert any(f"q{joint} is not proven to stay within +-2261 deg" in r for r in recheck(case, other))
+    far = certified.verify(winding(13, joint, elbow))
+    assert far.branch is None
+    assert any(
+        f"q{joint} goes from -" in r
+        and "must stay within +-2261 deg, what a joints frame carries" in r
+        and "no turns fit" in r
+        for r in far.reasons
+    )
+
+
+def test_a_roll_held_where_no_joints_frame_reports_it_is_neither_admitted_nor_proven():
+    held = {"hold_roll": 2250 * DEG, "tool_length_mm": 160.0}
+    tips = [[500.0, 0.0, 100.0], [510.0, 0.0, 100.0]]
+    case = problem(tips, np.tile([0.0, 0.0, 1.0], (2, 1)), **held, lower=np.array([-1.4, 0, 50, -WIDE, 0]), upper=np.array([1.4, 2.5, 450, WIDE, 1.9]))  # fmt: skip
+    verdict = certified.verify(case)
+    assert verdict.admissible
+    proof = certify(case, verdict)
+    assert recheck(case, proof) == ()
+    far = replace(case, hold_roll=2265 * DEG)
+    assert certified.verify(far).branch is None
+    assert any(
+        "the roll is held at 2265.000 deg, must be within +-2261 deg" in r
+        for r in certified.verify(far).reasons
+    )
+    assert any("q3 is not proven to stay" in r for r in recheck(far, proof))
+
+
+def test_a_shoulder_of_less_than_a_turn_beyond_the_frame_is_followed_as_well():
+    """Limits of 40 deg about 2261 deg: the path must stay on this side of it."""
+    for beyond, fits in ((-15.0, True), (15.0, False)):
+        case = winding(0.02, 0)
+        start = certified.verify(case).windings[0].least_deg
+        turn = (2261.0 + beyond - start) * DEG
+        c, s = math.cos(turn), math.sin(turn)
+        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        limits = [
+            np.array([q0 * DEG, *getattr(case, end)[1:]])
+            for q0, end in ((2150.0, "lower"), (2400.0, "upper"))
+        ]
+        case = replace(
+            case, tips_mm=case.tips_mm @ around.T, axes=case.axes @ around.T, lower=limits[0], upper=limits[1]
+        )
+        verdict = certified.verify(case)
+        assert (verdict.branch is not None) is fits, verdict.reasons
+        if fits:
+            assert recheck(case, certify(case, verdict)) == ()
+        else:
+            assert any("q0 goes from 227" in r and "+-2261 deg" in r for r in verdict.reasons)
+
+
+def test_a_shoulder_that_goes_beyond_the_frame_between_two_poses_is_found():
+    """Past the column q0 falls and rises again: neither pose is beyond -2261 deg, the middle is."""
+    tips, axes = wrist_path(np.array([[300.0, -600.0, 250.0], [300.0, -50.0, 250.0]]), axis(60 * DEG, 0.0))
+    at = {
+        "lower": np.array([-WIDE, 0.0, 50.0, -WIDE, 0.0]),
+        "upper": np.array([WIDE, 145 * DEG, 450.0, WIDE, 110 * DEG]),
+    }
+    case = problem(tips, axes, speed=np.full(5, 1e6), **at)
+    whole = certified.verify(case).windings[0]
+    ends = [
+        certified.verify(replace(case, tips_mm=tips[[i, i]], axes=axes[[i, i]])).windings[0] for i in (0, 1)
+    ]
+    least = min(end.least_deg for end in ends)
+    assert whole.least_deg < least - 2.0
+    for line, fits in ((whole.least_deg - 1.0, True), ((whole.least_deg + least) / 2.0, False)):
+        turn = (-2261.0 - line) * DEG
+        c, s = math.cos(turn), math.sin(turn)
+        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        limits = [np.array([q0 * DEG, *at[end][1:]]) for q0, end in ((-2400.0, "lower"), (-2100.0, "upper"))]
+        turned = replace(
+            case, tips_mm=tips @ around.T, axes=axes @ around.T, lower=limits[0], upper=limits[1]
+        )
+        assert (certified.verify(turned).branch is not None) is fits
+
+
+def test_limits_that_lie_beyond_every_joints_frame_are_named():
+    case = winding(0.5, 3)
+    lower, upper = case.lower.copy(), case.upper.copy()
+    lower[3], upper[3] = 3000 * DEG, 3400 * DEG
+    reasons = certified.verify(replace(case, lower=lower, upper=upper)).reasons
+    assert any("q3: its limits [3000, 3400] deg lie beyond +-2261 deg" in r for r in reasons)
 
 
 def test_a_start_outside_is_no_proof():

@@ -1,0 +1,418 @@
+"""Writes ``docs/environments.md``: ``python -m docs.make_environments``.
+
+Every command is started in every surrounding that a person, a shell or a service may give it, as a process of its own;
+the page holds its exit codes. The script fails where one is not what it must be, or where a traceback is seen.
+"""
+# ruff: noqa: INP001, S603
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from cutgate.config.interpreter import program
+from cutgate.config.load import EXAMPLES
+from cutgate.runtime.exits import NOT_WRITTEN, READER_GONE
+from tests.runtime.audit.build import session_log
+
+PAGE: Final = Path(__file__).parent / "environments.md"
+WAIT_S: Final = 60.0
+"""A bound, not an expectation."""
+
+
+class Seen(NamedTuple):
+    """What came of one command."""
+
+    code: int
+    told: str
+
+
+@dataclass(frozen=True)
+class Surrounding:
+    """Where and how a command is started.
+
+    Attributes:
+        name: as the page calls it.
+        code: what the exit code must be, by the ordinary one.
+        line: of the shell, with what it does to the streams; ``"$@"`` is the command.
+        before: what the shell does first, in the working directory.
+        environment: variables set, or with None removed.
+        columns: of a terminal, None without one.
+        reader_gone: nobody reads standard output.
+        folder: prepares the working directory.
+    """
+
+    name: str
+    code: Callable[[int], int] = lambda ordinary: ordinary
+    line: str = 'exec "$@"'
+    before: str = ":"
+    environment: Mapping[str, str | None] = field(default_factory=dict)
+    columns: int | None = None
+    reader_gone: bool = False
+    folder: Callable[[Path], None] = lambda _folder: None
+
+
+def _planted(folder: Path) -> None:
+    """Modules of common names that must not be taken."""
+    for name in (
+        "can",
+        "config",
+        "json",
+        "numpy",
+        "runtime",
+        "signal",
+        "multiprocessing",
+    ):
+        (folder / f"{name}.py").write_text("raise SystemExit(99)\n", encoding="utf-8")
+
+
+def _gone(_ordinary: int) -> int:
+    return READER_GONE
+
+
+def _full(_ordinary: int) -> int:
+    return NOT_WRITTEN
+
+
+SURROUNDINGS: Final = (
+    Surrounding("ordinary: three pipes"),
+    Surrounding("standard input closed", line='exec "$@" <&-'),
+    Surrounding("standard output closed", line='exec "$@" >&-'),
+    Surrounding("standard error closed", line='exec "$@" 2>&-'),
+    Surrounding("all three closed", line='exec "$@" <&- >&- 2>&-'),
+    Surrounding("reader of the output gone", code=_gone, reader_gone=True),
+    Surrounding("output to a full disk", code=_full, line='exec "$@" > /dev/full'),
+    Surrounding("standard error to a full disk", line='exec "$@" 2> /dev/full'),
+    *(Surrounding(f"terminal of {columns} columns", columns=columns) for columns in (20, 40, 80, 120, 200)),
+    Surrounding("terminal, TERM=dumb", columns=80, environment={"TERM": "dumb"}),
+    Surrounding("terminal, NO_COLOR=1", columns=80, environment={"NO_COLOR": "1"}),
+    Surrounding("pipe, FORCE_COLOR=1", environment={"FORCE_COLOR": "1"}),
+    *(
+        Surrounding(f"locale {name}", environment={"LC_ALL": name, "PYTHONUTF8": "0"})
+        for name in ("C", "POSIX", "de_DE.ISO-8859-1")
+    ),
+    Surrounding("PYTHONIOENCODING=ascii", environment={"PYTHONIOENCODING": "ascii"}),
+    Surrounding("no HOME, no PATH", environment={"HOME": None, "PATH": ""}),
+    Surrounding("TMPDIR does not exist", environment={"TMPDIR": "/nonexistent"}),
+    Surrounding("no XDG_RUNTIME_DIR", environment={"XDG_RUNTIME_DIR": None}),
+    Surrounding("working directory with modules of our names", folder=_planted),
+    Surrounding("the same, and PYTHONPATH=.", folder=_planted, environment={"PYTHONPATH": "."}),
+    Surrounding("working directory removed", before='rmdir "$PWD"'),
+    Surrounding("1.5 GB of address space", before="ulimit -v 1500000"),
+    Surrounding("64 open files", before="ulimit -n 64"),
+    Surrounding("SIGPIPE, SIGHUP, SIGINT ignored", before="trap '' PIPE HUP INT"),
+)
+
+
+def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
+    """Commands that answer and end, with their ordinary exit codes; those that write do so into a fresh folder."""
+    robot = ["--robot", str(EXAMPLES / "robot.toml")]
+    plan = [str(EXAMPLES / "hip-stem.plan.json"), *robot]
+    second = ["--registration", str(EXAMPLES / "registration-second.json")]
+    log = str(next(files.glob("*.mcap")))
+    return {
+        "--help": (["--help"], 0),
+        "verify": (["verify", *plan, *second], 0),
+        "verify --json": (["verify", *plan, *second, "--json"], 0),
+        "recheck": (["recheck", str(files / "proof"), *plan, *second], 0),
+        "reach": (
+            ["reach", *plan, *second, "--step-mm", "400", "--cores", "1", "--out", "{fresh}/map.csv"],
+            0,
+        ),
+        "example": (["example", "{fresh}/example"], 0),
+        "key new": (["key", "new", "{fresh}/key"], 0),
+        "audit verify": (["audit", "verify", log], 0),
+        "audit show": (["audit", "show", log], 0),
+        "audit replay": (["audit", "replay", log], 0),
+    }
+
+
+UNREAD: Final = ("key new",)
+"""Say nothing on standard output: whoever does not read it misses nothing."""
+
+
+# ---------------------------------------------------------------- one command in one surrounding
+
+
+def started(
+    arguments: Sequence[str], where: Surrounding, fresh: Path, **streams: Any
+) -> subprocess.Popen[bytes]:
+    """The installed command, as a shell starts it in this surrounding."""
+    folder = fresh / "here"
+    folder.mkdir()
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    for name, value in where.environment.items():
+        environment.pop(name, None)
+        if value is not None:
+            environment[name] = value
+    command = [
+        str(Path(sys.executable).with_name("cutgate")),
+        *(one.format(fresh=fresh) for one in arguments),
+    ]
+    where.folder(folder)
+
+    go = f'cd "{folder}"; {where.before}; {where.line}'
+    return subprocess.Popen(["/bin/sh", "-c", go, "sh", *command], env=environment, **streams)
+
+
+def tried(arguments: Sequence[str], where: Surrounding) -> Seen:
+    """The exit code and everything that was said."""
+    with tempfile.TemporaryDirectory() as fresh:
+        if where.columns is not None:
+            return _in_a_terminal(arguments, where, Path(fresh))
+        output: int = subprocess.PIPE
+        if where.reader_gone:
+            reading, output = os.pipe()
+            os.close(reading)
+        process = started(
+            arguments, where, Path(fresh), stdin=subprocess.PIPE, stdout=output, stderr=subprocess.PIPE
+        )
+        if where.reader_gone:
+            os.close(output)
+        out, err = process.communicate(timeout=WAIT_S)
+        return Seen(process.returncode, ((out or b"") + err).decode("utf-8", "replace"))
+
+
+def _in_a_terminal(arguments: Sequence[str], where: Surrounding, fresh: Path) -> Seen:
+    """All three streams are one terminal of so many columns."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, where.columns or 80, 0, 0))
+    process = started(arguments, where, fresh, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    told = b""
+    until_s = time.monotonic() + WAIT_S
+    while time.monotonic() < until_s and select.select([ours], [], [], WAIT_S)[0]:
+        try:
+            data = os.read(ours, 65536)
+        except OSError:  # everybody has left the terminal
+            break
+        told += data
+    os.close(ours)
+    return Seen(process.wait(WAIT_S), told.decode("utf-8", "replace"))
+
+
+def wrong(seen: Seen, expected: int, where: Surrounding) -> str:
+    """What must not be; empty where all is as it must be."""
+    if seen.code != expected:
+        return f"exit code {seen.code}, must be {expected}"
+    if "Traceback" in seen.told or "internal error" in seen.told:
+        return "a traceback"
+    if where.columns is None and "\x1b" in seen.told:
+        return "a sequence for terminals in a pipe"
+    return ""
+
+
+# ---------------------------------------------------------------- programs that go on
+
+
+class Lasting(NamedTuple):
+    """A program that goes on until it is told to end: what it says once it is there, and its exit code then."""
+
+    arguments: tuple[str, ...]
+    ready: str
+    code: int
+
+
+LASTING: Final = {
+    "bus serve": Lasting(("bus", "serve", "--socket", "{fresh}/bus"), "serving on", 0),
+    "sim": Lasting(
+        ("sim", "--robot", "example", "--interface", "cutgate", "--channel", "{bus}", "--key", "{key}"),
+        "enabling device released",
+        0,
+    ),
+    "run": Lasting(
+        (
+            *("run", "hip-stem", "--robot", "example", "--registration", "registration-second"),
+            *("--interface", "cutgate", "--channel", "{bus}", "--key", "{key}", "--log-dir", "{fresh}/logs"),
+        ),
+        "",
+        3,
+    ),
+}
+ENDINGS: Final = (
+    *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM),
+    signal.SIGXCPU,
+)
+
+
+def ended(what: Lasting, number: signal.Signals, places: Mapping[str, str]) -> Seen:
+    """It is started, and once it is there the signal comes."""
+    with tempfile.TemporaryDirectory() as fresh:
+        arguments = [one.format(fresh=fresh, **places) for one in what.arguments]
+        command = [str(Path(sys.executable).with_name("cutgate")), *arguments]
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=fresh
+        )
+        told = b""
+        assert process.stdout is not None  # noqa: S101 - it is a pipe
+        if what.ready:
+            while what.ready.encode() not in told and (line := process.stdout.readline()):
+                told += line
+        else:  # it waits for a controller: its log is there
+            until_s = time.monotonic() + WAIT_S
+            while not list(Path(fresh).glob("logs/*.mcap")) and time.monotonic() < until_s:
+                select.select([], [], [], 0.01)
+        process.send_signal(number)
+        rest, _ = process.communicate(timeout=WAIT_S)
+        return Seen(process.returncode, (told + rest).decode("utf-8", "replace"))
+
+
+@contextmanager
+def a_bus(files: Path) -> Iterator[dict[str, str]]:
+    """A hub and a key for those that need them."""
+    key, bus = files / "site.key", files / "bus"
+    subprocess.run(
+        [Path(sys.executable).with_name("cutgate"), "key", "new", key], check=True, capture_output=True
+    )
+    with subprocess.Popen(
+        program("cutgate.firmware_sim", "bus", "serve", "--socket", str(bus), "--until-stdin-closes"),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as hub:
+        assert hub.stdout is not None and hub.stdin is not None  # noqa: S101, PT018 - they are pipes
+        hub.stdout.readline()
+        try:
+            yield {"bus": str(bus), "key": str(key)}
+        finally:
+            hub.stdin.close()
+
+
+# ---------------------------------------------------------------- what it costs
+
+
+def cost(arguments: Sequence[str]) -> tuple[float, float]:
+    """Processor seconds and peak memory, MiB, of one command and all that it starts; the least of three."""
+    found = []
+    for _ in range(3):
+        with tempfile.TemporaryDirectory() as fresh:
+            process = started(arguments, SURROUNDINGS[0], Path(fresh), stdout=subprocess.DEVNULL)
+            _, _, used = os.wait4(process.pid, 0)
+            process.returncode = 0
+            found.append((used.ru_utime + used.ru_stime, used.ru_maxrss / 1024))
+    return min(seconds for seconds, _ in found), min(memory for _, memory in found)
+
+
+# ---------------------------------------------------------------- the page
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Of Markdown."""
+    return [f"| {' | '.join(head)} |", "|---" * len(head) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def surroundings(files: Path, problems: list[str]) -> list[str]:
+    """Every command in every surrounding."""
+    commands, rows = one_shot(files), []
+    for where in SURROUNDINGS:
+        row = [where.name]
+        for name, (arguments, ordinary) in commands.items():
+            seen = tried(arguments, where)
+            expected = ordinary if name in UNREAD else where.code(ordinary)
+            found = wrong(seen, expected, where)
+            if found:
+                problems.append(f"{name}, {where.name}: {found}: {seen.told[-400:]}")
+            row.append(f"{seen.code}{' WRONG' if found else ''}")
+        rows.append(row)
+    return table(("surrounding", *(f"`{name}`" for name in commands)), rows)
+
+
+def endings(files: Path, problems: list[str]) -> list[str]:
+    """Every program that goes on, and every signal that ends programs."""
+    rows = []
+    with a_bus(files) as places:
+        for number in ENDINGS:
+            row = [number.name]
+            for name, what in LASTING.items():
+                seen = ended(what, number, places)
+                found = wrong(seen, what.code, SURROUNDINGS[0])
+                if found:
+                    problems.append(f"{name}, {number.name}: {found}: {seen.told[-400:]}")
+                row.append(f"{seen.code}{' WRONG' if found else ''}")
+            rows.append(row)
+    return table(("signal", *(f"`{name}`" for name in LASTING)), rows)
+
+
+def costs(files: Path) -> list[str]:
+    """What each command costs."""
+    rows = []
+    for name, (arguments, _) in one_shot(files).items():
+        seconds, memory = cost(arguments)
+        rows.append([f"`{name}`", f"{seconds:.2f}", f"{memory:.0f}"])
+    return table(("command", "processor s", "peak MiB"), rows)
+
+
+def made(files: Path) -> None:
+    """A log and a proof to work on."""
+    session_log(files)
+    robot = ["--robot", str(EXAMPLES / "robot.toml")]
+    placed = ["--registration", str(EXAMPLES / "registration-second.json")]
+    command = [
+        Path(sys.executable).with_name("cutgate"),
+        "verify",
+        str(EXAMPLES / "hip-stem.plan.json"),
+        *robot,
+    ]
+    subprocess.run([*command, *placed, "--certificate", files / "proof"], check=True, capture_output=True)
+
+
+INTRODUCTION: Final = """# Surroundings
+
+Every command as a process of its own, in every surrounding that somebody may start it in: its exit codes, made by
+`python -m docs.make_environments`, which fails where one is not what it must be, where a traceback is seen, or a
+sequence for terminals in a pipe. 141 means that nobody reads the output any more; it claims nothing.
+
+What is done to a session that cuts (unread screens, readers that go, terminals that hang up, full transmit queues and
+disks) is in [terminal.md](terminal.md) and in `tests/system`."""
+
+
+def page(problems: list[str]) -> str:
+    """The whole page; what must not be is added to the problems."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = Path(folder)
+        made(files)
+        parts = [
+            *(INTRODUCTION, "", *surroundings(files, problems)),
+            *(
+                "",
+                "## Signals",
+                "",
+                "To programs that go on until they are told to end; `run` waits for a controller.",
+            ),
+            *("", *endings(files, problems)),
+            *(
+                "",
+                "## What it costs",
+                "",
+                "On the shipped hip stem (2000 poses), a map of 400 mm steps on one core, and",
+            ),
+            *(
+                "the log of a session of 6 poses; start-up is in it. One run, two shared cores, the least of three."
+            ),
+            *("", *costs(files)),
+        ]
+    return "\n".join(parts) + "\n"
+
+
+def main() -> int:
+    """Write the page; 1 where something is not as it must be."""
+    problems: list[str] = []
+    PAGE.write_text(page(problems), encoding="utf-8")
+    for problem in problems:
+        print(problem, file=sys.stderr)  # noqa: T201 - a program of its own
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

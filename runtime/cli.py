@@ -9,10 +9,15 @@ import sys
 from cutgate.config.interpreter import own_code_only
 from cutgate.runtime.exits import INTERRUPTED, STOPPED
 
+FORCING = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
+"""What makes libraries write for a terminal where there is none; whether there is one is decided in one place of ours."""
+
 
 def main() -> None:
     """The ``cutgate`` program."""
     own_code_only()
+    for name in FORCING:
+        os.environ.pop(name, None)
     import signal  # noqa: PLC0415 - not before it is known where from
 
     from cutgate.config.terminal import open_standard_streams  # noqa: PLC0415

@@ -6,5 +6,7 @@ STOPPED = 3
 """``run``: stopped, by a person or a fault."""
 INTERNAL = 70
 INTERRUPTED = 130
+NOT_WRITTEN = 74
+"""What was to be written does not fit where it was to go: no verdict's code may be given."""
 READER_GONE = 141
 """Whoever was to read the result has gone: no verdict's code may be given, as by a program that SIGPIPE ends."""

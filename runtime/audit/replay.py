@@ -28,7 +28,7 @@ from cutgate.config.load import (
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
-from cutgate.protocol.records import UNIT, Path, RecordError
+from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.configuration import allowed_by_option, configuration_digest
 from cutgate.runtime.audit.inspect import Log, Status

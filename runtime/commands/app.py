@@ -20,8 +20,8 @@ from cutgate.runtime.commands import (
     run,
     verify,
 )
-from cutgate.runtime.commands.screen import delivered, echo
-from cutgate.runtime.exits import INTERNAL, INTERRUPTED, READER_GONE, REFUSED
+from cutgate.runtime.commands.screen import delivered, echo, no_room
+from cutgate.runtime.exits import INTERNAL, INTERRUPTED, NOT_WRITTEN, READER_GONE, REFUSED
 
 app = typer.Typer(
     name="cutgate",
@@ -71,11 +71,19 @@ def execute(arguments: list[str] | None = None) -> int:
     except SystemExit:  # what prints the help ends so where nobody reads it
         return READER_GONE
     except Exception as error:  # noqa: BLE001 - the last line of defence: one line and a code, never a traceback
-        place = error.__traceback__
-        while place is not None and place.tb_next is not None:
-            place = place.tb_next
-        where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
-        text = str(error).replace("\n", " ")
-        delivered(printable(f"cutgate: internal error: {type(error).__name__}: {text} ({where})"), err=True)
-        return INTERNAL
+        return _failed(error)
     return code if isinstance(code, int) else 0
+
+
+def _failed(error: Exception) -> int:
+    """No room for what is written, or a fault of the program: in one line, with its place."""
+    if no_room(error):
+        delivered(f"cutgate: what was to be written is not whole: {error.args[1]}", err=True)
+        return NOT_WRITTEN
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
+    text = str(error).replace("\n", " ")
+    delivered(printable(f"cutgate: internal error: {type(error).__name__}: {text} ({where})"), err=True)
+    return INTERNAL

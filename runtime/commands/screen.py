@@ -11,8 +11,8 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from typing import Any, Final
+from contextlib import contextmanager, suppress
+from typing import Any, Final, TextIO
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -52,16 +52,40 @@ def literal(text: str) -> str:
 
 def output() -> Console:
     """Standard output; without colours and of fixed width when it is no terminal."""
-    return _console(sys.stdout.isatty(), stderr=False)
+    return LiteralConsole(**_style(terminal=sys.stdout.isatty()))
 
 
 def messages() -> Console:
-    """Standard error, for progress and refusals."""
-    return _console(sys.stderr.isatty(), stderr=True)
+    """Standard error, for progress and refusals: what cannot be written there is of no matter."""
+    return LiteralConsole(stderr=True, file=_Unheard(sys.stderr), **_style(terminal=sys.stderr.isatty()))
 
 
-def _console(terminal: bool, *, stderr: bool) -> Console:
-    return LiteralConsole(stderr=stderr, **_style(terminal=terminal))
+class _Unheard(io.TextIOBase):
+    """A stream whose reader may be gone, and its disk full."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stream.encoding
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except OSError:
+            _write_nowhere(self._stream.fileno())
 
 
 def _style(*, terminal: bool) -> dict[str, Any]:
@@ -74,7 +98,7 @@ def delivered(text: str, *, err: bool = False) -> bool:
     try:
         typer.echo(literal(text), err=err)
     except OSError as error:
-        if not nobody_reads(error):
+        if not err and not nobody_reads(error):
             raise
         _write_nowhere(STDERR if err else STDOUT)
         return False
@@ -94,6 +118,14 @@ def echo(text: str, *, err: bool = False) -> None:
 def nobody_reads(error: OSError) -> bool:
     """Whether an error says that a pipe has no reader any more, or a terminal is gone."""
     return error.errno in (errno.EPIPE, errno.EIO)
+
+
+def no_room(error: BaseException) -> bool:
+    """Whether an error says that what was to be written does not fit where it goes; nothing more is written there."""
+    if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return False
+    _write_nowhere(STDOUT)
+    return True
 
 
 def _write_nowhere(descriptor: int) -> None:

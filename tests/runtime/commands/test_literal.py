@@ -1,6 +1,7 @@
 """Ids, names of files and what a log says are data: shown as they stand, never as markup, controls or further lines."""
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -182,3 +183,41 @@ def test_a_verdict_whose_messages_nobody_reads_stays_one(tmp_path):
         process.stderr.close()
         assert process.stdout.read() == b""
     assert process.returncode == 2
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("arguments", [["--help"], ["verify", "tibial", "--robot", "example", "--json"]])
+def test_output_that_finds_no_room_is_no_verdict_and_said_in_one_line(arguments):
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            program("cutgate.runtime.cli", *arguments),
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 74
+    assert done.stderr == "cutgate: what was to be written is not whole: No space left on device\n"
+
+
+@pytest.mark.processes
+def test_messages_that_find_no_room_change_no_code(tmp_path):
+    with Path("/dev/full").open("wb") as full:
+        for arguments, code in (
+            (["key", "new", str(tmp_path / "key")], 0),
+            (["verify", "absent.json", "--robot", "example"], 2),
+        ):
+            done = subprocess.run(program("cutgate.runtime.cli", *arguments), stderr=full, check=False)
+            assert done.returncode == code
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS"])
+def test_help_in_a_pipe_has_no_sequences_whatever_is_forced(name):
+    done = subprocess.run(
+        program("cutgate.runtime.cli", "--help"),
+        env={**os.environ, name: "1"},
+        capture_output=True,
+        check=True,
+    )
+    assert b"\x1b" not in done.stdout

@@ -58,7 +58,7 @@ from cutgate.firmware_sim.state import (
 )
 from cutgate.firmware_sim.table import step
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Item, RecordReceived
+from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
@@ -148,6 +148,7 @@ class Process:
         self._sleep = sleep
         self._faults = list(options.faults)
         self._silent = False
+        self._undelivered = ""
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
         self._next_announce_s = self._turn_s
@@ -297,6 +298,9 @@ class Process:
             case Violation():
                 self._say(f"refused: {item.detail}")
                 self._feed(Fault(item.cause))
+            case Undelivered(detail) if detail != self._undelivered:  # announcements come five times a second
+                self._undelivered = detail
+                self._say(detail)
             case RecordReceived():
                 self._record(item)
 

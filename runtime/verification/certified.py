@@ -164,7 +164,7 @@ class _Verification:
             boundaries=boundaries,
             speed=lines[:5],
             acceleration=lines[5:],
-            reasons=(*other, *sentences(boundaries, lines, self.problem.arm.elbow)),
+            reasons=(*other, *sentences(self.problem, boundaries, lines)),
         )
 
     # -- surveys ------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
@@ -90,7 +91,9 @@ def _run(options: argparse.Namespace) -> None:
     ):
         _refuse_a_used_bus(bus)
         say = screen.say
-        say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
+        say(
+            f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, fingerprint {fingerprint(key)}"
+        )
         say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
         if settings.time_scale != 1.0:
             say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")

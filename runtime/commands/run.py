@@ -21,6 +21,7 @@ from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
 from cutgate.config.signals import wake as write_wake
 from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
@@ -91,12 +92,13 @@ def run(
         with working(f"reading {path}"):
             files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
-            job = make_job(files, now=utc_now())
+            job = make_job(files, now=utc_now(), key_fingerprint=fingerprint(secret))
             check = Check(job, files.robot.value)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, _signals(view) as signals:
+        view.note(f"key fingerprint {job.key_fingerprint}: the controller's key must have the same")
         if job.simulation_allowed_by:
             view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)
         directory = log_dir or Path(files.settings.log.directory)

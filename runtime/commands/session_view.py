@@ -12,7 +12,7 @@ from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.screen import LiveConsole
 from cutgate.runtime.commands.verdict_view import BAD, GOOD, boundaries_table, guidance_lines, headline
-from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
+from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing, no_stop_cause
 from cutgate.runtime.interlock.state import (
     Announced,
     Effect,
@@ -115,7 +115,7 @@ class SessionView:
             )
         if after.phase is not before.phase:
             self._entered(after, now_s)
-        self._watch_hold(after)
+        self._watch_hold(after, now_s)
         self._watch_device(after, now_s)
 
     def _entered(self, state: Interlock, now_s: float) -> None:
@@ -128,13 +128,13 @@ class SessionView:
         elif state.phase in SAYS:
             self.note(SAYS[state.phase])
 
-    def _watch_hold(self, state: Interlock) -> None:
+    def _watch_hold(self, state: Interlock, now_s: float) -> None:
         """Tell the operator what holds the controller and which word is next: once each."""
         if state.phase is not Phase.HELD or state.controller is None:
             return
         prompt = "acknowledged; the fault is latched: say reset"
         if state.controller.cause is not StopCause.NONE:
-            prompt = f"its cause is {state.controller.cause.name}: say acknowledge"
+            prompt = f"its cause is {state.controller.cause.name}: {no_stop_cause(state, now_s).remedy}"
         if prompt != self._hold:
             self._hold = prompt
             self.note(prompt)

@@ -66,7 +66,7 @@ def read_files(
     return Files(arm, settings, prepared, allow_simulated)
 
 
-def make_job(files: Files, *, now: datetime) -> Job:
+def make_job(files: Files, *, now: datetime, key_fingerprint: str = "") -> Job:
     """The job of these files: approved records, the path on its best joint branch, digests and deadlines."""
     robot, settings = files.robot.value, files.settings
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
@@ -88,6 +88,7 @@ def make_job(files: Files, *, now: datetime) -> Job:
         registration_age_s=age_s,
         registration_max_age_s=settings.registration_max_age_s,
         simulation_allowed_by=files.simulation_allowed_by,
+        key_fingerprint=key_fingerprint,
     )
 
 

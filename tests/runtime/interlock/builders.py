@@ -116,6 +116,7 @@ JOB = Job(
     serial="SIM-1",
     registration_age_s=100.0,
     registration_max_age_s=3600.0,
+    key_fingerprint="1a2b3c4d",
 )
 
 SESSION = Session(

@@ -9,6 +9,7 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import permissives as p
+from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import DeviceCycle
 from tests.altering import altered
 from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
@@ -58,7 +59,7 @@ ALONE = [
     ("log.reserved_bytes", 0, p.log_space, 0.0, ">= 2000 bytes"),
     ("heartbeat_fresh", False, p.heartbeat_fresh, "stale or never seen", "fresh within 100 ms"),
     ("controller.cause", StopCause.BONE_MOVED, p.no_stop_cause, "BONE_MOVED", "NONE"),
-    ("controller.emergency_stop_clear", False, p.emergency_stop, "pressed or not known", "clear"),
+    ("controller.emergency_stop_clear", False, p.emergency_stop, "pressed", "clear"),
     ("controller.epoch", 4, p.epoch_current, "4", "3"),
     ("controller.state", ControllerState.LOADED, p.cutting_mode, "LOADED", "PERMITTED"),
     ("controller.cutting_mode", False, p.cutting_mode, "PERMITTED", "PERMITTED"),
@@ -388,3 +389,44 @@ def test_every_list_is_part_of_the_next():
     assert set(p.FINAL) < set(p.FOR_PERMIT)
     assert set(p.FOR_RESET) < set(p.FOR_PERMIT)
     assert JOB.registration_max_age_s is not None
+
+
+def remedy(evaluate, **changes):
+    """What is to be done, in this state."""
+    state = READY
+    for field, value in changes.items():
+        state = altered(state, field.replace("__", "."), value)
+    one = evaluate(state, NOW)
+    assert not one.holds
+    return one.remedy
+
+
+def test_a_remedy_fits_what_stands_and_not_only_what_is_missing():
+    pressed = {"controller__emergency_stop_clear": False}
+    assert remedy(p.emergency_stop, **pressed) == "release the emergency stop"
+    assert "bus" in remedy(p.emergency_stop, controller=None)
+    assert remedy(p.device_cycled, device=DeviceCycle.RELEASED) == "hold it"
+    assert remedy(p.device_cycled, device=DeviceCycle.UNSEEN) == "release it, then hold it"
+    stopped = {"controller__cause": StopCause.EMERGENCY_STOP}
+    assert remedy(p.no_stop_cause, **stopped) == "say acknowledge"
+    assert remedy(p.no_stop_cause, **stopped, **pressed) == "release the emergency stop, then say acknowledge"
+    assert remedy(p.no_stop_cause, controller__cause=StopCause.BONE_MOVED, **pressed) == "say acknowledge"
+
+
+def test_a_path_that_the_controller_refuses_is_cured_by_what_it_was_refused_for():
+    for refusal in (
+        Refusal.POSE_OUTSIDE_LIMITS,
+        Refusal.TOOL_LENGTH,
+        Refusal.WRONG_ELBOW,
+        Refusal.PATH_MALFORMED,
+    ):
+        assert remedy(p.path_accepted, stored__refusal=refusal) == MEANING[refusal]
+    assert "move the bone" in MEANING[Refusal.POSE_OUTSIDE_LIMITS]
+    assert "move the bone" not in MEANING[Refusal.TOOL_LENGTH]
+    assert "upload" in remedy(p.path_accepted, stored=None)
+
+
+def test_a_clearance_of_nothing_is_not_to_be_lowered():
+    assert "lower approach_clearance_mm" in remedy(p.approach_admissible, verdict__approach=None)
+    nothing = {"job__timing__approach_clearance_mm": 0.0}
+    assert "lower" not in remedy(p.approach_admissible, verdict__approach=None, **nothing)

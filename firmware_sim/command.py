@@ -75,7 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot).value
     if options.key is None:
-        raise RefusedError("no key file is given (--key); make one with: cutgate key new FILE")
+        raise RefusedError(
+            "no key file is given (--key); name the one that the runtime has too, or make one for both with: cutgate key new FILE"
+        )
     key, memory_file = load_key(options.key), memory.beside(options.key)
     settings = _options(options, robot)
     remembered = memory.load(memory_file)

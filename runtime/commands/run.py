@@ -277,7 +277,13 @@ def _key(option: Path | None, files: Files) -> bytes:
     """The pre-shared key; there is no built-in one."""
     file = option or (Path(files.settings.key_file) if files.settings.key_file else None)
     if file is None:
-        raise InputError("--key", "", None, "no key file is given", "make one with: cutgate key new FILE")
+        raise InputError(
+            "--key",
+            "",
+            None,
+            "no key file is given",
+            "name the one that the controller has too, or make one for both with: cutgate key new FILE",
+        )
     return load_key(file)
 
 

@@ -65,6 +65,10 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
     """What a controller announces about itself loosens nothing: another speed than 1 counts only where the site allows."""
     scale, allowed_by = state.session.time_scale if state.session else None, state.job.simulation_allowed_by
     fastest = records.PLANT_SPEED_PERMILLE_MAX / 1000
+    where_no_bone_is = (
+        "; where no bone and no robot is, say simulated = true under [controller] in site.toml, or run with "
+        "--allow-simulated"
+    )
     return Permissive(
         "speed of the plant, times the clock's",
         scale is not None and (scale == 1.0 or (allowed_by != "" and 0.0 < scale <= fastest)),
@@ -73,8 +77,7 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
         f"up to {fastest:g}, a simulation is allowed by {allowed_by}"
         if allowed_by
         else "1, no simulation is allowed",
-        "connect a controller whose plant keeps the time of its clock; where no bone and no robot is, say simulated = "
-        "true under [controller] in site.toml, or run with --allow-simulated",
+        f"connect a controller whose plant keeps the time of its clock{'' if allowed_by else where_no_bone_is}",
     )
 
 
@@ -126,7 +129,7 @@ def path_accepted(state: Interlock, _now_s: float) -> Permissive:
     text, remedy = "not uploaded", "upload it: start a new session"
     if stored is not None:
         text = "accepted" if accepted else f"{stored.refusal.name} at pose {stored.pose}"
-        remedy = MEANING.get(stored.refusal, remedy)
+        remedy = MEANING[stored.refusal]
     return _fact(
         "controller's own check of the path",
         accepted,

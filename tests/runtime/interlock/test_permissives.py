@@ -271,6 +271,10 @@ def test_who_is_refused_for_its_speed_is_told_how_a_simulation_is_allowed():
     remedy = p.plant_speed(altered(READY, "session.time_scale", 50.0), NOW).remedy
     assert "simulated = true under [controller] in site.toml" in remedy
     assert "--allow-simulated" in remedy
+    allowed = altered(READY, "job.simulation_allowed_by", "site.toml")
+    too_fast = p.plant_speed(altered(allowed, "session.time_scale", 2000.0), NOW)
+    assert not too_fast.holds
+    assert "simulated" not in too_fast.remedy, "it is allowed already"
 
 
 @pytest.mark.parametrize("which", [p.IDENTITY, p.FOR_RESET, p.COLLECTED, p.FOR_PERMIT, p.FOR_START])
@@ -427,6 +431,7 @@ def test_a_path_that_the_controller_refuses_is_cured_by_what_it_was_refused_for(
 
 
 def test_a_clearance_of_nothing_is_not_to_be_lowered():
-    assert "lower approach_clearance_mm" in remedy(p.approach_admissible, verdict__approach=None)
-    nothing = {"job__timing__approach_clearance_mm": 0.0}
-    assert "lower" not in remedy(p.approach_admissible, verdict__approach=None, **nothing)
+    for clearance_mm, lowered in ((10.0, True), (0.5, True), (0.0, False)):
+        there = {"job__timing__approach_clearance_mm": clearance_mm}
+        said = remedy(p.approach_admissible, verdict__approach=None, **there)
+        assert ("lower approach_clearance_mm" in said) is lowered

@@ -52,9 +52,9 @@ def load_key(path: Path) -> bytes:
     try:
         text = read_ours(path, FILE_BYTES_MAX, secret=True).strip()
     except FileNotFoundError:
-        remedy = f"make one with: cutgate key new {path}"
+        remedy = f"copy the other side's there, or make one for both with: cutgate key new {path}"
         raise InputError(path, "", None, "there is no such key file", remedy) from None
-    remedy = "make a new one with: cutgate key new"
+    remedy = "copy it anew from the other side, or make another one for both with: cutgate key new"
     try:
         key = bytes.fromhex(text.decode("ascii"))
     except ValueError:

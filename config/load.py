@@ -196,10 +196,15 @@ def shown(value: object) -> str:
     return text if len(text) <= _VALUE_CHARACTERS else text[: _VALUE_CHARACTERS - 3] + "..."
 
 
+def quoted(value: object) -> str:
+    """A value of a file for a message: text in quotation marks, so that nobody takes "20" for a number."""
+    return f'"{shown(value) if value else ""}"' if isinstance(value, str) else shown(value)
+
+
 def read_bytes(
     path: str | os.PathLike[str],
     limit: int = DEFAULT_LIMIT,
-    remedy: str = "raise file_size_limit_mb in site.toml or split it",
+    remedy: str = "raise file_size_limit_mb in the site.toml of run (no other command has one), or part the path",
 ) -> bytes:
     """The whole file as it was when opened, read once; one that is too large is not read at all.
 
@@ -367,7 +372,7 @@ def validate(path: object, model: type[M], document: object, schema: str, *, con
     if not (len(document) <= KEYS_MAX):
         raise InputError(path, "keys", f"{len(document)} keys", f"<= {KEYS_MAX} keys", _FOREIGN)
     if document.get("schema") != schema:
-        found = document.get("schema", "missing")
+        found = quoted(document["schema"]) if "schema" in document else "missing"
         raise InputError(path, "schema", found, f'"{schema}"', "this file is of another kind or version")
     try:
         return model.model_validate(document, context=context)
@@ -470,7 +475,7 @@ def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
     context = item.get("ctx", {})
     kind = item["type"]
     key = ".".join(shown(str(part)) for part in item["loc"])
-    value = shown(item["input"])
+    value = quoted(item["input"])
     if kind in _COMPARISONS:
         sign, limit = _COMPARISONS[kind]
         return Problem(file, key, value, f"{sign} {context[limit]}", f"correct {key}")
@@ -484,7 +489,24 @@ def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
         return Problem(
             file, context["key"] or key, shown(found) or value, context["bound"], context["remedy"]
         )
-    return Problem(file, key, value, _readable(item["msg"]), f"correct {key}")
+    remedy = _remedy_of_type(kind, item["input"]) or f"correct {key}"
+    return Problem(file, key, value, _readable(item["msg"]), remedy)
+
+
+def _remedy_of_type(kind: str, value: object) -> str:
+    """What to do about a value of another type than is asked for; empty where that is not known."""
+    match kind, value:
+        case "float_type" | "int_type", str():
+            return "write the number without quotes"
+        case "bool_type", str():
+            return "write true or false, without quotes"
+        case "bool_type", _:
+            return "write true or false"
+        case "int_type", float():
+            return "write a whole number, without a decimal point"
+        case "string_type", bool() | int() | float():
+            return "write it in quotes"
+    return ""
 
 
 def _readable(message: str) -> str:

@@ -28,6 +28,7 @@ from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
@@ -74,7 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot).value
     if options.key is None:
-        raise RefusedError("no key file is given (--key); make one with: cutgate key new FILE")
+        raise RefusedError(
+            "no key file is given (--key); name the one that the runtime has too, or make one for both with: cutgate key new FILE"
+        )
     key, memory_file = load_key(options.key), memory.beside(options.key)
     settings = _options(options, robot)
     remembered = memory.load(memory_file)
@@ -90,7 +93,9 @@ def _run(options: argparse.Namespace) -> None:
     ):
         _refuse_a_used_bus(bus)
         say = screen.say
-        say(f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}")
+        say(
+            f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, fingerprint {fingerprint(key)}"
+        )
         say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
         if settings.time_scale != 1.0:
             say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")

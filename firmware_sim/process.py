@@ -58,7 +58,7 @@ from cutgate.firmware_sim.state import (
 )
 from cutgate.firmware_sim.table import step
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Item, RecordReceived
+from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
@@ -70,6 +70,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted, Violation
 from cutgate.protocol.path import PathHeader
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import RETRY_S, Port
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
@@ -147,6 +148,7 @@ class Process:
         self._sleep = sleep
         self._faults = list(options.faults)
         self._silent = False
+        self._undelivered = ""
         self._turn_s = clock()
         self._next_heartbeat_s = self._turn_s
         self._next_announce_s = self._turn_s
@@ -296,6 +298,9 @@ class Process:
             case Violation():
                 self._say(f"refused: {item.detail}")
                 self._feed(Fault(item.cause))
+            case Undelivered(detail) if detail != self._undelivered:  # announcements come five times a second
+                self._undelivered = detail
+                self._say(detail)
             case RecordReceived():
                 self._record(item)
 
@@ -477,11 +482,22 @@ class Process:
 
     def _reply(self, effect: Send) -> None:
         if isinstance(effect.record, records.Reply) and effect.record.refusal is not Refusal.ACCEPTED:
-            self._say(f"refused: {effect.record.refusal.name}")
+            self._say(f"refused: {effect.record.refusal.name}{self._why(effect.record.refusal)}")
         now_s = self._clock()
         self.port.endpoint.send_record(effect.record, now_s, session=effect.session)
         if not self._link_open:  # a refusal of OPEN: the next announcement would cut it off
             self._next_announce_s = max(self._next_announce_s, now_s + self._options.announce_s)
+
+    def _why(self, refusal: Refusal) -> str:
+        """What the person at the controller can do about it, and the runtime's people cannot."""
+        if refusal is Refusal.MAC_INVALID:
+            own = fingerprint(self.controller.identity.key)
+            return f": the runtime has another key file; this one's fingerprint is {own}, compare it with the runtime's"
+        if refusal is Refusal.EMERGENCY_STOP:
+            return ": the emergency stop is pressed; say estop to release it"
+        if refusal is Refusal.DEVICE_NOT_RELEASED_AND_PRESSED:
+            return ": say release, then hold"
+        return ""
 
     def _send(self, record: records.Record) -> None:
         self.port.endpoint.send_record(record, self._clock())

@@ -54,7 +54,14 @@ class RecordReceived:
     digest: bytes
 
 
-Item = RecordReceived | Accepted | Discarded | Violation
+@dataclass(frozen=True)
+class Undelivered:
+    """A record that the peer did not let be sent while no session was open: it stops nothing, but a person may mend it."""
+
+    detail: str
+
+
+Item = RecordReceived | Accepted | Discarded | Violation | Undelivered
 Take = Callable[[int, bytes], bool]
 """Takes a frame, by identifier and bytes; False if it cannot now."""
 
@@ -186,13 +193,13 @@ class Endpoint:
         return [outcome]
 
     def _lost(self, channel: Channel, transfer: Transfer) -> list[Item]:
-        """Records that were lost on the way; until the link is open nobody waits for one.
+        """Records that were lost on the way; until the link is open nothing stops for one.
 
         An announcement that crosses the runtime's OPEN is broken off by the controller's answer.
         """
         errors = [error for error in transfer.errors() if error.lost]
         if not self.link.is_open:
-            return []
+            return [Undelivered(_failed(channel, error).detail) for error in errors if error.refused]
         return [_failed(channel, error) for error in errors]
 
     def _record(self, payload: bytes, channel: Channel) -> list[Item]:

@@ -15,6 +15,8 @@ from cutgate.protocol.conversation import SignedRecord
 
 KEY_BYTES = 32
 RUNTIME_TO_CONTROLLER = b"runtime to controller"
+FINGERPRINT = b"cutgate key fingerprint"
+FINGERPRINT_BYTES = 4
 
 Signed = TypeVar("Signed", bound=SignedRecord)
 
@@ -24,6 +26,16 @@ def _direction_key(key: bytes) -> bytes:
     if len(key) != KEY_BYTES:
         raise ValueError(f"key is {len(key)} bytes, must be {KEY_BYTES}")
     return HKDF(algorithm=SHA256(), length=16, salt=None, info=RUNTIME_TO_CONTROLLER).derive(key)
+
+
+def fingerprint(key: bytes) -> str:
+    """Eight hexadecimal digits by which people compare two keys: enough for that, and nothing to find a key by.
+
+    The first bytes of HMAC-SHA256 under the key over a fixed text. Raises ValueError unless the key is 32 bytes.
+    """
+    if len(key) != KEY_BYTES:
+        raise ValueError(f"key is {len(key)} bytes, must be {KEY_BYTES}")
+    return hmac.digest(key, FINGERPRINT, "sha256")[:FINGERPRINT_BYTES].hex()
 
 
 def _mac(key: bytes, record: SignedRecord) -> bytes:

@@ -51,10 +51,13 @@ class TransferError:
     Attributes:
         reason: in words.
         lost: whether a record of either direction was lost by it; otherwise a stray frame was ignored.
+        refused: whether what was lost goes out, and the peer asked for it in a form that is not sent: again it is no
+            better.
     """
 
     reason: str
     lost: bool
+    refused: bool = False
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ class Transfer:
             lost = self.receiving
         if isinstance(error, _SENDING_ENDED):
             self.stop_sending()
-        self._errors.append(TransferError(str(error), lost=lost))
+        self._errors.append(TransferError(str(error), lost=lost, refused=isinstance(error, _SENDING_ENDED)))
 
     def send(self, payload: bytes, now_s: float) -> None:
         """Queue a record; records leave one after the other. Raises ValueError unless 1..4095 bytes."""
@@ -153,12 +156,8 @@ class Transfer:
             wanted = ", ".join(map(str, self._lengths))
             self._errors.append(TransferError(f"frame is {len(data)} bytes, must be {wanted}", lost=False))
             return
-        if data[0] == (_FLOW_CONTROL << 4 | _CONTINUE) and not 1 <= data[1] <= BLOCK_FRAMES:
-            self._errors.append(
-                TransferError(
-                    f"flow control asks for blocks of {data[1]}, must be 1..{BLOCK_FRAMES}", lost=self.sending
-                )
-            )
+        if data[0] == (_FLOW_CONTROL << 4 | _CONTINUE) and (refusal := self._refusal(data)):
+            self._errors.append(TransferError(refusal, lost=self.sending, refused=self.sending))
             self.stop_sending()
             return
         if data[0] >> 4 == _FIRST_FRAME and not self._begins_a_record(data):
@@ -167,6 +166,16 @@ class Transfer:
             return
         self._inbox.append(isotp.CanMessage(arbitration_id=self.rx_id, data=data))
         self._run()
+
+    @staticmethod
+    def _refusal(flow_control: bytes) -> str:
+        """What a flow control asks for that is not sent so; empty where it asks for what is."""
+        blocks, pause = flow_control[1], flow_control[2]
+        if not 1 <= blocks <= BLOCK_FRAMES:
+            return f"flow control asks for blocks of {blocks}, must be 1..{BLOCK_FRAMES}"
+        if pause != 0:
+            return f"flow control asks for a separation time (STmin) of {pause:#04x}, must be 0"
+        return ""
 
     def _begins_a_record(self, data: bytes) -> bool:
         """Whether a first frame is full and its length, in its shortest form, is more than one frame carries alone."""

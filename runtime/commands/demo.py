@@ -12,7 +12,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Annotated, Any, Final
@@ -26,12 +26,14 @@ from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import printable
 from cutgate.protocol.permit import KEY_BYTES
+from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
+from cutgate.runtime.exits import STOPPED
 from cutgate.runtime.review.comparison import print_comparison
 from cutgate.runtime.review.show import print_time_line
 from cutgate.runtime.review.story import story
@@ -39,7 +41,11 @@ from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
 
 PLAN: Final = "hip-stem.plan.json"
-REGISTRATIONS: Final = ("registration-first.json", "registration-second.json")
+STORY: Final = {
+    "registration-first.json": ("inadmissible", "not_admitted"),
+    "registration-second.json": ("admissible", "completed"),
+}
+"""Each session's registration, its verdict and how it is to end."""
 SETTINGS: Final = ("robot.toml", "site.toml")
 TIME_SCALE: Final = 100
 DEADLINE_S: Final = 60.0
@@ -57,10 +63,22 @@ class Cue:
 
 
 CUES: Final = (
+    Cue(
+        "say acknowledge", "runtime", "acknowledge"
+    ),  # of a stop that came late to the session before, if any did
     Cue("permitted: cutting mode is on", "controller", "hold"),
     Cue("enabling device is held: say start", "runtime", "start"),
 )
 """The operator and the person at the controller, as a table."""
+
+
+LATE: Final = frozenset({StopCause.HEARTBEAT_LOST.name, StopCause.LOOP_STALLED.name})
+STALLED: Final = "loop stalled"
+"""What the controller says of its own lateness."""
+TOO_BUSY: Final = (
+    "runtime and controller share this machine, and one of them did not get the processor in time: run the demo again with "
+    "less beside it, or with priority: chrt --rr 10 cutgate demo (docs/timing.md says who may)"
+)
 
 
 class DemoError(Exception):
@@ -77,51 +95,66 @@ def demo(
 ) -> None:
     """Refuse a first registration, explain where to move the bone, admit a second one and cut to the end.
 
-    Exit code: 0 if all went as told here, 1 if not.
+    A session that ends otherwise ends the demo: it says why, what to do and what is left behind.
+    Exit code: 0 if all went as told here, 3 if a session was stopped, or anything else went otherwise.
     """
     began_s = time.monotonic()
     folder = _folder(out)
-    console = messages()
-    say = _Teller(console.print)
+    say = _Teller(messages().print)
+    runs: list[dict[str, Any]] = []
+    why: list[str] = []
     try:
         with (
             _bus(folder, say) as where,
             _controller(folder, [*where, *["--fd"] * fd], say) as controller,
         ):
-            runs = [_run(folder, name, [*where, *["--fd"] * fd], controller, say) for name in REGISTRATIONS]
+            for registration in STORY:
+                run = _run(folder, registration, [*where, *["--fd"] * fd], controller, say)
+                runs.append(run)
+                why = departure(registration, run, say.stalled)
+                if why:  # what follows needs this one
+                    break
     except DemoError as error:
-        console.print(Text(f"demo: {error}", BAD), soft_wrap=True)
-        raise typer.Exit(1) from None
+        why = [str(error)]
+    as_told = not why
     reviews = [_review(Path(run["log"]["mcap"])) for run in runs]
+    why += [
+        f"{review['log']}: verify {review['verify']}, replay {review['replay']}"
+        for review in reviews
+        if (review["verify"], review["replay"]) != ("OK", Outcome.IDENTICAL.name)
+    ]
     elapsed_s = time.monotonic() - began_s
-    good = [run["outcome"] for run in runs] == ["not_admitted", "completed"] and all(
-        review["verify"] == "OK" and review["replay"] == "IDENTICAL" for review in reviews
-    )
     if json:
         document = {
             "schema": SCHEMA,
-            "as_told": good,
+            "as_told": not why,
+            "why": why,
             "sessions": runs,
             "reviews": [{key: review[key] for key in ("log", "verify", "replay")} for review in reviews],
             "elapsed_s": elapsed_s,
         }
         echo(json_format.dumps(document, allow_nan=False, indent=2))
-    else:
+    elif as_told:
         _summary(runs, reviews, folder, elapsed_s)
-    raise typer.Exit(0 if good else 1)
+    if why:
+        _otherwise(why, runs, folder)
+    raise typer.Exit(STOPPED if why else 0)
 
 
 # ---------------------------------------------------------------- parts
 
 
 class _Teller:
-    """Lines of every process, each with its name and the time, on standard error."""
+    """Lines of every process, each with its name and the time, on standard error; ``stalled``: those of lateness."""
 
     def __init__(self, print_line: Callable[..., None]) -> None:
+        self.stalled: list[str] = []
         self._print = print_line
         self._began_s = time.monotonic()
 
     def __call__(self, who: str, text: str) -> None:
+        if STALLED in text:
+            self.stalled.append(f"{who}: {text}")
         elapsed = f"{time.monotonic() - self._began_s:6.2f} s "
         self._print(Text.assemble((elapsed, "dim"), (f"{who:<11}", "cyan"), printable(text)), soft_wrap=True)
 
@@ -129,9 +162,7 @@ class _Teller:
 def _folder(out: Path | None) -> Path:
     """A folder, new or empty, with key, site and the example's files. Nothing that exists is touched."""
     folder = out or Path(f"cutgate-demo-{time.strftime('%Y%m%dT%H%M%S')}")
-    fill(
-        folder, "--out", {name: (EXAMPLES / name).read_bytes() for name in (PLAN, *REGISTRATIONS, *SETTINGS)}
-    )
+    fill(folder, "--out", {name: (EXAMPLES / name).read_bytes() for name in (PLAN, *STORY, *SETTINGS)})
     new_key_file(folder / "site.key", secrets.token_bytes(KEY_BYTES))
     return folder
 
@@ -240,7 +271,7 @@ def _converse(children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
             assert stream is not None  # noqa: S101 - pipes were asked for
             selector.register(stream.fileno(), selectors.EVENT_READ)
             talk[stream.fileno()] = (name, stream)
-        rest = dict.fromkeys(talk, b"")
+        rest, last = dict.fromkeys(talk, b""), dict.fromkeys(talk, "nothing")
         until_s = time.monotonic() + DEADLINE_S
         while (left_s := until_s - time.monotonic()) > 0.0:
             for key, _ in selector.select(left_s):
@@ -249,13 +280,14 @@ def _converse(children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
                 if not data and name == "runtime":
                     return
                 if not data:
-                    raise DemoError("the controller ended")
+                    raise DemoError(f"the controller ended; it last said: {last[key.fd]}")
                 *lines, rest[key.fd] = (rest[key.fd] + data).split(b"\n")
                 for line in lines:
-                    text = line.decode("utf-8", "replace").rstrip()
+                    last[key.fd] = text = line.decode("utf-8", "replace").rstrip()
                     say(name, text)
                     _answer(cues, text, children, say)
-    raise DemoError(f"the session did not end within {DEADLINE_S:g} s")
+        said = "; ".join(f"the {name} last said: {last[number]}" for number, (name, _) in talk.items())
+    raise DemoError(f"the session did not end within {DEADLINE_S:g} s; {said}")
 
 
 def _answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
@@ -264,11 +296,43 @@ def _answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str
         say("demo", f"says to the {cue.to}: {cue.word}")
         stream = children[cue.to].stdin
         assert stream is not None  # noqa: S101 - a pipe was asked for
-        stream.write(f"{cue.word}\n")
-        stream.flush()
+        with suppress(BrokenPipeError):  # it has just ended, and its last lines say why
+            os.write(stream.fileno(), f"{cue.word}\n".encode())
 
 
 # ---------------------------------------------------------------- what came of it
+
+
+def departure(registration: str, run: dict[str, Any], stalled: list[str]) -> list[str]:
+    """Why a session did not end as it was to, and what to do; nothing where it did.
+
+    Args:
+        registration: the session's.
+        run: what ``run --json`` said.
+        stalled: what the controller said of its own lateness.
+    """
+    ended = ((run["verdict"] or {}).get("verdict", "no verdict"), run["outcome"])
+    if ended == STORY[registration]:
+        return []
+    was_to_be, became = (", ".join(words).replace("_", " ") for words in (STORY[registration], ended))
+    why = [f"the session with {registration} was to be {was_to_be}, and became {became}: {run['reason']}"]
+    if run["cause"] in LATE:
+        why += [*stalled, TOO_BUSY]
+    return why
+
+
+def _otherwise(why: list[str], runs: list[dict[str, Any]], folder: Path) -> None:
+    """What went otherwise than told, and what is left behind."""
+    console = messages()
+    for reason in why:
+        console.print(Text(printable(f"demo: {reason}"), BAD), soft_wrap=True)
+    logs = ", ".join(Path(run["log"]["mcap"]).name for run in runs) or "no log"
+    left = (
+        f"Left behind: {folder} with key, inputs and logs of whole sessions ({logs}); nothing runs any more."
+    )
+    console.print(printable(left), soft_wrap=True)
+    if runs:
+        console.print(printable(f"Next: cutgate audit show {runs[-1]['log']['mcap']}"), soft_wrap=True)
 
 
 def _review(path: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from cutgate.config.load import EXAMPLES, InputError
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.screen import echo
 
-SUFFIXES: Final = (".json", ".toml")
+SUFFIXES: Final = (".json", ".toml", ".service")
 """What is written of the examples: data, not the scripts that made them."""
 README: Final = """\
 cutgate: files to start from
@@ -26,6 +26,7 @@ femoral.plan.json            femoral component of a knee, 7.0 m
   registration-femoral.json  admitted
 tibial.plan.json             tibial tray of a knee, 3.0 m
   registration-tibial.json   admitted
+cutgate-run.service          one session as a unit of systemd, with priority
 
 All commands are for this folder. Off-line, refused and admitted:
 

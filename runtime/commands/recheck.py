@@ -39,7 +39,9 @@ def recheck(
     """
     arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
     try:
-        proof = proofs.Certificate.parse(read_bytes(certificate))
+        proof = proofs.Certificate.parse(
+            read_bytes(certificate, remedy="it holds something else; name a proof")
+        )
     except proofs.CertificateError as error:
         remedy = "write it anew with `cutgate verify --certificate`"
         raise InputError(certificate, "", None, str(error), remedy) from None

@@ -24,6 +24,7 @@ from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
 from cutgate.config.signals import wake as write_wake
 from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit import names
@@ -123,12 +124,13 @@ def run(
             files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
             secret = _key(key, files)
             asked = AskedTurns(q0_turns, roll_turns)
-            job = make_job(files, now=utc_now(), asked=asked)
+            job = make_job(files, now=utc_now(), asked=asked, key_fingerprint=fingerprint(secret))
             check = Check(job, files.robot.value, files.placed)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT[Phase.STOPPED]) from None
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, _signals(view) as signals:
+        view.note(f"key fingerprint {job.key_fingerprint}: the controller's key must have the same")
         if job.simulation_allowed_by:
             view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)
         directory = log_dir or Path(files.settings.log.directory)
@@ -309,7 +311,13 @@ def _key(option: Path | None, files: Files) -> bytes:
     """The pre-shared key; there is no built-in one."""
     file = option or (Path(files.settings.key_file) if files.settings.key_file else None)
     if file is None:
-        raise InputError("--key", "", None, "no key file is given", "make one with: cutgate key new FILE")
+        raise InputError(
+            "--key",
+            "",
+            None,
+            "no key file is given",
+            "name the one that the controller has too, or make one for both with: cutgate key new FILE",
+        )
     return load_key(file)
 
 

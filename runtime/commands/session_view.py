@@ -20,7 +20,7 @@ from cutgate.runtime.commands.verdict_view import (
     guidance_lines,
     headline,
 )
-from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing
+from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing, no_stop_cause
 from cutgate.runtime.interlock.state import (
     Announced,
     Effect,
@@ -128,7 +128,7 @@ class SessionView:
             )
         if after.phase is not before.phase:
             self._entered(after, now_s)
-        self._watch_hold(after)
+        self._watch_hold(after, now_s)
         self._watch_device(after, now_s)
 
     def _entered(self, state: Interlock, now_s: float) -> None:
@@ -141,13 +141,13 @@ class SessionView:
         elif state.phase in SAYS:
             self.note(SAYS[state.phase])
 
-    def _watch_hold(self, state: Interlock) -> None:
+    def _watch_hold(self, state: Interlock, now_s: float) -> None:
         """Tell the operator what holds the controller and which word is next: once each."""
         if state.phase is not Phase.HELD or state.controller is None:
             return
         prompt = "acknowledged; the fault is latched: say reset"
         if state.controller.cause is not StopCause.NONE:
-            prompt = f"its cause is {state.controller.cause.name}: say acknowledge"
+            prompt = f"its cause is {state.controller.cause.name}: {no_stop_cause(state, now_s).remedy}"
         if prompt != self._hold:
             self._hold = prompt
             self.note(prompt)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Endpoint, Item, RecordReceived
+from cutgate.protocol.endpoint import Endpoint, Item, RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -278,6 +278,8 @@ class Bench:
                     self.abnormal.append(f"cutting mode {beat.cutting_mode} in {beat.state.name}")
             case Accepted(frame=Progress()):
                 self.abnormal.append("a Progress frame")
+            case Undelivered(detail):
+                self.abnormal.append(detail)
             case Accepted(sample=JointSample() as measured):
                 self._watch_joints(measured)
             case _:

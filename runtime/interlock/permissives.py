@@ -11,6 +11,7 @@ from cutgate.protocol import records
 from cutgate.protocol.differences import Parameters, differences
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock.permissive import Permissive
+from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import DeviceCycle, Interlock
 
 Evaluate = Callable[[Interlock, float], Permissive]
@@ -64,6 +65,10 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
     """What a controller announces about itself loosens nothing: another speed than 1 counts only where the site allows."""
     scale, allowed_by = state.session.time_scale if state.session else None, state.job.simulation_allowed_by
     fastest = records.PLANT_SPEED_PERMILLE_MAX / 1000
+    where_no_bone_is = (
+        "; where no bone and no robot is, say simulated = true under [controller] in site.toml, or run with "
+        "--allow-simulated"
+    )
     return Permissive(
         "speed of the plant, times the clock's",
         scale is not None and (scale == 1.0 or (allowed_by != "" and 0.0 < scale <= fastest)),
@@ -72,8 +77,7 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
         f"up to {fastest:g}, a simulation is allowed by {allowed_by}"
         if allowed_by
         else "1, no simulation is allowed",
-        "connect a controller whose plant keeps the time of its clock; where no bone and no robot is, say simulated = "
-        "true under [controller] in site.toml, or run with --allow-simulated",
+        f"connect a controller whose plant keeps the time of its clock{'' if allowed_by else where_no_bone_is}",
     )
 
 
@@ -122,18 +126,16 @@ def tool_approved(state: Interlock, _now_s: float) -> Permissive:
 def path_accepted(state: Interlock, _now_s: float) -> Permissive:
     stored = state.stored
     accepted = stored is not None and stored.refusal is Refusal.ACCEPTED
-    if stored is None:
-        text = "not uploaded"
-    elif accepted:
-        text = "accepted"
-    else:
-        text = f"{stored.refusal.name} at pose {stored.pose}"
+    text, remedy = "not uploaded", "upload it: start a new session"
+    if stored is not None:
+        text = "accepted" if accepted else f"{stored.refusal.name} at pose {stored.pose}"
+        remedy = MEANING[stored.refusal]
     return _fact(
         "controller's own check of the path",
         accepted,
         text,
         "accepted",
-        "move the bone so that every pose lies inside the controller's limits, then register and verify again",
+        remedy,
     )
 
 
@@ -181,12 +183,13 @@ def verdict_current(state: Interlock, _now_s: float) -> Permissive:
 
 def approach_admissible(state: Interlock, _now_s: float) -> Permissive:
     verdict = state.verdict
+    lower = "lower approach_clearance_mm " if state.job.timing.approach_clearance_mm > 0.0 else ""
     return _fact(
         "approach and retract",
         verdict is not None and verdict.approach is not None,
         verdict.approach_reason if verdict else "not verified",
         "every deadband kept between start joints and cut",
-        "let the arm start from elsewhere, lower approach_clearance_mm or move the bone; start a new session",
+        f"let the arm start from elsewhere, {lower}or move the bone; start a new session",
     )
 
 
@@ -295,7 +298,9 @@ def no_stop_cause(state: Interlock, _now_s: float) -> Permissive:
         view is not None and view.cause is StopCause.NONE,
         view.cause.name if view else "not known",
         "NONE",
-        "remove the cause, then say acknowledge",
+        "release the emergency stop, then say acknowledge"
+        if view is not None and view.cause is StopCause.EMERGENCY_STOP and not view.emergency_stop_clear
+        else "say acknowledge",
     )
 
 
@@ -312,8 +317,11 @@ def not_latched(state: Interlock, _now_s: float) -> Permissive:
 
 def emergency_stop(state: Interlock, _now_s: float) -> Permissive:
     view = state.controller
-    clear = view is not None and view.emergency_stop_clear
-    return _fact("emergency stop", clear, "clear" if clear else "pressed or not known", "clear", "release it")
+    if view is None:
+        return _fact("emergency stop", False, "not known", "clear", "check the bus and the controller")
+    clear = view.emergency_stop_clear
+    remedy = "release the emergency stop"
+    return _fact("emergency stop", clear, "clear" if clear else "pressed", "clear", remedy)
 
 
 def epoch_current(state: Interlock, _now_s: float) -> Permissive:
@@ -416,17 +424,17 @@ def permit_alive(state: Interlock, now_s: float) -> Permissive:
 
 def device_cycled(state: Interlock, _now_s: float) -> Permissive:
     pressed = state.controller is not None and state.controller.device_pressed
-    text = {
-        DeviceCycle.UNSEEN: "held since before the permit, or not seen",
-        DeviceCycle.RELEASED: "released",
-        DeviceCycle.PRESSED: "pressed",
+    text, remedy = {
+        DeviceCycle.UNSEEN: ("held since before the permit, or not seen", "release it, then hold it"),
+        DeviceCycle.RELEASED: ("released", "hold it"),
+        DeviceCycle.PRESSED: ("pressed", "hold it"),
     }[state.device]
     return _fact(
         "enabling device",
         pressed and state.device is DeviceCycle.PRESSED,
         text,
         "released, then pressed, after the permit",
-        "release the enabling device, then hold it",
+        remedy,
     )
 
 

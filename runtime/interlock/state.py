@@ -131,6 +131,8 @@ class Job:
     registration_max_residual_mm: float | None = None
     simulation_allowed_by: str = ""
     """Who said that the controller may be a simulation; empty where nobody did. Never the controller itself."""
+    key_fingerprint: str = ""
+    """Of the key that signs: a controller that holds another one refuses, and the two are to be compared."""
 
     @cached_property
     def path_digest(self) -> bytes:

@@ -30,6 +30,7 @@ from cutgate.runtime.interlock.permissives import (
     measured_now,
     unconfirmed,
 )
+from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import (
     ENDED,
     Announced,
@@ -257,7 +258,7 @@ def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
 def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
     if event.request_type != records.Open.TYPE:
         return _drop_reply(state)
-    return refuse(state, f"the controller refused the session: {event.refusal.name}", now_s)
+    return refuse(state, f"the controller refused the session: {told(event.refusal)}", now_s)
 
 
 def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome:
@@ -278,8 +279,8 @@ def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome
 
 def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
     view = state.controller
-    if event.word is Word.ACKNOWLEDGE and view is not None and view.cause is not StopCause.NONE:
-        return replace(state, acknowledged=view.cause), (Send(records.Acknowledge(cause=view.cause)),)
+    if event.word is Word.ACKNOWLEDGE:
+        return acknowledge(state, view)
     if event.word is Word.RESET:
         missing = failing(FOR_RESET, state, now_s)
         if missing:
@@ -288,12 +289,23 @@ def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
     return said(state, event, now_s)
 
 
+def acknowledge(state: Interlock, view: ControllerView | None) -> Outcome:
+    """For the cause that the controller reports, no other; what still stands against it is said by the controller."""
+    if view is None:
+        reason = "the controller has not yet reported what it carries: wait for that, then say acknowledge"
+    elif view.cause is StopCause.NONE:
+        reason = "it is acknowledged already: say reset"
+    else:
+        return replace(state, acknowledged=view.cause), (Send(records.Acknowledge(cause=view.cause)),)
+    return state, (Refused(Word.ACKNOWLEDGE, reason),)
+
+
 def acknowledge_answered(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
     if event.request_type != records.Acknowledge.TYPE:
         return _drop_reply(state)
     if event.refusal is Refusal.ACCEPTED:
         return state, ()
-    return state, (Refused(Word.ACKNOWLEDGE, f"the controller refused: {event.refusal.name}"),)
+    return state, (Refused(Word.ACKNOWLEDGE, f"the controller refused: {told(event.refusal)}"),)
 
 
 def heartbeat_while_resetting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -345,7 +357,7 @@ def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outc
     held = _enter(state, Phase.HELD, now_s, nonce=None)
     if event.refusal is Refusal.ACCEPTED:
         return held, ()
-    return held, (Refused(Word.RESET, f"the controller refused the reset: {event.refusal.name}"),)
+    return held, (Refused(Word.RESET, f"the controller refused the reset: {told(event.refusal)}"),)
 
 
 # ---------------------------------------------------------------- collecting, uploading, verifying
@@ -488,7 +500,7 @@ def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Out
     if event.request_type != records.Permit.TYPE:
         return _drop_reply(state)
     if event.refusal is not Refusal.ACCEPTED:
-        return refuse(state, f"the controller refused the permit: {event.refusal.name}", now_s)
+        return refuse(state, f"the controller refused the permit: {told(event.refusal)}", now_s)
     # heartbeats seen so far may be older than the permit; the answer is not
     device = DeviceCycle.UNSEEN if event.device_pressed else DeviceCycle.RELEASED
     return _enter(state, Phase.PERMITTED, now_s, device=device), ()
@@ -554,7 +566,7 @@ def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outc
     if event.refusal is Refusal.ACCEPTED:
         return _enter(state, Phase.CUTTING, now_s), ()
     refused = _enter(state, Phase.PERMITTED, now_s, nonce=None, tracking=None)
-    return refused, (Refused(Word.START, f"the controller refused the start: {event.refusal.name}"),)
+    return refused, (Refused(Word.START, f"the controller refused the start: {told(event.refusal)}"),)
 
 
 # ---------------------------------------------------------------- cutting and watching
@@ -653,7 +665,8 @@ def _withdrawn_by(state: Interlock, cause: StopCause) -> Interlock:
 def reply_while_stopping(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
     if not state.answer_due or event.refusal is not Refusal.MAC_INVALID:
         return _drop_reply(state)
-    reason = f"{state.reason}: it refused with {event.refusal.name}"
+    key = f" (this side's has the fingerprint {state.job.key_fingerprint})"
+    reason = f"{state.reason}: it refused with {told(event.refusal)}{key}"
     return replace(state, answer_due=False, reason=reason), ()
 
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from cutgate.config.load import InputError, decode
-from cutgate.runtime.plan.model import Floats, poses_of
+from cutgate.runtime.plan.model import Floats, poses_of, shorter
 
 HEADER: Final = "x,y,z,i,j,k"
 _NUMBER: Final = r"[ \t]*+[+-]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+[ \t]*+"
@@ -28,8 +28,7 @@ def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Float
         b"\n"
     )  # without the header; before so many lines become strings
     if not (count <= pose_limit):
-        remedy = "raise pose_limit in site.toml"
-        raise InputError(file, "poses", f"{count} poses", f"<= {pose_limit} poses", remedy)
+        raise InputError(file, "poses", f"{count} poses", f"<= {pose_limit} poses", shorter(pose_limit))
     lines = decode(file, data).split("\n")
     lines = [line.removesuffix("\r") for line in lines]
     if lines[-1] == "":
@@ -37,7 +36,11 @@ def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Float
     header = lines[0] if lines else ""
     if [name.strip() for name in header.split(",", 6)] != HEADER.split(","):
         raise InputError(
-            file, "line 1", repr(header[:40]), f"the header {HEADER}", "write it as the first line"
+            file,
+            "line 1",
+            repr(header[:40]),
+            f"the header {HEADER}",
+            "write it as the first line, without quotes",
         )
     rows = lines[1:]
     for number, line in enumerate(rows, start=2):
@@ -61,6 +64,5 @@ def _bad_line(file: object, number: int, line: str) -> InputError:
         for name, cell in zip(HEADER.split(","), line.split(","), strict=True)
         if not _CELL.fullmatch(cell)
     )
-    return InputError(
-        file, f"line {number} column {column}", repr(cell), "a finite decimal number", "correct it"
-    )
+    remedy = "write it without quotes" if '"' in cell else "correct it"
+    return InputError(file, f"line {number} column {column}", repr(cell), "a finite decimal number", remedy)

@@ -19,7 +19,7 @@ from cutgate.config.load import (
     validate,
 )
 from cutgate.runtime.plan.csv import parse_csv
-from cutgate.runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, table_of
+from cutgate.runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, shorter, table_of
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)
@@ -104,14 +104,13 @@ def _check_crowd(path: Path, data: bytes, pose_limit: int) -> None:
         count, bound = data.count(signs), most + BESIDE_POSES
         if not (count <= bound):
             found = f"{count} times '{signs.decode()}'"
-            remedy = "it holds something else, or more poses than pose_limit in site.toml"
+            remedy = f"it holds something else, or more poses: {shorter(pose_limit)}"
             raise InputError(path, "", found, f"<= {bound} for {pose_limit} poses", remedy)
 
 
 def _check_count(path: Path, poses: list[Any], pose_limit: int) -> None:
     if not (len(poses) <= pose_limit):
-        remedy = "raise pose_limit in site.toml"
-        raise InputError(path, "poses", f"{len(poses)} poses", f"<= {pose_limit} poses", remedy)
+        raise InputError(path, "poses", f"{len(poses)} poses", f"<= {pose_limit} poses", shorter(pose_limit))
 
 
 def _found(path: str | Path, shipped: Shipped, accepted: tuple[str, ...], what: str) -> Path:

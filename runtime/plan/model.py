@@ -3,6 +3,7 @@
 A pose in implant coordinates reaches the robot frame as ``R_p = R_T_CT * CT_T_I * I_p``.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, Strict
 
+from cutgate.config.constants import CONSTANTS
 from cutgate.config.load import InputError, shown
 from cutgate.config.model import Real, Strictly, Text, broken
 
@@ -21,7 +23,11 @@ Floats = NDArray[np.float64]
 COORDINATE_MM: Final = 10_000.0
 TRANSLATION_MM: Final = 100_000.0
 RIGID: Final = 1e-6
+DECIMALS: Final = 7
+"""So many are enough for a rotation to be rigid, whatever it is."""
 UNIT_AXIS: Final = 1e-3
+AXIS_DECIMALS: Final = 4
+"""So many are enough for an axis to be of length 1."""
 NUMBERS: Final = frozenset({int, float})
 LAST_ROW: Final = (0.0, 0.0, 0.0, 1.0)
 
@@ -41,11 +47,25 @@ def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]
         )
     error = float(np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max())
     if not (error <= RIGID):
-        raise broken(f"orthonormal to {RIGID:g}", "no scaling, no shear", found=f"off by {error:.3g}")
+        remedy = _too_few_decimals(matrix[:3, :3], error) or "no scaling, no shear"
+        raise broken(f"orthonormal to {RIGID:g}", remedy, found=f"off by {error:.3g}")
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not (determinant > 0):
         raise broken("of determinant +1", "no mirroring", found=f"determinant {determinant:.6f}")
     return rows
+
+
+def _too_few_decimals(rotation: Floats, error: float) -> str:
+    """What to do about a rotation that was rounded too far; empty where its decimals do not explain the error.
+
+    Entries that are off by half a unit of the last decimal each make products of columns that are off by at most
+    sqrt(3) of these units, and a little more: of seven decimals, no more than is allowed.
+    """
+    decimals = next((n for n in range(DECIMALS) if np.array_equal(rotation, rotation.round(n))), DECIMALS)
+    unit = 10.0**-decimals
+    if not (decimals < DECIMALS and error <= math.sqrt(3.0) * unit + 0.75 * unit**2):
+        return ""
+    return f"its rotation has {decimals} decimals, which is too few: write {DECIMALS} or more"
 
 
 def _list_to_tuple(value: object) -> object:
@@ -63,9 +83,23 @@ def _utc(text: str) -> str:
         moment = datetime.fromisoformat(text)
     except ValueError:
         raise broken("an ISO-8601 time in UTC", "write for example 2026-03-01T08:30:00Z") from None
-    if moment.utcoffset() != timedelta(0):
-        raise broken("an ISO-8601 time in UTC", "end it with Z or +00:00")
+    offset = moment.utcoffset()
+    if offset is None:
+        remedy = (
+            "it names no zone: convert it from local time to UTC, unless it is UTC already, and end it with Z"
+        )
+        raise broken("an ISO-8601 time in UTC", remedy)
+    if offset != timedelta(0):
+        raise broken("an ISO-8601 time in UTC", f"convert it, do not relabel it{_in_utc(moment)}")
     return text
+
+
+def _in_utc(moment: datetime) -> str:
+    """What to write for a time of another zone; nothing where the calendar ends before it is converted."""
+    try:
+        return f": write {moment.astimezone(UTC).isoformat().replace('+00:00', 'Z')}"
+    except OverflowError:
+        return ""
 
 
 class PlanDocument(Strictly):
@@ -130,6 +164,12 @@ class Plan:
     axes: Floats
 
 
+def shorter(pose_limit: int) -> str:
+    """What to do about a path of more poses than the limit: no site can raise it beyond what the wire carries."""
+    part = "part the path"
+    return part if pose_limit >= CONSTANTS["pose_limit"].high else f"raise pose_limit in site.toml, or {part}"
+
+
 def table_of(file: object, rows: Sequence[Any], place: Callable[[int], str]) -> Floats:
     """Rows of six numbers, as JSON has them, as one array of shape (n, 6).
 
@@ -139,7 +179,9 @@ def table_of(file: object, rows: Sequence[Any], place: Callable[[int], str]) -> 
     bound = "six numbers x, y, z, i, j, k"
     for index, row in enumerate(rows):
         if not (type(row) is list and len(row) == 6 and NUMBERS.issuperset(map(type, row))):
-            raise InputError(file, place(index), row, bound, "correct this pose")
+            quotes = type(row) is list and str in set(map(type, row))
+            remedy = "write its numbers without quotes" if quotes else "correct this pose"
+            raise InputError(file, place(index), row, bound, remedy)
     try:
         return np.fromiter(chain.from_iterable(rows), np.float64, 6 * len(rows)).reshape(-1, 6)
     except OverflowError:
@@ -171,7 +213,13 @@ def poses_of(file: object, table: Floats, place: Callable[[int], str]) -> tuple[
     if bad.size:
         found = _and_more(f"of length {lengths[bad[0]]:.6g}", bad)
         bound = f"a tool axis i, j, k of length 1 within {UNIT_AXIS:g}"
-        raise InputError(file, place(int(bad[0])), found, bound, "normalise the tool axis")
+        raise InputError(
+            file,
+            place(int(bad[0])),
+            found,
+            bound,
+            f"normalise the tool axis, with {AXIS_DECIMALS} decimals or more",
+        )
     return table[:, :3].copy(), table[:, 3:] / lengths[:, None]
 
 

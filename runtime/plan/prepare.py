@@ -159,7 +159,10 @@ def _check_age(registration: Loaded[Registration], now: datetime) -> None:
     if not (registration.value.created <= now):
         found = registration.value.created_utc
         bound = f"not later than now ({now:%Y-%m-%dT%H:%M:%SZ})"
-        raise InputError(registration.path, "created_utc", found, bound, "check the clocks of both computers")
+        remedy = (
+            "check the clocks of both computers, and that it is UTC: local time is converted, not relabelled"
+        )
+        raise InputError(registration.path, "created_utc", found, bound, remedy)
 
 
 def _check_turns(plan: Loaded[Plan], axes: Floats) -> None:

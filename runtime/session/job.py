@@ -81,13 +81,14 @@ def read_files(
     return Files(arm, settings, prepared, allow_simulated)
 
 
-def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST) -> Job:
+def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST, key_fingerprint: str = "") -> Job:
     """The job of these files: approved records, the path on its joint branch, digests and deadlines.
 
     Args:
         files: what was read.
         now: aware.
         asked: the turns of the joint branch, where not the best are to be taken.
+        key_fingerprint: of the key, for people.
 
     Raises:
         InputError: the path does not fit in the turns asked for.
@@ -116,6 +117,7 @@ def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST) -> Job:
         registration_residual_mm=registration.value.residual_rms_mm if registration else None,
         registration_max_residual_mm=settings.registration_max_residual_mm,
         simulation_allowed_by=files.simulation_allowed_by,
+        key_fingerprint=key_fingerprint,
     )
 
 

@@ -18,7 +18,7 @@ import can
 from cutgate.config.terminal import WordReader
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Item, RecordReceived
+from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -370,6 +370,8 @@ class Session:
                 self._feed(ProgressReported(progress.segment, progress.fraction))
             case Violation():
                 self._feed(Failed(item.cause, item.detail))
+            case Undelivered():
+                self._view.note(item.detail)
             case RecordReceived():
                 self._journal.record_received(item)
                 self._feed(self._event_of(item.record))

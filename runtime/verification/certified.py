@@ -176,7 +176,7 @@ class _Verification:
             speed=lines[:5],
             acceleration=lines[5:],
             windings=tuple(self.windings),
-            reasons=(*other, *sentences(boundaries, lines, self.problem.arm.elbow)),
+            reasons=(*other, *sentences(self.problem, boundaries, lines)),
         )
 
     # -- surveys ------------------------------------------------------------------------------

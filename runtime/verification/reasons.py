@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
+from cutgate.runtime.verification.geometry import VERTICAL
+from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Winding
 
 _REMEDY = {
@@ -17,7 +21,7 @@ _REMEDY = {
     "roll_max": "turn the bone so that the roll shrinks, or part the path",
     "pitch_min": "tilt the registration so that the tool leans more",
     "pitch_max": "tilt the registration so that the tool leans less",
-    "wrist_singularity": "tilt the registration, or declare hold_roll_when_vertical for a path of constant vertical axis",
+    "wrist_singularity": "tilt the registration so that the tool keeps further from the vertical",
 }
 _SIDES = {
     ("left", "right"): "move the bone toward o1, the elbow's place at q0's upper limit",
@@ -28,13 +32,16 @@ _SIDES = {
 _SPEED_UNIT = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
 
 
-def sentences(boundaries: Mapping[str, Boundary], rates: Sequence[SpeedLine], elbow: str) -> tuple[str, ...]:
+def sentences(
+    problem: Problem, boundaries: Mapping[str, Boundary], rates: Sequence[SpeedLine]
+) -> tuple[str, ...]:
     """One sentence for each boundary that is known to be violated and each rate known to be too high; one for the rest."""
+    remedies = _REMEDY | _sides(problem.arm.elbow) | _when_upright(problem, boundaries)
     broken = [b for b in boundaries.values() if b.violated]
     found = [b for b in broken if b.clearance is not None and b.clearance < b.deadband]
     left = [b.name for b in found if b.clearance is not None and b.clearance < 0.0]
     known = [b for b in broken if b.clearance is not None]
-    out = [_boundary(b, elbow, left) for b in known]
+    out = [_boundary(b, remedies[b.name], left) for b in known]
     out += [_rate(line) for line in rates if not line.ok and line.peak is not None]
     undefined = [b.name for b in broken if b.clearance is None]
     undefined += [
@@ -48,9 +55,40 @@ def sentences(boundaries: Mapping[str, Boundary], rates: Sequence[SpeedLine], el
     return tuple(out)
 
 
-def _boundary(b: Boundary, elbow: str, left: Sequence[str]) -> str:
+def _sides(elbow: str) -> dict[str, str]:
+    return {name: remedy for (name, side), remedy in _SIDES.items() if side == elbow}
+
+
+def _when_upright(problem: Problem, boundaries: Mapping[str, Boundary]) -> dict[str, str]:
+    """What to do about a tool that is meant to be vertical, by what is declared and by how vertical it is.
+
+    Meant to be is one that keeps nearer to the vertical than the wrist's deadband all along the path. Held, it must point
+    upward and find no stop there.
+    """
+    level, height = np.hypot(problem.axes[:, 0], problem.axes[:, 1]), problem.axes[:, 2]
+    off_deg = math.degrees(float(np.arctan2(level, height).max()))
+    declared, exact = problem.hold_roll is not None, bool((level < VERTICAL).all())
+    if declared and exact:
+        return dict.fromkeys(
+            ("roll_min", "roll_max"), "declare another hold_roll_deg: the roll is held there"
+        )
+    kept_deg = boundaries["wrist_singularity"].deadband
+    stop = float(problem.lower[4] + problem.calibration.joint_offset[4])
+    if not (off_deg < kept_deg and stop <= 0.0):
+        return {}
+    lean = f"tilt the registration until the tool leans by {kept_deg:g} deg or more"
+    cure = "declare hold_roll_when_vertical"
+    if not exact:
+        cure = (
+            f"the tool is {off_deg:.3g} deg from vertical and counts as vertical below {math.degrees(VERTICAL):.2g} deg: "
+            f"give it the axis 0 0 1 in the robot frame, exactly (a rotation that keeps it has 0 0 1 as third row and "
+            f"column)" + ("" if declared else f", and {cure}")
+        )
+    return dict.fromkeys(("pitch_min", "wrist_singularity"), f"{cure}, or {lean}")
+
+
+def _boundary(b: Boundary, remedy: str, left: Sequence[str]) -> str:
     assert b.clearance is not None and b.certified is not None  # noqa: S101, PT018 - known boundaries alone
-    remedy = _REMEDY.get(b.name) or _SIDES[b.name, elbow]
     place = f"at {b.tip_length_mm:.3f} mm of the tip path (segment {b.segment}, fraction {b.fraction:.6f})"
     if b.clearance >= b.deadband and left:
         return (

@@ -157,7 +157,7 @@ def verify(problem: Problem) -> Verdict:
         acceleration=(),
         reasons=(
             *_stops(arm, wrist, geometry, started=started),
-            *sentences(boundaries, (), problem.arm.elbow),
+            *sentences(problem, boundaries, ()),
         ),
     )
 

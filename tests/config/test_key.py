@@ -113,7 +113,8 @@ def test_a_key_of_another_user_is_refused(path: Path, monkeypatch: pytest.Monkey
 
 def test_a_missing_key_file_says_how_to_make_one(tmp_path: Path):
     with pytest.raises(
-        InputError, match=r"key: there is no such key file; make one with: cutgate key new .*key"
+        InputError,
+        match=r"key: there is no such key file; copy the other side's there, or make one for both with: cutgate key new .*key",
     ):
         load_key(tmp_path / "key")
 
@@ -144,7 +145,7 @@ def test_what_is_no_plain_file_is_refused(make, tmp_path: Path):
         (b"00" * 31, "a key of 31 bytes, must be 32 bytes"),
         (b"00" * 33, "a key of 33 bytes, must be 32 bytes"),
         (b"00" * 32 + b"\n" * 3, "must be <= 66 bytes"),
-        (b"zz" * 32, "not hexadecimal; make a new one"),
+        (b"zz" * 32, "not hexadecimal; copy it anew from the other side"),
         (b"\xff" * 64, "not hexadecimal"),
         (b"00" * 1000, "size is 2000 bytes, must be <= 66 bytes"),
     ],

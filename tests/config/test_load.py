@@ -106,7 +106,7 @@ def test_what_the_file_says_is_what_the_robot_has():
 def test_the_example_site_is_read_also_with_every_commented_key():
     text = (ROOT / "examples" / "site.toml").read_text(encoding="utf-8")
     site = site_from_bytes("site.toml", text.encode())
-    assert site == Site(timing=Timing(heartbeat_ms=50, timeout_ms=500))
+    assert site == Site(timing=Timing(heartbeat_ms=100, timeout_ms=1000))
     everything = re.sub(r"^# (?=\[|\w+ = )", "", text, flags=re.MULTILINE)
     site = site_from_bytes("site.toml", everything.encode())
     assert site.model_fields_set >= {"key_file", "registration_max_age_s", "timing", "bus", "log"}
@@ -124,6 +124,38 @@ residual_deg = 0.1
 hold_roll_when_vertical = true
 hold_roll_deg = 90.0
 """
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("arm_mm = 5.0", 'arm_mm = "5.0"', 'deadband.arm_mm is "5.0", must be a valid number; write the number without quotes'),
+        ("arm_mm = 5.0", "arm_mm = true", "deadband.arm_mm is True, must be a valid number; correct deadband.arm_mm"),
+        ("[50.0, 450.0]", '[50.0, "450"]', 'limits.q2_mm.1 is "450", must be a valid number; write the number without quotes'),
+        ('name = "example"', "name = 20", "name is 20, must be a valid string; write it in quotes"),
+    ],
+)  # fmt: skip
+def test_text_where_a_number_is_asked_is_shown_as_text_with_the_right_remedy(old, new, line):
+    assert str(refusal(EXAMPLE.replace(old, new))) == f"some.toml: {line}"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('[timing]\nheartbeat_ms = "20"', 'timing.heartbeat_ms is "20", must be a valid integer; write the number without quotes'),
+        ("[timing]\nheartbeat_ms = 20.0", "timing.heartbeat_ms is 20.0, must be a valid integer; write a whole number, without a decimal point"),
+        ('[bus]\nfd = "true"', 'bus.fd is "true", must be a valid boolean; write true or false, without quotes'),
+        ("[bus]\nfd = 1", "bus.fd is 1, must be a valid boolean; write true or false"),
+    ],
+)  # fmt: skip
+def test_a_setting_of_another_type_is_shown_as_it_is_with_the_right_remedy(text, line):
+    assert str(refusal(f'schema = "cutgate.site/1"\n{text}', site_from_bytes)) == f"some.toml: {line}"
+
+
+def test_a_schema_is_shown_as_the_text_it_is():
+    assert 'schema is "cutgate.robot/2", must be "cutgate.robot/1"' in str(
+        refusal(EXAMPLE.replace("cutgate.robot/1", "cutgate.robot/2"))
+    )
 
 
 def test_records_are_quantised_limits_inward_residuals_outward():
@@ -159,7 +191,7 @@ BAD_ROBOTS = [
     ('schema = "cutgate.robot/1"', "", "schema", "missing", "cutgate.robot/1"),
     ('name = "example"', "", "name", "missing", "given"),
     ('name = "example"', "name = 4", "name", "4", "string"),
-    ('name = "example"', 'name = ""', "name", "''", "at least 1"),
+    ('name = "example"', 'name = ""', "name", '""', "at least 1"),
     ('elbow = "right"', 'elbow = "up"', "elbow", "up", "'right' or 'left'"),
     ('elbow = "right"', 'elbow = "left"', "limits.q1_deg", "[0.0, 145.0]", "<= 0"),
     ("q1_deg = [0.0, 145.0]", "q1_deg = [-1.0, 145.0]", "limits.q1_deg", "[-1.0, 145.0]", ">= 0"),
@@ -364,7 +396,7 @@ def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
         ("[permit]\nlifetime_s = 60", ("permit.lifetime_s", "60", "permit_lifetime_s")),
         ("[start]\nstart_tolerance_mm = nan", ("start.start_tolerance_mm", "nan", "finite")),
         ("registration_max_age_s = 0", ("registration_max_age_s", "0", "> 0")),
-        ('[bus]\ninterface = ""', ("bus.interface", "''", "at least 1")),
+        ('[bus]\ninterface = ""', ("bus.interface", '""', "at least 1")),
         ("[bus]\nfd = 1", ("bus.fd", "1", "boolean")),
         ("bus = 3", ("bus", "3", "table")),
     ],

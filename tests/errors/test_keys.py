@@ -18,6 +18,7 @@ from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.commands.app import execute
+from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import KEY, Pair, Stranger
 from tests.runtime.session.test_session import first_frames
@@ -124,7 +125,7 @@ def test_every_field_of_the_permit_is_altered():
 def test_a_signed_permit_for_something_else_is_refused_with_its_reason(pair, name, refusal):
     with changing(records.Permit, lambda permit: altered(permit, name), signed=True):
         assert pair.begin().end() is Phase.REFUSED
-    assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
+    assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
     assert Phase.PERMITTED not in pair.notes.phases
     assert refused_in(judged(pair), "permit") == [refusal.name]
 
@@ -147,7 +148,7 @@ def test_a_start_under_another_permit_than_the_decided_one_is_refused(pair, name
     with changing(records.Permit, lambda permit: altered(permit, name), signed=True):
         pair.to(Phase.PERMITTED)
     pair.until(lambda: bool(words_refused(pair)), act=pair._lead)
-    assert words_refused(pair)[0] == "the controller refused the start: PERMIT_MISMATCH"
+    assert words_refused(pair)[0] == f"the controller refused the start: {told(Refusal.PERMIT_MISMATCH)}"
     pair.say("quit").end()
     assert refused_in(judged(pair), "start") == [Refusal.PERMIT_MISMATCH.name]
 
@@ -166,8 +167,12 @@ def masqueraded(pair: Pair, kind: str) -> None:
     assert (pair.state.cause, pair.controller.cause) == (StopCause.AUTHENTICATION_FAILED,) * 2
     assert pair.controller.state is ControllerState.FAULT
     assert not pair.controller.cutting_mode
-    assert pair.state.reason == "the controller reports AUTHENTICATION_FAILED: it refused with MAC_INVALID"
-    assert "refused: MAC_INVALID" in pair.said
+    assert pair.state.reason.startswith(
+        f"the controller reports AUTHENTICATION_FAILED: it refused with {told(Refusal.MAC_INVALID)}"
+    )
+    assert any(
+        line.startswith("refused: MAC_INVALID: the runtime has another key file") for line in pair.said
+    )
     log = judged(pair)
     assert {record.get("first_out") for record in log.of("/audit/decision")} - {None} == {
         "AUTHENTICATION_FAILED"
@@ -298,7 +303,7 @@ def test_a_permit_of_another_session_and_of_another_boot_is_refused(pair):
         pair.begin()
         with changing(records.Permit, lambda _permit: signed[0], signed=False):
             assert pair.end() is Phase.REFUSED
-        assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
+        assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
         assert refused_in(judged(pair), "permit") == [refusal.name]
 
 
@@ -333,7 +338,7 @@ def test_a_permit_whose_nonce_has_outlived_its_lifetime_is_refused(pair):
     pair.session._checkpoint_deadline_s = 30.0
     pair.run(10.1).disk.answers = True
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the permit: NONCE_EXPIRED"
+    assert pair.state.reason == f"the controller refused the permit: {told(Refusal.NONCE_EXPIRED)}"
     assert refused_in(judged(pair), "permit") == ["NONCE_EXPIRED"]
 
 
@@ -341,7 +346,7 @@ def test_a_start_whose_nonce_has_outlived_its_lifetime_is_refused(pair):
     timed(pair, start_lifetime_ms=500)
     pair.to(Phase.PERMITTED).disk.delay_s = 0.6
     pair.until(lambda: bool(words_refused(pair)), act=pair._lead)
-    assert words_refused(pair) == ["the controller refused the start: NONCE_EXPIRED"]
+    assert words_refused(pair) == [f"the controller refused the start: {told(Refusal.NONCE_EXPIRED)}"]
     pair.disk.delay_s = 0.0
     pair.say("quit").end()
     pair.run(0.7)
@@ -403,7 +408,7 @@ def start_of(pair: Pair, controller: Any) -> records.Start:
 def test_a_signed_start_of_something_else_is_refused_with_its_reason(pair, name, refusal):
     with changing(records.Start, lambda start: altered(start, name), signed=True):
         pair.begin().until(lambda: bool(words_refused(pair)), act=pair._lead)
-    assert words_refused(pair)[0] == f"the controller refused the start: {refusal.name}"
+    assert words_refused(pair)[0] == f"the controller refused the start: {told(refusal)}"
     pair.say("quit").end()
     assert refused_in(judged(pair), "start") == [refusal.name]
 

@@ -49,7 +49,11 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
         names = opened.namelist()
     assert {name.split("/")[0] for name in names} == {"cutgate", f"cutgate-{__version__}.dist-info"}
     data = {name for name in names if name.startswith("cutgate/") and not name.endswith(".py")}
-    examples = {path.name for pattern in ("*.json", "*.toml") for path in (ROOT / "examples").glob(pattern)}
+    examples = {
+        path.name
+        for pattern in ("*.json", "*.toml", "*.service")
+        for path in (ROOT / "examples").glob(pattern)
+    }
     presets = {path.name for path in (ROOT / "config" / "presets").iterdir()}
     assert data >= {"cutgate/py.typed", "cutgate/protocol/cutgate.dbc"}
     assert data >= {f"cutgate/examples/{name}" for name in examples}

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import NO_SESSION, Endpoint, RecordReceived
+from cutgate.protocol.endpoint import NO_SESSION, Endpoint, RecordReceived, Undelivered
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, encode_frame
 from cutgate.protocol.link import Accepted, Discarded, Violation
 from cutgate.protocol.records import Channel, Side
@@ -197,6 +197,25 @@ def test_a_lost_frame_is_a_failed_transfer_inside_a_session_only(tag):
     _, items = carry(sender, receiver, change=change)
     causes = [item.cause for item in items if isinstance(item, Violation)]
     assert causes == ([StopCause.TRANSFER_FAILED] if tag else [])
+
+
+@pytest.mark.parametrize("side", [Side.RUNTIME, Side.CONTROLLER])
+@pytest.mark.parametrize("asked", [b"\x30\x20\x0a", b"\x30\x00\x00", b"\x31\x00\x00", b"\x32\x00\x00"])
+def test_a_flow_control_that_is_not_obeyed_stops_a_session_and_is_told_outside(side, asked):
+    """OPEN and the announcement are the first records that it meets: there the peer only seems to be silent."""
+    data = asked.ljust(8, b"\xcc")
+    inside, outside = endpoint(side), endpoint(side, tag=NO_SESSION)
+    heard = []
+    for made in (inside, outside):
+        made.send_record(OPEN if side is Side.RUNTIME else ANNOUNCE, NOW, session=NO_SESSION)
+        made.outgoing()
+        heard.append(made.receive(CONTROL_IDS[side.peer], data, now_s=NOW))
+    ((stopping,), (told,)) = heard
+    assert stopping.cause is StopCause.TRANSFER_FAILED
+    assert told == Undelivered(stopping.detail)
+    assert told.detail.startswith("control channel: ")
+    if asked[2]:
+        assert told.detail.endswith("separation time (STmin) of 0x0a, must be 0")
 
 
 def test_a_record_on_its_way_is_seen(runtime, controller):

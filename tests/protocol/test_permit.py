@@ -1,11 +1,14 @@
 """Only the holder of the key signs."""
 
+import hashlib
+import hmac
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.protocol.conversation import Permit, Reset, SignedRecord, Start
-from cutgate.protocol.permit import sign, verify
+from cutgate.protocol.permit import fingerprint, sign, verify
 from cutgate.protocol.wire import layout
 from tests.protocol.strategies import blocks, values
 
@@ -41,8 +44,21 @@ def test_key_of_another_length_is_refused(length: int):
         sign(bytes(length), record)
     with pytest.raises(ValueError, match="must be 32"):
         verify(bytes(length), record)
+    with pytest.raises(ValueError, match="must be 32"):
+        fingerprint(bytes(length))
 
 
 def cause_of():
     codec = dict(layout(Reset))["cause"]
     return codec.parse(b"\x09")
+
+
+def test_a_fingerprint_is_the_same_for_ever_and_no_part_of_the_key_or_of_any_code():
+    """Anyone can compute it: the first bytes of HMAC-SHA256 under the key over a text that is used for nothing else."""
+    wanted = hmac.new(KEY, b"cutgate key fingerprint", hashlib.sha256).hexdigest()[:8]
+    assert fingerprint(KEY) == wanted == "73edde87"
+
+
+@given(keys)
+def test_keys_that_differ_have_other_fingerprints(key: bytes):
+    assert fingerprint(key) != fingerprint(bytes([key[0] ^ 1]) + key[1:])

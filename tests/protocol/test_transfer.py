@@ -233,6 +233,32 @@ def test_peer_that_asks_for_long_blocks_is_refused(blocks: int):
     assert one.outgoing() == []
 
 
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("pause", [0x01, 0x7F, 0x80, 0xF1, 0xFF])
+def test_peer_that_asks_for_a_separation_time_is_refused(pause: int, fd: bool):
+    """Passed over, it would drown a receiver that is slower than the bus: its record would be lost without a reason."""
+    one, _ = pair(fd=fd)
+    one.send(patterned(100), 0.0)
+    one.send(b"next", 0.0)
+    one.outgoing()
+    one.feed(bytes([0x30, BLOCK_FRAMES, pause]).ljust(8, b"\xcc"))
+    (error,) = one.errors()
+    assert error == TransferError(
+        f"flow control asks for a separation time (STmin) of {pause:#04x}, must be 0", lost=True, refused=True
+    )
+    assert not one.sending
+    assert one.outgoing() == []
+
+
+def test_flow_control_for_nothing_loses_nothing_whatever_it_asks_for():
+    one, other = pair()
+    one.feed(bytes([0x30, BLOCK_FRAMES, 10]).ljust(8, b"\xcc"))
+    assert [error.lost for error in one.errors()] == [False]
+    one.send(patterned(100), 0.0)
+    carry(one, other)
+    assert other.received() == [patterned(100)]
+
+
 @pytest.mark.parametrize("at", range(6))
 @pytest.mark.parametrize("what", ["lost", "doubled", "swapped", "forged"])
 def test_disturbed_transfer_never_yields_a_wrong_record(at: int, what: str):

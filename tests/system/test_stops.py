@@ -4,6 +4,7 @@ import signal
 
 import pytest
 
+from cutgate.config.key import load_key
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -12,6 +13,7 @@ from cutgate.protocol.frames import (
     Joints23,
     RuntimeHeartbeat,
 )
+from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script
@@ -151,10 +153,15 @@ def test_after_a_stop_a_new_session_waits_for_acknowledge(rig):
 
 def test_a_latched_fault_needs_acknowledge_and_then_reset(rig):
     sim = rig.sim()
+    right, wrong = (fingerprint(load_key(rig.folder / name)) for name in ("site.key", "wrong.key"))
     run = rig.run(key="wrong.key")
+    run.line(f"key fingerprint {wrong}: the controller's key must have the same")
     run.line("STOP sent")
     assert run.exit() == 3
-    assert "refused: MAC_INVALID" in sim.line("MAC_INVALID")
+    assert "MAC_INVALID: the two key files differ" in run.told
+    assert f"(this side's has the fingerprint {wrong})" in run.told
+    assert f"site.key, fingerprint {right}" in sim.told
+    assert f"this one's fingerprint is {right}" in sim.line("refused: MAC_INVALID")
     assert rig.at_rest(sim) == "FAULT (AUTHENTICATION_FAILED)"
 
     again = rig.run()

@@ -12,7 +12,7 @@ from cutgate.runtime.commands import app as cli
 from cutgate.runtime.commands.example import README
 from cutgate.runtime.plan.load import load_plan, load_registration
 
-DATA = {path.name for pattern in ("*.json", "*.toml") for path in EXAMPLES.glob(pattern)}
+DATA = {path.name for pattern in ("*.json", "*.toml", "*.service") for path in EXAMPLES.glob(pattern)}
 MAKES_A_FOLDER = [["example"], ["demo", "--out"]]
 
 
@@ -133,7 +133,9 @@ def test_what_cannot_be_removed_again_is_named(tmp_path, refusal, before, monkey
 
     monkeypatch.setattr(Path, "unlink", stuck)
     before("hip-stem.plan.json", FULL)
-    assert refusal("example", tmp_path / "x").endswith("; femoral.plan.json could not be removed again")
+    assert refusal("example", tmp_path / "x").endswith(
+        "; cutgate-run.service, femoral.plan.json could not be removed again"
+    )
 
 
 @pytest.mark.parametrize("linked", [False, True])

@@ -1,8 +1,9 @@
-"""``cutgate key new``."""
+"""``cutgate key``: a new one, and its fingerprint."""
 
 import stat
 
 from cutgate.config.key import load_key
+from cutgate.protocol.permit import fingerprint
 from cutgate.runtime.commands import app as cli
 
 
@@ -33,3 +34,16 @@ def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
 
 def test_key_without_a_verb_shows_help_and_exits_2():
     assert cli.execute(["key"]) == 2
+
+
+def test_a_fingerprint_is_told_when_a_key_is_made_and_asked_for_later(tmp_path, capsys):
+    assert cli.execute(["key", "new", str(tmp_path / "k")]) == 0
+    digits = fingerprint(load_key(tmp_path / "k"))
+    assert f"fingerprint {digits}. Give the controller the same file" in capsys.readouterr().err
+    assert cli.execute(["key", "fingerprint", str(tmp_path / "k")]) == 0
+    assert capsys.readouterr().out == f"{digits}\n"
+
+
+def test_a_fingerprint_of_no_key_is_refused(tmp_path, capsys):
+    assert cli.execute(["key", "fingerprint", str(tmp_path / "k")]) == 2
+    assert "there is no such key file" in capsys.readouterr().err

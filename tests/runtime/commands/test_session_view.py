@@ -1,15 +1,17 @@
 """What a person is told while a session goes on."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
 from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
 from cutgate.runtime.verification.approach import Start, verify
 from cutgate.runtime.verification.guidance import Guidance
-from tests.runtime.interlock.builders import NOW, START_JOINTS, VERDICT, in_phase
+from tests.runtime.interlock.builders import NOW, READY, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.test_approach import MIDDLE, cut
 
 
@@ -44,6 +46,20 @@ def test_the_signal_that_ends_a_session_is_told_once_it_is_obeyed(capfd):
     told = capfd.readouterr().err.splitlines()
     assert "SIGHUP: the session ends" in told[0]
     assert "STOP sent" in told[1]
+
+
+def test_an_emergency_stop_that_is_still_pressed_is_to_be_released_before_it_is_acknowledged(capfd):
+    view_of = replace(READY.controller, cause=StopCause.EMERGENCY_STOP)
+    held = [
+        in_phase(Phase.HELD, controller=replace(view_of, emergency_stop_clear=clear))
+        for clear in (False, True, True)
+    ]
+    with SessionView(quiet_output=True) as view:
+        for state in held:
+            view.step(state, Said(Word.START), state, (), NOW)
+    pressed, released = capfd.readouterr().err.splitlines()
+    assert pressed.endswith("its cause is EMERGENCY_STOP: release the emergency stop, then say acknowledge")
+    assert released.endswith("its cause is EMERGENCY_STOP: say acknowledge")
 
 
 def test_an_outcome_is_data_whatever_its_reason_and_its_files_are_called(capfd):

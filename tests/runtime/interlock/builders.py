@@ -118,6 +118,7 @@ JOB = Job(
     registration_max_age_s=3600.0,
     registration_residual_mm=0.5,
     registration_max_residual_mm=1.0,
+    key_fingerprint="1a2b3c4d",
 )
 
 SESSION = Session(

@@ -9,6 +9,7 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import permissives as p
+from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import DeviceCycle
 from tests.altering import altered
 from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
@@ -69,7 +70,7 @@ ALONE = [
     ("log.reserved_bytes", 0, p.log_space, 0.0, ">= 2000 bytes"),
     ("heartbeat_fresh", False, p.heartbeat_fresh, "stale or never seen", "fresh within 100 ms"),
     ("controller.cause", StopCause.BONE_MOVED, p.no_stop_cause, "BONE_MOVED", "NONE"),
-    ("controller.emergency_stop_clear", False, p.emergency_stop, "pressed or not known", "clear"),
+    ("controller.emergency_stop_clear", False, p.emergency_stop, "pressed", "clear"),
     ("controller.epoch", 4, p.epoch_current, "4", "3"),
     ("controller.state", ControllerState.LOADED, p.cutting_mode, "LOADED", "PERMITTED"),
     ("controller.cutting_mode", False, p.cutting_mode, "PERMITTED", "PERMITTED"),
@@ -299,6 +300,10 @@ def test_who_is_refused_for_its_speed_is_told_how_a_simulation_is_allowed():
     remedy = p.plant_speed(altered(READY, "session.time_scale", 50.0), NOW).remedy
     assert "simulated = true under [controller] in site.toml" in remedy
     assert "--allow-simulated" in remedy
+    allowed = altered(READY, "job.simulation_allowed_by", "site.toml")
+    too_fast = p.plant_speed(altered(allowed, "session.time_scale", 2000.0), NOW)
+    assert not too_fast.holds
+    assert "simulated" not in too_fast.remedy, "it is allowed already"
 
 
 @pytest.mark.parametrize("which", [p.IDENTITY, p.FOR_RESET, p.COLLECTED, p.FOR_PERMIT, p.FOR_START])
@@ -426,3 +431,45 @@ def test_every_list_is_part_of_the_next():
     assert set(p.FINAL) < set(p.FOR_PERMIT)
     assert set(p.FOR_RESET) < set(p.FOR_PERMIT)
     assert JOB.registration_max_age_s is not None
+
+
+def remedy(evaluate, **changes):
+    """What is to be done, in this state."""
+    state = READY
+    for field, value in changes.items():
+        state = altered(state, field.replace("__", "."), value)
+    one = evaluate(state, NOW)
+    assert not one.holds
+    return one.remedy
+
+
+def test_a_remedy_fits_what_stands_and_not_only_what_is_missing():
+    pressed = {"controller__emergency_stop_clear": False}
+    assert remedy(p.emergency_stop, **pressed) == "release the emergency stop"
+    assert "bus" in remedy(p.emergency_stop, controller=None)
+    assert remedy(p.device_cycled, device=DeviceCycle.RELEASED) == "hold it"
+    assert remedy(p.device_cycled, device=DeviceCycle.UNSEEN) == "release it, then hold it"
+    stopped = {"controller__cause": StopCause.EMERGENCY_STOP}
+    assert remedy(p.no_stop_cause, **stopped) == "say acknowledge"
+    assert remedy(p.no_stop_cause, **stopped, **pressed) == "release the emergency stop, then say acknowledge"
+    assert remedy(p.no_stop_cause, controller__cause=StopCause.BONE_MOVED, **pressed) == "say acknowledge"
+
+
+def test_a_path_that_the_controller_refuses_is_cured_by_what_it_was_refused_for():
+    for refusal in (
+        Refusal.POSE_OUTSIDE_LIMITS,
+        Refusal.TOOL_LENGTH,
+        Refusal.WRONG_ELBOW,
+        Refusal.PATH_MALFORMED,
+    ):
+        assert remedy(p.path_accepted, stored__refusal=refusal) == MEANING[refusal]
+    assert "move the bone" in MEANING[Refusal.POSE_OUTSIDE_LIMITS]
+    assert "move the bone" not in MEANING[Refusal.TOOL_LENGTH]
+    assert "upload" in remedy(p.path_accepted, stored=None)
+
+
+def test_a_clearance_of_nothing_is_not_to_be_lowered():
+    for clearance_mm, lowered in ((10.0, True), (0.5, True), (0.0, False)):
+        there = {"job__timing__approach_clearance_mm": clearance_mm}
+        said = remedy(p.approach_admissible, verdict__approach=None, **there)
+        assert ("lower approach_clearance_mm" in said) is lowered

@@ -705,7 +705,8 @@ def test_the_reply_with_its_reason_is_awaited_after_the_stop_that_overtook_it(ph
     assert run.phase is Phase.STOPPING
     run.feed(REFUSED_CODE[phase], LATCHED_BEAT)
     assert run.phase is Phase.STOPPED
-    assert run.state.reason.endswith(": it refused with MAC_INVALID")
+    assert ": it refused with MAC_INVALID: the two key files differ: compare" in run.state.reason
+    assert run.state.reason.endswith(f"(this side's has the fingerprint {JOB.key_fingerprint})")
 
 
 @pytest.mark.parametrize("phase", REFUSED_CODE, ids=str)
@@ -827,7 +828,7 @@ def test_start_is_refused_with_every_missing_permissive():
     assert after == state
     (refused,) = effects
     assert "verified start: 2 (required: <= 0.5 mm)" in refused.reason
-    assert "release the enabling device" in refused.reason
+    assert "after the permit): release it, then hold it" in refused.reason
 
 
 def test_start_only_asks_for_a_nonce():
@@ -1054,6 +1055,9 @@ def test_an_answer_that_is_not_pending_is_dropped_and_reported(phase):
         assert type(event).__name__ in dropped.what
 
 
+NOT_REPORTED = "the controller has not yet reported what it carries: wait for that, then say acknowledge"
+
+
 def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     run = Run(FRESH).feed(
         Announced(ANNOUNCE, RUNTIME_NONCE),
@@ -1061,7 +1065,7 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     )
     assert run.phase is Phase.HELD
     run.feed(Said(Word.ACKNOWLEDGE))
-    assert isinstance(run.effects[0], Refused), "nothing is known yet"
+    assert run.effects == (Refused(Word.ACKNOWLEDGE, NOT_REPORTED),)
     run.feed(beat(ControllerState.FAULT, cause=StopCause.SECOND_NODE), Said(Word.RESET))
     assert "acknowledge" in run.effects[0].reason
     run.feed(Said(Word.ACKNOWLEDGE))
@@ -1070,6 +1074,8 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     assert (run.phase, run.effects) == (Phase.HELD, ())
     run.feed(beat(ControllerState.FAULT))
     assert (run.phase, run.effects) == (Phase.HELD, ()), "acknowledging is not resetting"
+    run.feed(Said(Word.ACKNOWLEDGE))
+    assert run.effects == (Refused(Word.ACKNOWLEDGE, "it is acknowledged already: say reset"),)
     run.feed(Said(Word.RESET))
     assert sent(run.effects) == [records.NonceRequest(purpose=Purpose.RESET)]
     run.feed(NonceReceived(Purpose.RESET, NONCE, EPOCH))
@@ -1097,7 +1103,8 @@ def test_a_cause_without_a_latch_needs_only_the_acknowledgement():
 def test_refused_acknowledgements_and_resets_are_shown_and_the_session_stays_held():
     run = Run(in_phase(Phase.HELD), NOW).feed(reply(records.Acknowledge, Refusal.EMERGENCY_STOP))
     assert run.phase is Phase.HELD
-    assert (run.effects[0].word, "EMERGENCY_STOP" in run.effects[0].reason) == (Word.ACKNOWLEDGE, True)
+    pressed = "EMERGENCY_STOP: the emergency stop is still pressed: release it, then try again"
+    assert run.effects == (Refused(Word.ACKNOWLEDGE, f"the controller refused: {pressed}"),)
     run = Run(in_phase(Phase.RESETTING), NOW).feed(reply(records.Reset, Refusal.NONCE_EXPIRED))
     assert (run.phase, run.state.nonce) == (Phase.HELD, None)
     assert (run.effects[0].word, "NONCE_EXPIRED" in run.effects[0].reason) == (Word.RESET, True)

@@ -149,12 +149,81 @@ def test_a_transform_orthonormal_to_a_millionth_is_accepted():
     assert read_registration(changed(REGISTRATION, ["R_T_CT"], skewed(0, 1, -1.0 + 4e-7))).id == "r"
 
 
+def turned_by(*, decimals=16, scale=1.0):
+    """A rotation about an oblique axis, as a file with so many decimals has it."""
+    c, s = np.cos(0.7), np.sin(0.7)
+    level = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.round(scale * level @ level[[2, 0, 1]][:, [2, 0, 1]] @ level, decimals)
+    return matrix.tolist()
+
+
+@pytest.mark.parametrize("decimals", [1, 2, 3, 4, 5, 6])
+def test_a_rotation_of_too_few_decimals_is_told_how_many_it_needs(decimals):
+    message = message_of(
+        lambda: read_registration(changed(REGISTRATION, ["R_T_CT"], turned_by(decimals=decimals)))
+    )
+    assert f"its rotation has {decimals} decimals, which is too few: write 7 or more" in message
+    assert read_registration(changed(REGISTRATION, ["R_T_CT"], turned_by(decimals=7))).id == "r"
+
+
+@pytest.mark.parametrize("scale", [0.9, 0.99, 1.001, 1.01])
+@pytest.mark.parametrize("decimals", [5, 16])
+def test_a_scaling_is_not_taken_for_too_few_decimals(scale, decimals):
+    refused = changed(REGISTRATION, ["R_T_CT"], turned_by(scale=scale, decimals=decimals))
+    assert message_of(lambda: read_registration(refused)).endswith("no scaling, no shear")
+    assert message_of(lambda: read_registration(changed(refused, ["R_T_CT"], skewed(2, 2, scale)))).endswith(
+        "no shear"
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "remedy"),
+    [
+        ("2026-01-15T08:21:47+01:00", "convert it, do not relabel it: write 2026-01-15T07:21:47Z"),
+        ("2026-01-15T00:21:47.5-05:30", "convert it, do not relabel it: write 2026-01-15T05:51:47.500000Z"),
+        ("2026-01-15T08:21:47", "it names no zone: convert it from local time to UTC, unless it is UTC already, and end it with Z"),
+        ("0001-01-01T00:00:00+01:00", "convert it, do not relabel it"),
+        ("yesterday", "write for example 2026-03-01T08:30:00Z"),
+    ],
+)  # fmt: skip
+def test_a_time_of_another_zone_is_to_be_converted_and_never_relabelled(found, remedy):
+    message = message_of(lambda: read_registration(changed(REGISTRATION, ["created_utc"], found)))
+    assert (
+        message == f"some.json: created_utc is {json.dumps(found)}, must be an ISO-8601 time in UTC; {remedy}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("read", "document", "line"),
+    [
+        (read_plan, changed(PLAN, ["feed_mm_s"], "20"), 'feed_mm_s is "20", must be a valid number; write the number without quotes'),
+        (read_plan, changed(PLAN, ["id"], 20), "id is 20, must be a valid string; write it in quotes"),
+        (read_plan, changed(PLAN, ["poses", 1], ["1", 2, 3, 0, 0, 1]), "poses.1 is ['1', 2, 3, 0, 0, 1], must be six numbers x, y, z, i, j, k; write its numbers without quotes"),
+        (read_registration, changed(REGISTRATION, ["R_T_CT", 0, 3], "10"), 'R_T_CT.0.3 is "10", must be a valid number; write the number without quotes'),
+    ],
+)  # fmt: skip
+def test_text_where_a_number_is_asked_is_shown_as_text_with_the_right_remedy(read, document, line):
+    assert message_of(lambda: read(document)) == f"some.json: {line}"
+
+
+def test_quotes_in_a_tool_path_are_named():
+    quoted = CSV.replace("1,2,3,.6", '1,"2",3,.6')
+    message = message_of(lambda: plan_from_bytes(Path("some.csv"), quoted.encode()))
+    assert message.endswith("column y is '\"2\"', must be a finite decimal number; write it without quotes")
+
+
+def test_nobody_is_told_to_raise_a_limit_that_is_the_wires():
+    longest = b"x,y,z,i,j,k\n" + b"\n" * 1_048_577
+    assert message_of(lambda: plan_from_bytes(Path("p.csv"), longest)).endswith("poses; part the path")
+
+
 BAD_PLANS = [
     (["schema"], "cutgate.plan/2", ("schema", "cutgate.plan/2", "cutgate.plan/1")),
     (["schema"], "cutgate.registration/1", ("schema", "cutgate.registration/1", "cutgate.plan/1")),
     (["schema"], del_, ("schema", "missing", "cutgate.plan/1")),
     (["id"], del_, ("id", "missing", "given")),
-    (["id"], "", ("id", "''", "at least 1")),
+    (["id"], "", ("id", '""', "at least 1")),
     (["side"], "middle", ("side", "middle", "'left' or 'right'")),
     (["units"], "inch", ("units", "inch", "'mm'")),
     (["feed_mm_s"], 0, ("feed_mm_s", "0", ">= 0.001")),
@@ -320,7 +389,10 @@ def test_a_file_over_the_size_limit_is_refused(tmp_path):
     for name in ("p.json", "p.csv"):
         (tmp_path / name).write_text(" " * 100, encoding="utf-8")
         message = message_of(lambda name=name: load_plan(tmp_path / name, size_limit=99))
-        assert "size is 100 bytes, must be <= 99 bytes; raise file_size_limit_mb in site.toml" in message
+        assert (
+            "size is 100 bytes, must be <= 99 bytes; raise file_size_limit_mb in the site.toml of run"
+            in message
+        )
 
 
 def test_a_registration_has_a_bound_of_its_own(tmp_path):

@@ -15,6 +15,7 @@ from cutgate.protocol.records import joints_to_counts, joints_to_memory
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import Phase
 from tests.altering import altered
 from tests.runtime.session.pair import STANDS, answers
@@ -159,7 +160,7 @@ def test_an_arm_that_slips_while_the_permit_is_on_its_way_is_refused_by_the_cont
     pair.until(lambda: bool(first_frames(pair, records.Permit)))
     pair.process._happen(FaultName.OFF_START)
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the permit: START_JOINTS"
+    assert pair.state.reason == f"the controller refused the permit: {told(Refusal.START_JOINTS)}"
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def test_an_altered_approach_is_refused_by_the_controller(pair, field, value, re
     """A runtime that holds the key, and permits something else than was verified."""
     pair.begin().verdict_altered(lambda verdict: altered(verdict, field, value(verdict)))
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
+    assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
     assert standing(pair) == STANDS
     pair.close()
     assert pair.replayed().outcome is Outcome.DIFFERS, "and the log tells"
@@ -203,4 +204,4 @@ def test_clearance_and_speed_are_the_sites(pair):
 def test_settings_outside_the_controllers_bounds_are_refused(pair, changes):
     pair.begin(replace(pair.job, timing=replace(pair.job.timing, **changes)))
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
+    assert pair.state.reason == f"the controller refused the session: {told(Refusal.TIMING_OUT_OF_BOUNDS)}"

@@ -1,5 +1,6 @@
 """What may happen to frames on the bus, one row after the other: tolerated and counted, or stopped."""
 
+import can
 import pytest
 
 from cutgate.protocol import permit as permits
@@ -278,6 +279,50 @@ def test_a_damaged_record_of_the_controller_ends_the_session(pair, change):
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause in (StopCause.TRANSFER_FAILED, StopCause.PROTOCOL_VIOLATION)
     assert not pair.state.collected.complete
+
+
+def paused(channels, side):
+    """Every flow control that this side sends on these channels asks for 10 ms between two frames."""
+
+    def change(message):
+        if message.arbitration_id in channels and message.data[0] == 0x30:
+            message = can.Message(
+                arbitration_id=message.arbitration_id,
+                data=bytes([*message.data[:2], 10, *message.data[3:]]),
+                is_extended_id=False,
+            )
+        return [message]
+
+    channels = {channels[side]}
+    return change
+
+
+SEPARATION = "flow control asks for a separation time (STmin) of 0x0a, must be 0"
+
+
+def test_a_controller_that_asks_for_a_separation_time_is_told_apart_from_a_silent_one(pair):
+    pair.wire.rules.append(paused(CONTROL_IDS, CONTROLLER))
+    assert pair.begin().end() is Phase.REFUSED
+    assert f"control channel: {SEPARATION}" in pair.notes.notes
+
+
+def test_a_controller_that_asks_for_a_separation_time_during_the_upload_is_refused_in_words(pair):
+    pair.wire.rules.append(paused(BULK_IDS, CONTROLLER))
+    assert pair.begin().end() is Phase.STOPPED
+    assert (pair.state.cause, pair.state.reason) == (StopCause.TRANSFER_FAILED, f"bulk channel: {SEPARATION}")
+
+
+def test_a_runtime_that_asks_for_a_separation_time_is_refused_in_words_by_the_controller(pair):
+    pair.wire.rules.append(paused(CONTROL_IDS, RUNTIME))
+    pair.begin().run(1.0)
+    assert pair.phase is Phase.WAITING
+    assert pair.said.count(f"control channel: {SEPARATION}") == 1
+
+
+def test_a_runtime_that_asks_for_a_separation_time_for_the_limits_is_refused_in_words(pair):
+    pair.wire.rules.append(paused(BULK_IDS, RUNTIME))
+    assert pair.begin().end() is Phase.STOPPED
+    assert f"refused: bulk channel: {SEPARATION}" in pair.said
 
 
 def test_an_announcement_that_was_damaged_is_followed_by_another(pair):

@@ -9,6 +9,7 @@ from cutgate.firmware_sim.faults import FaultName
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import Phase, Refused
 from tests.runtime.session.pair import Stranger
 from tests.runtime.session.test_session import first_frames
@@ -27,7 +28,7 @@ def refusals(pair):
 def test_what_changes_after_the_upload_is_found_at_the_permit(pair, fault, refusal):
     pair.power_up(fault)
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == f"the controller refused the permit: {refusal.name}"
+    assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
     assert Phase.PERMITTED not in pair.notes.phases
 
 
@@ -38,7 +39,7 @@ def test_what_changes_after_the_upload_is_found_at_the_permit(pair, fault, refus
 def test_what_changes_after_the_permit_is_found_at_the_start(pair, fault, refusal):
     pair.power_up(fault)
     pair.begin().until(lambda: bool(refusals(pair)), act=pair._lead)
-    assert refusals(pair)[0] == f"the controller refused the start: {refusal.name}"
+    assert refusals(pair)[0] == f"the controller refused the start: {told(refusal)}"
     pair.say("quit").run(0.2)
     assert not any("CUTTING" in line for line in pair.said)
 
@@ -156,7 +157,7 @@ def test_timing_outside_the_controllers_bounds_is_refused(pair):
     timing = replace(pair.job.timing, heartbeat_ms=4)
     pair.begin(replace(pair.job, timing=timing))
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
+    assert pair.state.reason == f"the controller refused the session: {told(Refusal.TIMING_OUT_OF_BOUNDS)}"
 
 
 def test_a_refusal_is_not_cut_off_by_the_next_announcement(pair):
@@ -168,7 +169,7 @@ def test_a_refusal_is_not_cut_off_by_the_next_announcement(pair):
     refused_s = pair.clock()
     assert pair.process._next_announce_s >= refused_s + pair.options.announce_s - 1e-9
     assert pair.end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the session: TIMING_OUT_OF_BOUNDS"
+    assert pair.state.reason == f"the controller refused the session: {told(Refusal.TIMING_OUT_OF_BOUNDS)}"
     assert pair.clock() - refused_s <= pair.options.announce_s
 
 
@@ -204,6 +205,20 @@ def test_other_limits_than_the_approved_are_refused_before_the_upload(pair):
     assert held.data != pair.job.limits
 
 
+def test_an_emergency_stop_that_is_still_pressed_is_named_at_the_acknowledgement_and_then_released(pair):
+    pair.to(Phase.PERMITTED).controller_terminal.type("estop")
+    assert pair.end() is Phase.STOPPED
+    pair.close()
+    pair.run(0.1).begin()
+    pair.to(Phase.HELD).run(0.05).say("acknowledge").run(0.1)
+    still = "EMERGENCY_STOP: the emergency stop is still pressed: release it, then try again"
+    assert refusals(pair) == [f"the controller refused: {still}"]
+    assert "refused: EMERGENCY_STOP: the emergency stop is pressed; say estop to release it" in pair.said
+    pair.controller_terminal.type("estop")
+    pair.run(0.05).say("acknowledge")
+    pair.to(Phase.PERMITTED)
+
+
 # ---------------------------------------------------------------- memory
 
 
@@ -213,7 +228,7 @@ def test_a_withdrawn_registration_stays_withdrawn_over_a_restart(pair):
     pair.close()
     pair.power_up()
     assert pair.begin().end() is Phase.REFUSED
-    assert pair.state.reason == "the controller refused the permit: REGISTRATION_WITHDRAWN"
+    assert pair.state.reason == f"the controller refused the permit: {told(Refusal.REGISTRATION_WITHDRAWN)}"
 
 
 def test_only_a_withdrawn_registration_is_remembered(pair):

@@ -1,0 +1,165 @@
+"""``cutgate demo`` where a session does not end as it was to: words, an exit code, and nobody is waited for."""
+
+import json
+import os
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import pytest
+
+from cutgate.runtime.commands import demo
+from cutgate.runtime.commands.app import execute
+
+FIRST, SECOND = demo.STORY
+LOST = "no fresh controller heartbeat within 500 ms; this computer stood still for 640 ms"
+
+
+def ran(registration, **changes):
+    """What ``run --json`` says of a session that ended as it was to, but for these changes."""
+    verdict, outcome = demo.STORY[registration]
+    log = {"mcap": f"logs/{registration}.mcap", "candump": ""}
+    told = {
+        "outcome": outcome,
+        "cause": "NOT_ADMITTED",
+        "reason": "why",
+        "verdict": {"verdict": verdict},
+        "log": log,
+    }
+    return told | changes
+
+
+LATE = {"outcome": "stopped", "cause": "HEARTBEAT_LOST", "reason": LOST, "verdict": None}
+
+
+@pytest.fixture
+def played(tmp_path, monkeypatch, capsys):
+    """Play the demo with these sessions in place of processes: exit code, document, what was said, what was begun."""
+
+    def play(*sessions, stalled=(), as_json=True):
+        begun, left = [], list(sessions)
+
+        @contextmanager
+        def part(*_):
+            yield ["--interface", "test"]
+
+        def run(_folder, registration, _where, _controller, say):
+            begun.append(registration)
+            for line in stalled:
+                say("controller", line)
+            told = left.pop(0)
+            if isinstance(told, Exception):
+                raise told
+            return told
+
+        review = {"log": "l", "verify": "OK", "replay": "IDENTICAL"}
+        for name, stub in {
+            "_bus": part,
+            "_controller": part,
+            "_run": run,
+            "_review": lambda _: review,
+        }.items():
+            monkeypatch.setattr(demo, name, stub)
+        monkeypatch.setattr(demo, "_summary", lambda *_: None)
+        code = execute(["demo", "--out", str(tmp_path / "demo"), *["--json"] * as_json])
+        said = capsys.readouterr()
+        return code, json.loads(said.out) if as_json else said.out, said.err, begun
+
+    return play
+
+
+def test_two_sessions_as_told_are_a_success(played):
+    code, document, said, begun = played(ran(FIRST), ran(SECOND))
+    assert (code, document["as_told"], document["why"], begun) == (0, True, [], [FIRST, SECOND])
+    assert "Left behind" not in said
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_demo_that_is_late_says_which_side_by_how_much_what_to_do_and_what_is_left(played, late, tmp_path):
+    sessions = [ran(FIRST), ran(SECOND)]
+    sessions[late] |= LATE
+    stalled = "loop stalled for 612 ms, 9 frames discarded"
+    code, document, said, begun = played(*sessions, stalled=[stalled])
+    assert code == 3
+    assert begun == [FIRST, SECOND][: late + 1], "nothing is begun that nobody would acknowledge"
+    assert document["as_told"] is False
+    assert len(document["sessions"]) == late + 1
+    assert (
+        "became no verdict, stopped: no fresh controller heartbeat within 500 ms; this computer stood still for 640 ms"
+        in said
+    )
+    assert f"controller: {stalled}" in said
+    assert "chrt --rr 10 cutgate demo" in said
+    assert f"Left behind: {tmp_path / 'demo'} with key, inputs and logs" in said
+    assert f"Next: cutgate audit show logs/{begun[-1]}.mcap" in said
+    assert document["why"][0] in said
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"verdict": None, "reason": "no controller announced itself within 30 s"},
+        {"outcome": "stopped", "cause": "TRANSFER_FAILED"},
+    ],
+)
+def test_a_session_that_ends_otherwise_for_another_reason_is_not_called_late(played, changes):
+    code, _, said, begun = played(ran(FIRST, **changes))
+    assert (code, begun) == (3, [FIRST])
+    assert "was to be inadmissible, not admitted, and became" in said
+    assert demo.TOO_BUSY not in said
+
+
+def test_a_part_that_fails_leaves_a_document_and_words_as_well(played):
+    code, document, said, _ = played(ran(FIRST), demo.DemoError("the controller ended"))
+    assert (code, document["as_told"], document["why"]) == (3, False, ["the controller ended"])
+    assert "demo: the controller ended" in said
+    assert "Left behind: " in said
+
+
+def test_words_of_a_late_demo_are_data(played):
+    _, out, said, _ = played(ran(FIRST, **LATE | {"reason": "\x1b[2J[/]"}), as_json=False)
+    assert out == ""
+    assert r"\x1b[2J[/]" in said
+
+
+def stream(descriptor):
+    """As much of a pipe's stream as is asked for."""
+    return SimpleNamespace(fileno=lambda: descriptor)
+
+
+def conversation(*lines):
+    """What the demo answers to these lines of the runtime; its input may be closed."""
+    reading, writing = os.pipe()
+    cues = list(demo.CUES)
+    children = {name: SimpleNamespace(stdin=stream(writing)) for name in ("runtime", "controller")}
+    for line in lines:
+        demo._answer(cues, line, children, lambda *_: None)
+    os.close(writing)
+    heard = os.read(reading, 4096)
+    os.close(reading)
+    return heard.decode().split()
+
+
+def test_a_stop_that_came_late_to_the_session_before_is_acknowledged_once():
+    held = "its cause is HEARTBEAT_LOST: say acknowledge"
+    assert conversation(held, held, "permitted: cutting mode is on.") == ["acknowledge", "hold"]
+
+
+def test_a_runtime_that_has_just_ended_is_not_spoken_to_and_nothing_breaks():
+    reading, writing = os.pipe()
+    os.close(reading)
+    runtime = SimpleNamespace(stdin=stream(writing))
+    demo._answer(list(demo.CUES), "say acknowledge", {"runtime": runtime}, lambda *_: None)
+    os.close(writing)
+
+
+def test_no_session_is_waited_for_without_saying_what_it_said_last(monkeypatch):
+    reading, writing = os.pipe()
+    os.write(writing, b"what it waits for\n")
+    monkeypatch.setattr(demo, "DEADLINE_S", 0.05)
+    children = {"runtime": SimpleNamespace(stderr=stream(reading), stdin=None)}
+    with pytest.raises(
+        demo.DemoError, match=r"did not end within 0.05 s; the runtime last said: what it waits for"
+    ):
+        demo._converse(children, lambda *_: None)
+    os.close(writing)
+    os.close(reading)

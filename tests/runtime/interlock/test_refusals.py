@@ -1,0 +1,21 @@
+"""What the controller's refusals mean: a sentence for each, with what to do."""
+
+from cutgate.protocol.states import Refusal
+from cutgate.runtime.interlock.refusals import MEANING, told
+
+
+def test_every_refusal_says_what_it_means_after_its_code():
+    assert set(MEANING) == set(Refusal)
+    for refusal in Refusal:
+        assert told(refusal) == f"{refusal.name}: {MEANING[refusal]}"
+        assert len(MEANING[refusal].split()) >= 5
+
+
+def test_what_is_still_pressed_or_released_is_named_with_what_to_do():
+    assert told(Refusal.EMERGENCY_STOP).endswith("still pressed: release it, then try again")
+    assert "release the enabling device, then hold it" in told(Refusal.DEVICE_NOT_RELEASED_AND_PRESSED)
+
+
+def test_a_wrong_key_is_called_so_and_the_keys_are_to_be_compared():
+    assert "the two key files differ" in told(Refusal.MAC_INVALID)
+    assert "`cutgate key fingerprint FILE`" in told(Refusal.MAC_INVALID)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, Strict
 
-from cutgate.config.load import InputError, shown
 from cutgate.config.model import Real, Strictly, Text, broken
+from cutgate.config.refusal import InputError, shown
 
 Floats = NDArray[np.float64]
 

@@ -392,6 +392,8 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
     else:
         limits = sorted({p.limiting for p in positions})
         console.print(f"None is admissible; what limits: {', '.join(limits)}.")
+        if chosen:
+            console.print("The move that guidance chooses lies between them: take a shorter --step-mm.")
     for path in files.values():
         console.print(printable(f"Written: {path}"), soft_wrap=True)
 

@@ -11,6 +11,7 @@
   const step = map.step;
   const canvas = at("map");
   const pen = canvas.getContext("2d");
+  const whole = document.createElement("canvas");
   const signed = (v) => (v > 0 ? "+" : "") + v;
   let layer = map.first;
   let pinned = cellAt(0, 0);
@@ -106,7 +107,7 @@
     canvas.style.width = `${total[0]}px`;
     const X = (x) => edge.left + (x - x0) * s;
     const Y = (y) => edge.top + (y1 - y) * s;
-    view = { x: (u) => (u - edge.left) / s + x0, y: (v) => y1 - (v - edge.top) / s, width: total[0] };
+    view = { x: (u) => (u - edge.left) / s + x0, y: (v) => y1 - (v - edge.top) / s, X, Y, s, size: total, frame: [edge.left, edge.top, width, height] };
     pen.setTransform(fine, 0, 0, fine, 0, 0);
     pen.fillStyle = colour("--page");
     pen.fillRect(0, 0, ...total);
@@ -131,17 +132,29 @@
     if (map.move && map.move.yaw === yawOf(layer) && map.move.by[2] === liftOf(layer)) {
       sign("move", X(px + map.move.by[0]), Y(py + map.move.by[1]));
     }
-    if (shown !== null) {
-      const [x, y] = moveOf(shown);
-      const size = Math.max(step * s, 9);
-      for (const [ink, line] of [["#000000", 4], ["#ffffff", 1.8]]) {
-        pen.strokeStyle = ink;
-        pen.lineWidth = line;
-        pen.strokeRect(X(x + px) - size / 2, Y(y + py) - size / 2, size, size);
-      }
-    }
     pen.restore();
     axes([x0, x1, y0, y1], X, Y, edge, width, height);
+    [whole.width, whole.height] = [canvas.width, canvas.height];
+    whole.getContext("2d").drawImage(canvas, 0, 0);
+    mark();
+  }
+
+  // The place that is read, over the map as it was drawn: a map may have a hundred thousand cells.
+  function mark() {
+    pen.drawImage(whole, 0, 0, ...view.size);
+    if (shown === null) return;
+    const [x, y] = moveOf(shown);
+    const size = Math.max(step * view.s, 9);
+    pen.save();
+    pen.beginPath();
+    pen.rect(...view.frame);
+    pen.clip();
+    for (const [ink, line] of [["#000000", 4], ["#ffffff", 1.8]]) {
+      pen.strokeStyle = ink;
+      pen.lineWidth = line;
+      pen.strokeRect(view.X(x + px) - size / 2, view.Y(y + py) - size / 2, size, size);
+    }
+    pen.restore();
   }
 
   function cells(X, Y, s) {
@@ -285,7 +298,7 @@
   function look(k) {
     if (k === shown) return;
     shown = k;
-    draw();
+    mark();
     tell();
   }
 
@@ -293,7 +306,7 @@
 
   const under = (event) => {
     const box = canvas.getBoundingClientRect();
-    const zoom = view.width / box.width;
+    const zoom = view.size[0] / box.width;
     return cellAt(view.x((event.clientX - box.left) * zoom) - px, view.y((event.clientY - box.top) * zoom) - py);
   };
   canvas.addEventListener("pointermove", (event) => { if (event.pointerType === "mouse") look(under(event) ?? pinned); });

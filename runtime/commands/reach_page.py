@@ -55,7 +55,7 @@ def page(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) ->
         arcs: the workspace of the wrist centre.
     """
     drawn = layers(document, positions)
-    first = max(range(len(drawn)), key=lambda k: _interest(drawn[k]))
+    first = max(range(len(drawn)), key=lambda k: _interest(drawn[k], document["guidance"]))
     folder = files("cutgate.runtime.commands")
     script = (folder / "reach_page.js").read_text(encoding="utf-8")
     style = (folder / "reach_page.css").read_text(encoding="utf-8") + _tints()
@@ -98,10 +98,10 @@ def _tints() -> str:
     )
 
 
-def _interest(layer: Layer) -> tuple[bool, float, int]:
-    """What to show first: where the bone could stand, with the least turn and lift."""
+def _interest(layer: Layer, guidance: dict[str, Any] | None) -> tuple[bool, bool, float, int]:
+    """What to show first: where the bone could stand, guidance's move, then the least turn and lift."""
     good = sum(p.admissible for p in layer.positions)
-    return good > 0, -abs(layer.yaw_deg) - abs(layer.lift_mm), good
+    return good > 0, layer.holds(guidance), -abs(layer.yaw_deg) - abs(layer.lift_mm), good
 
 
 def _words(document: dict[str, Any]) -> str:

@@ -324,6 +324,23 @@ def test_a_map_of_a_bone_too_high_begins_at_the_height_of_guidance_and_says_so(c
     assert data_of(text)["move"] == {"by": moved, "yaw": 0.0}
 
 
+def test_where_guidance_finds_a_turn_between_the_places_of_the_grid_the_turn_is_shown_and_that_is_said(
+    cutgate, tmp_path, path
+):
+    path.write_text("x,y,z,i,j,k\n780,300,600,0.28,0,0.96\n880,300,600,0.28,0,0.96\n", encoding="utf-8")
+    text = ROBOT.read_text(encoding="utf-8")
+    for joint, limits in (("q0", "[-20, 20]"), ("q1", "[34, 52]")):
+        text = re.sub(rf"{joint}_deg = .*", f"{joint}_deg = {limits}", text)
+    (tmp_path / "thin.toml").write_text(text, encoding="utf-8")
+    _, out, _ = cutgate("--robot", tmp_path / "thin.toml", "--out", tmp_path / "map.html")
+    assert re.search(r"guidance moves it: yaw -[0-9.]+ deg, x", out)
+    assert "None is admissible" in out
+    assert "guidance chooses lies between them: take a shorter --step-mm" in out
+    data = data_of((tmp_path / "map.html").read_text(encoding="utf-8"))
+    assert data["yaw"] == [data["move"]["yaw"], 0.0]
+    assert data["first"] == 0
+
+
 def cutgate_verify(path):
     out = io.StringIO()
     with redirect_stdout(out):

@@ -9,12 +9,11 @@ import json
 import math
 import os
 import re
-import reprlib
 import stat
 import tomllib
 from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -26,7 +25,8 @@ from pydantic_core import ErrorDetails
 from cutgate.config.constants import CONSTANTS
 from cutgate.config.model import RECORDED, REMOVED, RULE, Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
-from cutgate.config.screen import printable
+from cutgate.config.refusal import InputError as InputError  # noqa: PLC0414 - for whoever reads files
+from cutgate.config.refusal import Problem, quoted, shown
 from cutgate.protocol.records import Calibration, Limits, Tool
 
 T = TypeVar("T")
@@ -45,68 +45,8 @@ than its line."""
 _WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*+"|[-+.\w]++')
 """Strings, and whatever stands in JSON without quotation marks."""
 NEWLINE: Final = "\n"
-MAX_SHOWN: Final = 20
-_VALUE_CHARACTERS: Final = 60
-_REPR_BITS: Final = 4096
 _ERROR_CHARACTERS: Final = 200
 _FOREIGN: Final = "it holds something else; name another file"
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing wrong with one file. ``key`` is a dotted key or ``line N``; empty when it is the whole file."""
-
-    file: str
-    key: str
-    value: str
-    bound: str
-    remedy: str
-
-    def __str__(self) -> str:
-        """One line: file, key, value, bound, remedy; absent parts are left out."""
-        place = f"{self.file}: {self.key}" if self.key else self.file
-        found = f" is {self.value}" if self.value else ""
-        rule = f", must be {self.bound}" if self.value else f": {self.bound}"
-        return printable(f"{place}{found}{rule}" + (f"; {self.remedy}" if self.remedy else ""))
-
-
-class InputError(Exception):
-    """Refused input: every problem found, one line each.
-
-    Args:
-        file: the file as the user named it.
-        key: dotted key, ``line N`` or empty.
-        value: what was found (shown with ``repr`` unless it is text already); None when nothing was.
-        bound: what would have been accepted.
-        remedy: what to do about it; may be empty.
-        more: further problems of the same input.
-    """
-
-    def __init__(
-        self,
-        file: object,
-        key: str,
-        value: object,
-        bound: str,
-        remedy: str = "",
-        *,
-        more: Sequence[Problem] = (),
-    ) -> None:
-        self.problems = (Problem(str(file), key, shown(value), bound, remedy), *more)
-        super().__init__(str(self))
-
-    @classmethod
-    def of(cls, problems: Sequence[Problem]) -> "InputError":
-        """The error that lists these problems; at least one."""
-        first = problems[0]
-        return cls(first.file, first.key, first.value or None, first.bound, first.remedy, more=problems[1:])
-
-    def __str__(self) -> str:
-        """One line per problem, at most ``MAX_SHOWN``."""
-        lines = [str(problem) for problem in self.problems[:MAX_SHOWN]]
-        if len(self.problems) > MAX_SHOWN:
-            lines.append(f"... and {len(self.problems) - MAX_SHOWN} more")
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,38 +107,6 @@ SHIPPED: Final = Path(str(resources.files("cutgate")))
 """The program's own files, installed or in a checkout."""
 EXAMPLES: Final = SHIPPED / "examples"
 PRESETS: Final = Shipped(SHIPPED / "config" / "presets", "", ".toml", "a preset")
-
-
-class _Brief(reprlib.Repr):
-    """The beginning of a value: nobody writes out a list of a million numbers to show sixty characters of it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxlevel = 3
-        self.maxlist = self.maxtuple = self.maxdict = _VALUE_CHARACTERS // 2
-        self.maxstring = self.maxother = 2 * _VALUE_CHARACTERS
-
-    def repr_int(self, value: int, _level: int) -> str:
-        """Python writes out no integer of thousands of digits, and nobody wants to read it."""
-        bits = value.bit_length()
-        return repr(value) if bits <= _REPR_BITS else f"an integer of {bits} bits"
-
-
-_BRIEF: Final = _Brief()
-
-
-def shown(value: object) -> str:
-    """A value for a message: on one line, printable, at most 60 characters; empty for None."""
-    if value is None:
-        return ""
-    text = value[: _VALUE_CHARACTERS + 1] if isinstance(value, str) and value else _BRIEF.repr(value)
-    text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
-    return text if len(text) <= _VALUE_CHARACTERS else text[: _VALUE_CHARACTERS - 3] + "..."
-
-
-def quoted(value: object) -> str:
-    """A value of a file for a message: text in quotation marks, so that nobody takes "20" for a number."""
-    return f'"{shown(value) if value else ""}"' if isinstance(value, str) else shown(value)
 
 
 def read_bytes(

@@ -1,6 +1,6 @@
 """Entry point of ``cutgate``: nothing of weight is imported before Ctrl-C means something.
 
-The imports take a second. Nothing is open in it yet, so whoever interrupts it is told so and the program ends there.
+The imports take half a second. Nothing is open in it yet, so whoever interrupts it is told so and the program ends there.
 """
 
 import os
@@ -32,8 +32,10 @@ def main() -> None:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not where it is ignored, as behind nohup
         signal.signal(signal.SIGINT, leave)
-    from cutgate.runtime.commands.app import execute  # noqa: PLC0415 - takes a second
+    from cutgate.runtime.commands.app import COMMANDS, execute, load  # noqa: PLC0415 - takes its time
 
+    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
+        load(sys.argv[1])
     signal.signal(signal.SIGINT, before)
     ended = execute()
     sys.exit(code if ended == INTERRUPTED else ended)

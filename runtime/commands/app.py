@@ -1,30 +1,89 @@
-"""All commands of ``cutgate``, and what an error looks like from outside; ``cutgate.runtime.cli`` is the way in."""
+"""All commands of ``cutgate``, and what an error looks like from outside; ``cutgate.runtime.cli`` is the way in.
 
-from typing import Annotated
+A command's module, and all that it needs of libraries, is imported when the command is called and not before.
+"""
+
+from importlib import import_module
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from cutgate import __version__
-from cutgate.config.load import InputError
+from cutgate.config.refusal import InputError
 from cutgate.config.screen import printable
-from cutgate.runtime.commands import (
-    audit,
-    conform,
-    controller_side,
-    demo,
-    example,
-    key,
-    reach,
-    recheck,
-    run,
-    verify,
-)
 from cutgate.runtime.commands.screen import delivered, echo, no_room
 from cutgate.runtime.exits import INTERNAL, INTERRUPTED, NOT_WRITTEN, READER_GONE, REFUSED
 
+COMMANDS: Final = {
+    "verify": (
+        "verify",
+        "Check off-line whether a whole cut path keeps its distance from every limit of the robot.",
+    ),
+    "recheck": (
+        "recheck",
+        "Check the proof that a whole cut path is admissible, interval by interval, without a search.",
+    ),
+    "reach": (
+        "reach",
+        "Map where the bone could stand so that the whole cut path keeps its distance from every limit.",
+    ),
+    "run": (
+        "run",
+        "Verify the path against the controller on the bus, permit it, start it, watch it to its end.",
+    ),
+    "sim": (
+        "controller_side",
+        "The simulated controller (cutgate sim --help). Exit code: 0, or 2 on bad input, key or bus.",
+    ),
+    "bus": ("controller_side", "The local virtual CAN bus: bus serve [--socket S] [--log FILE]."),
+    "conform": (
+        "conform",
+        "Show that a controller refuses what it must. Its plant must be disconnected; see docs/controllers.md.",
+    ),
+    "demo": (
+        "demo",
+        "Refuse a first registration, explain where to move the bone, admit a second one and cut to the end.",
+    ),
+    "example": (
+        "example",
+        "Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.",
+    ),
+    "key": ("key", "Pre-shared keys."),
+    "audit": ("audit", "Review session logs: what was decided, and whether it stands."),
+}
+"""Of each command the module that registers it, and its help's first paragraph, which a test compares with the module's."""
+
+
+def load(name: str) -> Any:
+    """The command of this name, with all that it needs imported."""
+    module, _ = COMMANDS[name]
+    own = typer.Typer(add_completion=False)
+    own.callback()(lambda: None)  # a group, also where the module registers one command alone
+    import_module(f"cutgate.runtime.commands.{module}").register(own)
+    return typer.main.get_group(own).commands[name]
+
+
+class Named(TyperCommand):
+    """A command of which only name and help are known until it is called."""
+
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
+        """What calling a command begins with: the real one goes on from here."""
+        return load(str(self.name)).make_context(info_name, args, *rest, **more)
+
+
+class Commands(TyperGroup):
+    """All of them, in the order in which help lists them."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands = {name: Named(name, callback=None, help=text) for name, (_, text) in COMMANDS.items()}
+
+
 app = typer.Typer(
     name="cutgate",
+    cls=Commands,
     help="Decides whether a bone-milling robot may start to cut.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -45,10 +104,6 @@ def _root(
     ] = False,
 ) -> None:
     """Decides whether a bone-milling robot may start to cut."""
-
-
-for command in (verify, recheck, reach, run, controller_side, conform, key, audit, demo, example):
-    command.register(app)
 
 
 def execute(arguments: list[str] | None = None) -> int:

@@ -25,7 +25,7 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.runtime.commands.reach_page import page
-from cutgate.runtime.commands.reach_picture import picture
+from cutgate.runtime.commands.reach_picture import height, picture, signed
 from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
@@ -44,8 +44,8 @@ VALUES_MAX: Final = 73
 CHUNK: Final = 32
 """Positions judged in one go, a fraction of a second: what the progress bar moves by."""
 KINDS: Final = (".png", ".html", ".csv", ".json")
-DRAWN_BY: Final = {".png": "matplotlib", ".html": "plotly"}
-"""Not installed with cutgate alone: nobody draws beside a controller."""
+DRAWN_BY: Final = {".png": "matplotlib"}
+"""Not installed with cutgate alone: nobody draws beside a controller. The page draws itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ def _files(out: Path | None, *, json: bool) -> dict[str, Path]:
             "--out",
             None,
             f"needs {' and '.join(missing)}, not installed here",
-            "pip install 'cutgate[pictures]', or ask for data alone: --out FILE.csv, --out FILE.json or --json",
+            "pip install 'cutgate[pictures]', or ask for what needs none: --out FILE.html, FILE.csv or FILE.json, or --json",
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -283,11 +283,16 @@ def reach_command(
     step_mm: Annotated[
         float, typer.Option(min=0.5, max=500.0, help="Distance of neighbouring positions.")
     ] = 20.0,
-    yaw_deg: Annotated[str, typer.Option(help="Turns about the vertical: a,b,c or first:last:step.")] = "0",
+    yaw_deg: Annotated[
+        str | None,
+        typer.Option(
+            help="Turns about the vertical: a,b,c or first:last:step; if left out 0, and the turn that guidance needs."
+        ),
+    ] = None,
     lift_mm: Annotated[
         str | None,
         typer.Option(
-            help="Displacements along z: a,b,c or first:last:step; if left out 0, or what the slide needs."
+            help="Displacements along z: a,b,c or first:last:step; if left out the height that guidance would choose."
         ),
     ] = None,
     out: Annotated[
@@ -303,8 +308,8 @@ def reach_command(
 
     Exit code: 0 map made, 2 refused input.
     """
-    yaws = _values(yaw_deg, "--yaw-deg", -180.0, 180.0)
-    asked = None if lift_mm is None else _values(lift_mm, "--lift-mm", -2000.0, 2000.0)
+    yaws = None if yaw_deg is None else _values(yaw_deg, "--yaw-deg", -180.0, 180.0)
+    lifts = None if lift_mm is None else _values(lift_mm, "--lift-mm", -2000.0, 2000.0)
     arm = load_robot(robot)
     placed = load_registration(registration) if registration else None
     prepared = prepare(load_plan(plan), placed, arm.value, now=datetime.now(UTC))
@@ -313,15 +318,22 @@ def reach_command(
         raise InputError(
             robot, "limits", None, "a workspace: the limits leave none", "correct limits or offsets"
         )
-    grid = reach.grid_of(problem, step_mm, yaws, (reach.suggested_lift(problem),) if asked is None else asked)
+    work = Work(problem, prepared.path.feed_mm_s, prepared.path.tool_length_mm)
+    begun = None
+    if lifts is None:
+        with working("looking for the height to begin with"):
+            begun = reach.start(problem, work.quantise)
+        lifts = (begun.lift_mm,)
+    if yaws is None:
+        yaws = tuple(sorted({0.0, begun.yaw_deg if begun else 0.0}))
+    grid = reach.grid_of(problem, step_mm, yaws, lifts)
     if not (len(grid) <= POSITIONS_MAX):
         bound = f"{len(grid)} positions, at most {POSITIONS_MAX}: take longer steps or fewer turns and lifts"
         raise typer.BadParameter(bound, param_hint="--step-mm")
     files = _files(out, json=json)
-    work = Work(problem, prepared.path.feed_mm_s, prepared.path.tool_length_mm)
     with _progress(len(grid), f"judging {len(grid)} positions of the bone") as done:
         positions = survey(work, grid, cores or os.cpu_count() or 1, done)
-    document = reach.reach_document(problem, grid, positions, _made_for(prepared, arm.value))
+    document = reach.reach_document(problem, grid, positions, _made_for(prepared, arm.value), begun)
     with working("drawing the map"):
         _save(files, problem, document, positions)
     if json:
@@ -348,6 +360,15 @@ def _save(
 def _summary(document: dict[str, Any], positions: list[Position], files: dict[str, Path]) -> None:
     """The answer in a few lines: how much room there is, and where most of it."""
     console, counts = output(), document["counts"]
+    lifts = document["grid"]["lift_mm"]
+    for lift in lifts if len(lifts) == 1 else ():
+        console.print(f"Map at lift {signed(lift)} mm: {height(document, lift)}.")
+    if chosen := document["guidance"]:
+        x, y, z = (signed(value) for value in chosen["translation_mm"])
+        turn = f"yaw {signed(chosen['yaw_deg'])} deg, " if chosen["yaw_deg"] else ""
+        console.print(
+            f"Where the bone stands now it is inadmissible; guidance moves it: {turn}x {x}  y {y}  lift {z} mm."
+        )
     console.print(
         f"{counts['admissible']} of {counts['positions']} positions are admissible, each by the certified method; "
         f"{counts['excluded_by_a_pose']} are excluded by one pose alone."
@@ -363,7 +384,7 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
         for word, p in (("Most room:", best), ("Nearest:  ", near)):
             console.print(
                 Text(
-                    f"{word} yaw {p.yaw_deg:+g} deg, move x {p.x_mm:+g}  y {p.y_mm:+g}  z {p.lift_mm:+g} mm; "
+                    f"{word} yaw {p.yaw_deg:+g} deg, move x {p.x_mm:+g}  y {p.y_mm:+g}  lift {p.lift_mm:+g} mm; "
                     f"tightest there is {_tightest(p)}"
                 )
             )
@@ -371,6 +392,8 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
     else:
         limits = sorted({p.limiting for p in positions})
         console.print(f"None is admissible; what limits: {', '.join(limits)}.")
+        if chosen:
+            console.print("The move that guidance chooses lies between them: take a shorter --step-mm.")
     for path in files.values():
         console.print(printable(f"Written: {path}"), soft_wrap=True)
 

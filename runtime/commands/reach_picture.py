@@ -78,9 +78,34 @@ class Layer:
 
     @property
     def title(self) -> str:
-        """Yaw, and lift where there is one."""
-        lift = f", lift {self.lift_mm:+g} mm" if self.lift_mm else ""
-        return f"yaw {self.yaw_deg:+g}°{lift}"
+        """Yaw and lift."""
+        return f"yaw {signed(self.yaw_deg)}°, lift {signed(self.lift_mm)} mm"
+
+    def holds(self, guidance: dict[str, Any] | None) -> bool:
+        """Whether guidance's move has this yaw and lift."""
+        return guidance is not None and (guidance["yaw_deg"], guidance["translation_mm"][2]) == (
+            self.yaw_deg,
+            self.lift_mm,
+        )
+
+
+def signed(value: float) -> str:
+    """A move with its direction."""
+    return f"{value:+g}" if value else "0"
+
+
+CHOSEN_BY: Final = {
+    "asked": "as asked for",
+    "present": "the bone's present height",
+    "guidance": "the height that guidance chooses",
+    "slide": "the middle of the slide's range",
+}
+
+
+def height(document: dict[str, Any], lift_mm: float) -> str:
+    """What a lift does with the bone, and who chose it."""
+    done = "bone raised" if lift_mm > 0.0 else "bone lowered" if lift_mm < 0.0 else "height unchanged"
+    return f"{done}, {CHOSEN_BY[document['lift_chosen_by']]}"
 
 
 def layers(document: dict[str, Any], positions: Sequence[Position]) -> list[Layer]:
@@ -140,8 +165,6 @@ def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs)
         scale = _panel(axis, document, layer, arcs, top)
     for axis in axes.flat[len(shown) :]:
         axis.set_visible(False)
-    for axis in axes[-1, :]:
-        axis.set_xlabel("x of the bone's reference point, mm")
     for axis in axes[:, 0]:
         axis.set_ylabel("y, mm (robot frame)")
     if scale is not None:
@@ -149,6 +172,8 @@ def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs)
         bar.set_label("admissible: smallest clearance, in deadbands (1 = just kept)")
     _legend(figure, drawn, document)
     title = f"Where the bone could stand: {document['plan']} on {document['robot']}"
+    if len({layer.lift_mm for layer in drawn}) == 1:
+        title += f"\nat lift {signed(drawn[0].lift_mm)} mm ({height(document, drawn[0].lift_mm)})"
     if len(shown) < len(drawn):
         title += f" (the first {len(shown)} of {len(drawn)} turns and lifts)"
     figure.suptitle(title, fontweight="bold", parse_math=False)
@@ -172,6 +197,10 @@ def _panel(axis: Any, document: dict[str, Any], layer: Layer, arcs: Arcs, top: f
         axis.plot(points[:, 0], points[:, 1], color="black", linewidth=1.1)
     axis.plot(0.0, 0.0, marker="o", markersize=9, color="white", markeredgecolor="black", markeredgewidth=1.5)
     axis.plot(px, py, marker="X", markersize=10, color="white", markeredgecolor="black", markeredgewidth=1.5)
+    axis.set_xlabel(f"x of the reference point, mm, at lift {signed(layer.lift_mm)} mm")
+    if layer.holds(document["guidance"]):
+        x_mm, y_mm, _ = document["guidance"]["translation_mm"]
+        axis.plot(px + x_mm, py + y_mm, marker="D", markersize=8, color="white", markeredgecolor="black")
     good = sum(p.admissible for p in layer.positions)
     axis.set_title(f"{layer.title}: {good} of {len(layer.positions)} admissible", fontsize=10)
     axis.set_aspect("equal")
@@ -196,6 +225,10 @@ def _legend(figure: Any, drawn: Sequence[Layer], document: dict[str, Any]) -> No
         Line2D([], [], color="black", label="workspace of the wrist centre"),
     ]
     found = {kind_of(p.limiting) for layer in drawn for p in layer.positions if not p.admissible}
+    if any(layer.holds(document["guidance"]) for layer in drawn):
+        handles.append(
+            Line2D([], [], marker="D", markersize=7, label="the move that guidance chooses", **marks)
+        )
     handles += [
         Patch(facecolor=kind.tint, edgecolor="#808080", label=kind.words)
         for name, kind in KINDS.items()

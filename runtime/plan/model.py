@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, Strict
 
 from cutgate.config.constants import CONSTANTS
-from cutgate.config.load import InputError, shown
 from cutgate.config.model import Real, Strictly, Text, broken
+from cutgate.config.refusal import InputError, shown
 
 Floats = NDArray[np.float64]
 

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.guidance import Quantise, Vector, moved, pivot_of, unchanged_by_moves
+from cutgate.runtime.verification.guidance import (
+    Quantise,
+    Vector,
+    guide,
+    moved,
+    pivot_of,
+    unchanged_by_moves,
+)
 from cutgate.runtime.verification.placing import Placing, Reserve
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
@@ -110,10 +117,36 @@ def grid_of(problem: Problem, step_mm: float, yaw_deg: Sequence[float], lift_mm:
     return Grid(step_mm, ticks(0), ticks(1), tuple(yaw_deg), tuple(lift_mm))
 
 
-def suggested_lift(problem: Problem) -> float:
-    """No lift where the path fits the slide, else the one that leaves most room on both sides, whole mm."""
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a map begins that nobody told at which height.
+
+    Attributes:
+        yaw_deg: a turn that is needed at this height; 0 without one.
+        lift_mm: the height.
+        chosen_by: ``present`` height of the bone, ``guidance``, or what the ``slide`` needs where guidance knows no move.
+        move_mm: guidance's translation, verified; None without one.
+    """
+
+    yaw_deg: float
+    lift_mm: float
+    chosen_by: Literal["present", "guidance", "slide"]
+    move_mm: Vector | None = None
+
+
+def start(problem: Problem, quantise: Quantise) -> Start:
+    """The present height where the path is admissible there, else that of the move that guidance would show.
+
+    Without such a move it is the middle of what the slide allows, in whole mm, or the present height where it fits.
+    """
+    verdict = certified.verify(problem)
+    found = guide(problem, verdict, quantise)
+    if found is not None and found.verified and found.translation_mm is not None:
+        return Start(found.yaw_deg, found.translation_mm[2], "guidance", found.translation_mm)
     least, most = _placing(problem, 0.0).lift_mm
-    return 0.0 if least <= 0.0 <= most or least > most else float(round((least + most) / 2.0))
+    if verdict.admissible or least <= 0.0 <= most or least > most:
+        return Start(0.0, 0.0, "present")
+    return Start(0.0, float(round((least + most) / 2.0)), "slide")
 
 
 def _placing(problem: Problem, yaw_deg: float) -> Placing:
@@ -198,7 +231,11 @@ def _ratio(boundary: Boundary) -> float:
 
 
 def reach_document(
-    problem: Problem, grid: Grid, positions: Sequence[Position], made_for: dict[str, Any]
+    problem: Problem,
+    grid: Grid,
+    positions: Sequence[Position],
+    made_for: dict[str, Any],
+    begun: Start | None = None,
 ) -> dict[str, Any]:
     """The map as one JSON document, ``cutgate.reach/1``.
 
@@ -207,11 +244,16 @@ def reach_document(
         grid: what was asked.
         positions: all of it.
         made_for: plan, robot, registration and digests.
+        begun: what chose the height; None where it was asked for.
     """
     return {
         "schema": SCHEMA,
         **made_for,
         "pivot_mm": list(pivot_of(problem)),
+        "lift_chosen_by": begun.chosen_by if begun else "asked",
+        "guidance": {"translation_mm": list(begun.move_mm), "yaw_deg": begun.yaw_deg}
+        if begun and begun.move_mm
+        else None,
         "grid": {
             "step_mm": grid.step_mm,
             **{name: list(getattr(grid, name)) for name in ("x_mm", "y_mm", "yaw_deg", "lift_mm")},

@@ -1,6 +1,5 @@
 """Robot and site files: what is read, what is refused and how it is said."""
 
-import builtins
 import hashlib
 import os
 import re
@@ -12,10 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.load import (
-    MAX_SHOWN,
     SETTINGS_LIMIT,
     InputError,
-    Problem,
     _readable,
     load_robot,
     load_site,
@@ -24,7 +21,6 @@ from cutgate.config.load import (
     read_bytes,
     read_settings,
     robot_from_bytes,
-    shown,
     site_from_bytes,
     validate,
 )
@@ -296,11 +292,6 @@ def test_all_problems_of_a_file_are_listed():
     assert len(str(error).splitlines()) == 4
 
 
-def test_a_flood_of_problems_is_cut_short_and_says_so():
-    error = InputError.of([Problem("f", f"k{n}", "1", "2", "") for n in range(MAX_SHOWN + 3)])
-    assert str(error).splitlines()[-1] == "... and 3 more"
-
-
 def test_the_unlimited_joint_and_both_elbows_are_accepted():
     text = EXAMPLE.replace("[-80.0, 80.0]", "[-36000.0, 36000.0]").replace('"right"', '"left"')
     assert robot_from_bytes("r", text.replace("[0.0, 145.0]", "[-145.0, 0.0]").encode()).elbow == "left"
@@ -528,33 +519,6 @@ def test_a_document_that_is_no_table_of_keys_is_refused():
 
 def test_a_message_of_another_form_is_passed_on():
     assert _readable("Unable to read it") == "Unable to read it"
-
-
-def test_values_are_shown_on_one_short_printable_line():
-    assert shown(None) == ""
-    assert shown("a\nb") == "a\\nb"
-    assert len(shown("x" * 1000)) == 60
-    assert shown("x" * 60) == "x" * 60
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        ("x" * 10_000_000, "x" * 57 + "..."),
-        ("\n" * 10_000_000, "\\n" * 28 + "\\..."),
-        ([1.5] * 10_000_000, "[" + "1.5, " * 11 + "1..."),
-        ([["y" * 10_000_000]], "[['" + "y" * 54 + "..."),
-        (10**1000, "1" + "0" * 56 + "..."),
-        (1 << 1_000_000, "an integer of 1000001 bits"),
-        ([-(1 << 1_000_000)], "[an integer of 1000001 bits]"),
-    ],
-    ids=["text", "line ends", "list", "nested", "digits", "bits", "negative"],
-)
-def test_a_value_of_any_size_is_shown_by_its_beginning(value, text, monkeypatch):
-    monkeypatch.setattr(
-        builtins, "ascii", lambda found: repr(found) if len(found) == 1 else pytest.fail("whole")
-    )
-    assert shown(value) == text
 
 
 def test_an_integer_python_would_not_write_out_is_refused_as_any_other_value():

@@ -56,6 +56,7 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
     }
     presets = {path.name for path in (ROOT / "config" / "presets").iterdir()}
     assert data >= {"cutgate/py.typed", "cutgate/protocol/cutgate.dbc"}
+    assert data >= {f"cutgate/runtime/commands/reach_page.{kind}" for kind in ("js", "css")}
     assert data >= {f"cutgate/examples/{name}" for name in examples}
     assert data >= {f"cutgate/config/presets/{name}" for name in presets}
 
@@ -77,12 +78,14 @@ def test_the_example_files_are_a_place_to_start_from(programs, folder):
     run([programs / "cutgate", "verify", *files], cwd=folder / "start")
 
 
-def test_a_picture_is_refused_with_how_to_get_what_draws_it_and_data_are_made(programs, folder):
+def test_a_picture_is_refused_with_how_to_get_what_draws_it_and_page_and_data_are_made(programs, folder):
     few = ["--step-mm", "200", "--cores", "2"]
     done = run([programs / "cutgate", "reach", "hip-stem", *PLACED, *few], cwd=folder, code=2)
     assert "pip install 'cutgate[pictures]'" in done.stderr
     run([programs / "cutgate", "reach", "hip-stem", *PLACED, *few, "--out", "map.csv"], cwd=folder)
     assert (folder / "map.csv").read_text(encoding="utf-8").startswith("x_mm,")
+    run([programs / "cutgate", "reach", "hip-stem", *PLACED, *few, "--out", "map.html"], cwd=folder)
+    assert "Content-Security-Policy" in (folder / "map.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

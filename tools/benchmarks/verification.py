@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from measure import RUNS, in_a_child, machine, seconds
+from measure import RUNS, a_command, in_a_child, machine, seconds
 from pages import Rows, document, show
 from paths import TABLE_1, TABLE_2, finer, hip_stem, level_pocket, prepared, zigzag
 from rivals import AlongThePath, bisection, dense, optimal_cover
@@ -63,6 +63,22 @@ def table_2() -> Rows:
         march = stocco.verify(prepared(registration, name)[1])
         own = (name, f"{march.tip_length_mm:.1f} mm", march.evaluations.worst_case, march.evaluations.arm)
         yield (f"{length:g} mm", str(printed), str(stocco.worst_case(length, 5.0)), *map(str, own))
+
+
+def start_up() -> Rows:
+    """Processor time of whole commands, user and system, the least of a few runs: each loads only what it needs."""
+    yield ("command", "processor time")
+    stem = ("hip-stem", "--robot", "example")
+    for words in (
+        ("--version",),
+        ("--help",),
+        ("verify", "--help"),
+        ("verify", *stem, "--registration", "registration-second"),
+        ("verify", *stem, "--registration", "registration-first"),
+        ("run", "--help"),
+        ("audit", "--help"),
+    ):
+        yield (f"`cutgate {' '.join(words)}`", f"{a_command(*words):.2f} s")
 
 
 def against_sampling() -> Rows:
@@ -210,6 +226,7 @@ BESIDE: dict[str, Callable[[], str]] = {
 
 SECTIONS: dict[str, Callable[[], Rows]] = {
     "Growth with the number of poses": growth,
+    "Start-up": start_up,
     "Against dense sampling": against_sampling,
     "Beside the verdict": beside_the_verdict,
     "The proof as data": proofs,

@@ -1,6 +1,8 @@
 """``cutgate reach`` as people and programs call it."""
 
+import base64
 import csv
+import hashlib
 import io
 import json
 import os
@@ -9,19 +11,23 @@ import signal
 import subprocess
 import sys
 import threading
+import zlib
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from plotly.offline import get_plotlyjs
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from pydantic import Field
 from rich.console import Console
 
 from cutgate.runtime.commands import app as cli
 from cutgate.runtime.commands import reach as command
-from cutgate.runtime.commands.reach_page import page
-from cutgate.runtime.commands.reach_picture import KINDS, kind_of, layers, picture
+from cutgate.runtime.commands.reach_page import CIVIDIS, page
+from cutgate.runtime.commands.reach_picture import COLOUR_MAP, KINDS, kind_of, layers, picture
 from cutgate.runtime.verification import reach
 from cutgate.runtime.verification.verdict import BOUNDARIES
 from tests.runtime.commands.contract import Hex, Name, Part, Real, Vector
@@ -65,6 +71,11 @@ class CountsPart(Part):
     excluded_by_a_pose: int
 
 
+class MovePart(Part):
+    translation_mm: Vector
+    yaw_deg: Real
+
+
 class ReachDocument(Part):
     schema_: Annotated[Literal["cutgate.reach/1"], Field(alias="schema")]
     plan: str
@@ -74,6 +85,8 @@ class ReachDocument(Part):
     path_sha256: Hex
     registration_sha256: Hex
     pivot_mm: Vector
+    lift_chosen_by: Literal["asked", "present", "guidance", "slide"]
+    guidance: MovePart | None
     grid: GridPart
     counts: CountsPart
     positions: list[PositionPart]
@@ -225,41 +238,136 @@ def test_turns_and_lifts_are_read_as_list_and_as_range():
     assert command._values("0:1:0.3", "", 0, 9) == (0.0, 0.3, 0.6, 0.9)
 
 
-def test_the_page_loads_nothing_and_names_no_address(mapped):
+def test_the_page_allows_its_own_script_and_style_by_their_hashes_and_nothing_else(mapped):
     text = page(*mapped)
-    own = text.replace(get_plotlyjs(), "")
-    assert len(own) < len(text)
-    assert not re.search(r"https?:|//[a-z]|src=|href=|@import|url\(", own)
-    assert "default-src 'none'" in own
-    assert "p<script>" not in own
-    assert "p&lt;script&gt;" in own
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text).group(1)
+    for kind in ("script", "style"):
+        (own,) = re.findall(rf"<{kind}>(.*?)</{kind}>", text, flags=re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(own.encode()).digest()).decode()
+        assert f"{kind}-src 'sha256-{digest}';" in policy
+    assert policy.startswith("default-src 'none';")
+    assert "unsafe" not in policy
+    assert not re.search(r"https?:|src=|href=|@import|url\(|style=| on[a-z]+=", text)
 
 
-def test_the_page_shows_every_position_with_its_limit(mapped):
+def test_what_a_file_says_is_no_markup_of_the_page(mapped):
+    text = page(*mapped)
+    assert "p<script>" not in text
+    assert "p&lt;script&gt;" in text
+
+
+def data_of(text):
+    """What the page's script reads."""
+    packed = re.search(r'id="data">([^<]*)<', text).group(1)
+    return json.loads(zlib.decompress(base64.b64decode(packed, validate=True)))
+
+
+def test_the_page_holds_every_position_with_its_limit_and_never_more_clearance_than_is_proved(mapped):
     document, positions, _ = mapped
-    figure = re.search(r"const \[data, layout\] = (.*);\nPlotly", page(*mapped)).group(1)
-    data, layout = json.loads(figure)
-    maps = [trace for trace in data if trace["type"] == "heatmap"]
-    assert len(maps) == 4
-    assert len(layout["sliders"][0]["steps"]) == 2
-    said = [cell for trace in maps[::2] for row in trace["customdata"] for cell in row]
-    assert len(said) == len(positions)
-    for cell, p in zip(said, positions, strict=True):
-        assert cell[:2] == [p.x_mm, p.y_mm]
-        assert ("<b>admissible" in cell[3]) is p.admissible
-        assert f"limit: {p.limiting}" in cell[3]
-    drawn = sum(value is not None for trace in maps for row in trace["z"] for value in row)
-    assert drawn == len(positions) == document["counts"]["positions"]
+    data = data_of(page(*mapped))
+    codes = [code for layer in data["codes"] for code in layer]
+    clearances = [value for layer in data["clearances"] for value in layer]
+    assert len(data["codes"]) == 2
+    assert len(codes) == len(clearances) == len(positions) == document["counts"]["positions"]
+    for code, clearance, p in zip(codes, clearances, positions, strict=True):
+        limit = data["limits"][code // 3]
+        assert ("pose", "certified", "certified")[code % 3] == p.checked
+        assert (code % 3 == 2) is p.admissible
+        assert (limit["name"], limit["unit"], limit["bound"]) == (p.limiting, p.unit, p.bound)
+        assert 0.0 <= p.clearance - clearance / 100 < 0.0101
+    at = [(x, y) for _ in data["codes"] for y in data["y"] for x in data["x"]]
+    assert at == [(p.x_mm, p.y_mm) for p in positions]
 
 
-def test_the_slider_shows_one_turn_at_a_time(mapped):
-    figure = re.search(r"const \[data, layout\] = (.*);\nPlotly", page(*mapped)).group(1)
-    data, layout = json.loads(figure)
-    for k, step in enumerate(layout["sliders"][0]["steps"]):
-        shown = step["args"][0]["visible"]
-        assert len(shown) == len(data)
-        maps = [seen for seen, trace in zip(shown, data, strict=True) if trace["type"] == "heatmap"]
-        assert maps == [k == 0, k == 0, k == 1, k == 1]
+def test_a_rate_is_never_shown_as_less_than_it_is_and_the_undefined_as_nothing(mapped):
+    document, positions, arcs = mapped
+    odd = [
+        replace(positions[0], limiting="speed_q0", clearance=1.2301),
+        replace(positions[1], clearance=None, ratio=None),
+        *positions[2:],
+    ]
+    assert data_of(page(document, odd, arcs))["clearances"][0][:2] == [124, None]
+
+
+def test_a_page_takes_few_bytes_a_position(mapped):
+    document, positions, arcs = mapped
+    many = [
+        replace(p, clearance=(p.clearance or 0.0) * (1.0 + k / 100)) for k in range(40) for p in positions
+    ]
+    grid = document["grid"] | {"lift_mm": [float(k) for k in range(40)]}
+    alone = len(page(*mapped))
+    assert alone < 40_000
+    assert len(page({**document, "grid": grid}, many, arcs)) - alone < 5 * len(many)
+
+
+def test_the_scale_of_the_page_is_that_of_the_picture():
+    colours = [to_hex(colormaps[COLOUR_MAP](k / (len(CIVIDIS) - 1))) for k in range(len(CIVIDIS))]
+    assert list(CIVIDIS) == colours
+
+
+HIGH = "x,y,z,i,j,k\n500,0,480,0.6,0,0.8\n510,0,480,0.6,0,0.8\n"
+
+
+def test_a_map_of_a_bone_too_high_begins_at_the_height_of_guidance_and_says_so(cutgate, tmp_path, path):
+    path.write_text(HIGH, encoding="utf-8")
+    moved = json.loads(cutgate_verify(path))["guidance"]["translation_mm"]
+    _, out, _ = cutgate("--out", tmp_path / "map")
+    document = json.loads((tmp_path / "map" / "reach.json").read_text(encoding="utf-8"))
+    assert document["grid"]["lift_mm"] == [moved[2]]
+    assert document["lift_chosen_by"] == "guidance"
+    assert document["guidance"]["translation_mm"] == moved
+    assert document["counts"]["admissible"] > 0
+    assert f"Map at lift {moved[2]:g} mm: bone lowered, the height that guidance chooses." in out
+    assert "guidance moves it: x" in out
+    text = (tmp_path / "map" / "reach.html").read_text(encoding="utf-8")
+    assert re.search(rf"<h1>[^\n]*lift {moved[2]:g} mm</span></h1>", text)
+    assert data_of(text)["move"] == {"by": moved, "yaw": 0.0}
+
+
+def test_where_guidance_finds_a_turn_between_the_places_of_the_grid_the_turn_is_shown_and_that_is_said(
+    cutgate, tmp_path, path
+):
+    path.write_text("x,y,z,i,j,k\n780,300,600,0.28,0,0.96\n880,300,600,0.28,0,0.96\n", encoding="utf-8")
+    text = ROBOT.read_text(encoding="utf-8")
+    for joint, limits in (("q0", "[-20, 20]"), ("q1", "[34, 52]")):
+        text = re.sub(rf"{joint}_deg = .*", f"{joint}_deg = {limits}", text)
+    (tmp_path / "thin.toml").write_text(text, encoding="utf-8")
+    _, out, _ = cutgate("--robot", tmp_path / "thin.toml", "--out", tmp_path / "map.html")
+    assert re.search(r"guidance moves it: yaw -[0-9.]+ deg, x", out)
+    assert "None is admissible" in out
+    assert "guidance chooses lies between them: take a shorter --step-mm" in out
+    data = data_of((tmp_path / "map.html").read_text(encoding="utf-8"))
+    assert data["yaw"] == [data["move"]["yaw"], 0.0]
+    assert data["first"] == 0
+
+
+def cutgate_verify(path):
+    out = io.StringIO()
+    with redirect_stdout(out):
+        cli.execute(["verify", str(path), "--robot", str(ROBOT), "--json"])
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("lifts", [(-30.0,), (-30.0, 0.0)])
+def test_the_picture_names_the_lift_in_heading_panels_and_axes(monkeypatch, lifts):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    path = strokes(600.0, 0.0)
+    grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), (0.0,), lifts)
+    positions = command.survey(command.Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
+    move = reach.Start(0.0, -30.0, "guidance", (10.0, 20.0, -30.0))
+    document = reach.reach_document(path, grid, positions, made_for, move)
+    picture(document, positions, list(reach.outline(path)))
+    (figure,) = figures
+    assert ("lift -30 mm (bone lowered" in figure.get_suptitle()) is (len(lifts) == 1)
+    panels = [axis for axis in figure.axes if axis.get_xlabel()]
+    assert [axis.get_xlabel() for axis in panels] == [
+        f"x of the reference point, mm, at lift {lift:g} mm" for lift in lifts
+    ]
+    assert all(f"lift {lift:g} mm" in axis.get_title() for axis, lift in zip(panels, lifts, strict=True))
+    (legend,) = figure.legends
+    assert "the move that guidance chooses" in [text.get_text() for text in legend.get_texts()]
 
 
 def test_the_picture_is_the_same_for_the_same_map(mapped):
@@ -309,7 +417,20 @@ def workers(pid):
 @pytest.mark.parametrize("wanted", [0, 2])
 def test_an_interrupt_ends_the_command_at_once_and_leaves_no_file(path, tmp_path, wanted):
     """Before there are workers, and while they start or work: all processes of the terminal get it."""
-    arguments = ["reach", path, "--robot", ROBOT, "--step-mm", 12, "--cores", 2, "--out", tmp_path / "map"]
+    arguments = [
+        "reach",
+        path,
+        "--robot",
+        ROBOT,
+        "--step-mm",
+        12,
+        "--cores",
+        2,
+        "--lift-mm",
+        0,
+        "--out",
+        tmp_path / "map",
+    ]
     running = subprocess.Popen(
         [sys.executable, "-m", "cutgate.runtime.cli", *map(str, arguments)],
         cwd=ROOT,

@@ -8,10 +8,10 @@ import pytest
 
 from cutgate.runtime.commands.reach import Work, survey
 from cutgate.runtime.verification import certified, reach
-from cutgate.runtime.verification.guidance import pivot_of
+from cutgate.runtime.verification.guidance import guide, pivot_of
 from cutgate.runtime.verification.problem import Calibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
-from tests.runtime.verification.test_guidance import registered
+from tests.runtime.verification.test_guidance import LEAN, THIN, registered
 from tests.runtime.verification.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes
 
 CASES = {
@@ -117,12 +117,51 @@ def test_an_undefined_boundary_is_named_where_no_known_one_is_violated():
     assert (p.admissible, p.limiting, p.clearance, p.ratio) == (False, "roll_min", None, None)
 
 
-@pytest.mark.parametrize(("height", "lift"), [(200.0, 0.0), (30.0, 218.0), (600.0, -352.0)])
-def test_a_lift_is_suggested_only_where_the_slide_needs_one(height, lift):
+def plain(tips, axes):
+    return tips, axes
+
+
+def test_a_map_starts_at_the_present_height_where_the_path_is_admissible_there():
+    path = strokes(600.0, 0.0)
+    assert certified.verify(path).admissible
+    assert reach.start(path, plain) == reach.Start(0.0, 0.0, "present")
+
+
+@pytest.mark.parametrize("height", [30.0, 600.0])
+def test_a_map_starts_from_the_height_that_guidance_would_choose(height):
     path = strokes(600.0, 0.0, height)
-    assert reach.suggested_lift(path) == lift
-    tall = problem(*wrist_path([[600.0, 0.0, 40.0], [600.0, 0.0, 460.0]], axis(1.0, 0.2)))
-    assert reach.suggested_lift(tall) == 0.0
+    chosen = guide(path, certified.verify(path), plain)
+    assert chosen.verified
+    assert chosen.translation_mm[2] != 0.0
+    begun = reach.start(path, plain)
+    assert begun == reach.Start(0.0, chosen.translation_mm[2], "guidance", chosen.translation_mm)
+    x, y, lift = begun.move_mm
+    assert reach.judged(path, plain, begun.yaw_deg, (x, y, lift)).admissible
+
+
+def test_a_map_starts_with_the_turn_that_guidance_needs():
+    stroke = [[780.0, 300.0, 600.0], [880.0, 300.0, 600.0]]
+    path = problem(*wrist_path(stroke, LEAN), **THIN)
+    chosen = guide(path, certified.verify(path), plain)
+    assert chosen.verified
+    assert chosen.yaw_deg != 0.0
+    assert reach.start(path, plain).yaw_deg == chosen.yaw_deg
+
+
+@pytest.mark.parametrize(
+    ("heights", "begun"),
+    [
+        ((600.0, 600.0), reach.Start(0.0, -350.0, "slide")),
+        ((200.0, 200.0), reach.Start(0.0, 0.0, "present")),
+        ((-400.0, 900.0), reach.Start(0.0, 0.0, "present")),
+    ],
+    ids=["too high", "fits", "taller than the slide"],
+)
+def test_where_guidance_knows_no_move_a_map_starts_where_the_slide_has_room(heights, begun):
+    down = axis(112 * DEG, 0.3)
+    path = problem(*wrist_path([[600.0, 0.0, heights[0]], [620.0, 0.0, heights[1]]], down))
+    assert not guide(path, certified.verify(path), plain).verified
+    assert reach.start(path, plain) == begun
 
 
 def test_the_outline_is_the_workspace_of_the_robot_as_given():

@@ -94,16 +94,8 @@ def _answers(body: bytes, path: bytes) -> Iterator[Answer]:
         yield Broken(request=number, reason=shown(f"{type(error).__name__}: {error}", TEXT_MAX))
 
 
-def give_priority_back() -> None:
-    """Arithmetic of seconds at the loop's real-time priority would take the processor from the loop."""
-    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-    if policy in (os.SCHED_FIFO, os.SCHED_RR):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
 def main() -> None:
     """The program."""
-    give_priority_back()
     with open(0, "rb", closefd=False) as stored:
         path = stored.read()
     line = os.dup(1)

@@ -52,7 +52,7 @@ def launch(path: int, line: int) -> Process:
         path: descriptor of the canonical path, to be read from its beginning.
         line: descriptor of its end of the socket.
     """
-    return subprocess.Popen(  # noqa: S603 - our own interpreter on our own module
+    process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own module
         program("cutgate.runtime.session.prover"),
         bufsize=0,
         stdin=path,
@@ -60,6 +60,16 @@ def launch(path: int, line: int) -> Process:
         stderr=subprocess.PIPE,
         start_new_session=True,  # Ctrl-C is typed to the runtime's
     )
+    give_priority_back(process.pid)
+    return process
+
+
+def give_priority_back(pid: int) -> None:
+    """Seconds of arithmetic at the loop's real-time priority would take the processor from the loop."""
+    with suppress(OSError):  # it has ended already
+        policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
 
 
 @contextmanager

@@ -17,9 +17,8 @@ from cutgate.config.screen import FLUSH_S
 from cutgate.config.signals import ENDING
 from cutgate.runtime.commands.app import app
 from cutgate.runtime.commands.run import WITHDRAW_S
-from cutgate.runtime.session import prover
 from cutgate.runtime.session.loop import GUIDANCE_S
-from cutgate.runtime.session.worker import JOIN_S
+from cutgate.runtime.session.worker import JOIN_S, give_priority_back
 
 UNIT = EXAMPLES / "cutgate-run.service"
 PAGE = Path(__file__).parents[2] / "docs" / "timing.md"
@@ -83,8 +82,16 @@ def test_the_loop_has_a_priority_that_there_is_and_the_verification_gives_it_bac
         told = []
         monkeypatch.setattr(os, "sched_getscheduler", lambda _pid, held=held: held)
         monkeypatch.setattr(os, "sched_setscheduler", lambda *words, told=told: told.append(words))
-        prover.give_priority_back()
-        assert [(pid, policy) for pid, policy, _ in told] == [(0, os.SCHED_OTHER)] * given_back
+        give_priority_back(7)
+        assert [(pid, policy) for pid, policy, _ in told] == [(7, os.SCHED_OTHER)] * given_back
+
+
+def test_a_verification_process_that_has_ended_keeps_nobody_from_going_on(monkeypatch):
+    def gone(_pid):
+        raise ProcessLookupError
+
+    monkeypatch.setattr(os, "sched_getscheduler", gone)
+    give_priority_back(7)
 
 
 def test_the_page_says_why_each_line_that_matters_is_as_it_is(service):

@@ -200,7 +200,9 @@ class SessionView:
     def outcome(self, state: Interlock, paths: Paths, stop: dict[str, Any] | None = None) -> None:
         """The last lines: what came of it, why, and where the log is; after a stop also what is to be known and done."""
         if stop is not None:
-            self._output.print(lambda: Group("", *stop_lines(stop)))
+            first, *rest = stop_lines(stop)
+            self._output.print(lambda: Group("", first), soft_wrap=True)
+            self._output.print(lambda: Group(*rest))
         self._output.print(lambda: outcome_lines(state, paths, told=stop is not None), soft_wrap=True)
 
 

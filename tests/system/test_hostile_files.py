@@ -54,7 +54,7 @@ HOSTILE = {
     "a name": (
         "plan.json",
         lambda: b'{"schema": "cutgate.plan/1", "id": "' + b"9" * 30_000_000 + b'"}',
-        "id is 999",
+        'id is "999',
     ),
     "a sparse plan": ("plan.json", SPARSE, "must be <= 64000000 bytes"),
     "a sparse tool path": ("plan.csv", SPARSE, "must be <= 64000000 bytes"),

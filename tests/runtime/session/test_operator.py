@@ -240,7 +240,7 @@ def doubtful(pair, monkeypatch):
     """A session whose cut is called tiny."""
     monkeypatch.setattr(plausibility, "CUT_LEAST_MM", 1000.0)
     monkeypatch.setattr("tests.runtime.session.pair.check_of", check_of.__wrapped__)
-    return pair.begin()
+    return pair
 
 
 def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubtful):
@@ -267,9 +267,8 @@ def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubt
 
 
 def test_a_warning_nobody_confirms_ends_the_session_and_is_named(doubtful):
-    doubtful.to(Phase.ADMITTED)
-    wait_s = doubtful.job.timing.operator_wait_s
-    assert doubtful.end(wait_s + 1.0) is Phase.REFUSED
+    doubtful.begin(replace(doubtful.job, timing=replace(doubtful.job.timing, operator_wait_s=1.0)))
+    assert doubtful.end() is Phase.REFUSED
     assert "say confirm CUT_TINY" in doubtful.state.reason
 
 

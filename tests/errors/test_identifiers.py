@@ -127,7 +127,9 @@ def judged(endpoint: Endpoint, shape: Shape, can_id: int, now_s: float) -> list[
 # ---------------------------------------------------------------- the endpoints, every identifier
 
 
-@pytest.mark.parametrize("pair", [(), tuple(Side)], ids=["classic", "FD"], indirect=True)
+@pytest.mark.parametrize(
+    "pair", [(), pytest.param(tuple(Side), marks=pytest.mark.slow)], ids=["classic", "FD"], indirect=True
+)
 @pytest.mark.parametrize("side", Side)
 @pytest.mark.parametrize("phase", PHASES)
 def test_every_identifier_in_every_shape_is_judged_as_documented_and_enables_nothing(pair, phase, side):

@@ -65,11 +65,13 @@ def _blind(monkeypatch, unseen):
 # ---------------------------------------------------------------- 1, 2, 3
 
 
+@pytest.mark.slow
 def test_without_the_digest_rules_motion_under_a_permit_for_other_limits_is_found(monkeypatch):
     _without(monkeypatch, "START_RULES", START_RULES, Refusal.LIMITS_DIGEST)
     _finds(World(limits=True), TO_PERMITTED, "1: motion under a permit for something else", 10)
 
 
+@pytest.mark.slow
 def test_without_the_list_of_the_withdrawn_motion_on_a_withdrawn_registration_is_found(monkeypatch):
     for name, rules in (("PERMIT_RULES", PERMIT_RULES), ("START_RULES", START_RULES)):
         _without(monkeypatch, name, rules, Refusal.REGISTRATION_WITHDRAWN)
@@ -183,6 +185,7 @@ def test_a_runtime_that_waits_for_the_confirmation_of_its_stop_for_ever_is_found
 # ---------------------------------------------------------------- 6: permit, start, reset
 
 
+@pytest.mark.slow
 def test_a_permit_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
     _without(monkeypatch, "PERMIT_RULES", PERMIT_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
     _finds(World(), TO_PERMITTED, "6: a Permit from before a stop", 10)
@@ -194,6 +197,7 @@ def test_a_start_from_an_earlier_session_is_found_where_nothing_in_it_is_compare
     _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 5)
 
 
+@pytest.mark.slow
 def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
     def said_only(state, event, _now_s):
         return state, (c.SendFault(FaultCode.STOPPED, event.cause),)
@@ -202,6 +206,7 @@ def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
     _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 8)
 
 
+@pytest.mark.slow
 def test_a_reset_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
     _without(monkeypatch, "RESET_RULES", RESET_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
     _finds(World(begin=LATCHED), TO_RESET, "6: a Reset from before a stop", 10)
@@ -210,6 +215,7 @@ def test_a_reset_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compa
 # ---------------------------------------------------------------- 7
 
 
+@pytest.mark.slow
 def test_a_start_without_the_enabling_device_is_found(monkeypatch):
     _without(monkeypatch, "START_RULES", START_RULES, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED)
     shown = _finds(World(), TO_PERMITTED, "7: motion with the enabling device released", 10)

@@ -81,6 +81,7 @@ def test_a_name_says_where_and_outlives_moved_lines():
 # ---------------------------------------------------------------- the list
 
 
+@pytest.mark.slow
 def test_every_listed_survivor_is_a_mutant_and_has_a_reason():
     assert not any(strangers(module, listed()) for module in OWN_TESTS)
     assert {module for module, _ in listed()} <= set(OWN_TESTS)

@@ -63,7 +63,7 @@ def test_a_key_open_to_others_is_refused(place: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("fd", [[], ["--fd"]], ids=["classic", "FD"])
+@pytest.mark.parametrize("fd", [[], pytest.param(["--fd"], marks=pytest.mark.slow)], ids=["classic", "FD"])
 def test_a_simulated_controller_in_its_own_process_passes(
     place: Path, capsys: pytest.CaptureFixture[str], fd: list[str]
 ) -> None:

@@ -86,6 +86,7 @@ docs: $(READY) pictures
 	$(BIN)/python -m docs.make_state_machines
 	$(BIN)/python -m docs.make_error_matrix
 	$(BIN)/python -m docs.make_screens
+	$(BIN)/python -m docs.make_environments
 
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py

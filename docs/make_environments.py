@@ -292,16 +292,41 @@ def a_bus(files: Path) -> Iterator[dict[str, str]]:
 # ---------------------------------------------------------------- what it costs
 
 
-def cost(arguments: Sequence[str]) -> tuple[float, float]:
-    """Processor seconds and peak memory, MiB, of one command and all that it starts; the least of three."""
+QUIET: Final[Mapping[str, Any]] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+
+def cost(arguments: Sequence[str], times: int = 3) -> tuple[float, float]:
+    """Processor seconds and peak memory, MiB, of one command and all that it waits for; the least of so many times."""
     found = []
-    for _ in range(3):
+    for _ in range(times):
         with tempfile.TemporaryDirectory() as fresh:
-            process = started(arguments, SURROUNDINGS[0], Path(fresh), stdout=subprocess.DEVNULL)
-            _, _, used = os.wait4(process.pid, 0)
-            process.returncode = 0
-            found.append((used.ru_utime + used.ru_stime, used.ru_maxrss / 1024))
+            found.append(used(started(arguments, SURROUNDINGS[0], Path(fresh), **QUIET)))
     return min(seconds for seconds, _ in found), min(memory for _, memory in found)
+
+
+def used(process: subprocess.Popen[bytes]) -> tuple[float, float]:
+    """The same of a process, once it has ended."""
+    _, status, resources = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return resources.ru_utime + resources.ru_stime, resources.ru_maxrss / 1024
+
+
+def conformance(files: Path) -> dict[str, tuple[float, float]]:
+    """A controller on trial, with the bus between."""
+    on_trial = files / "trial"
+    on_trial.mkdir()
+    with a_bus(on_trial) as places, tempfile.TemporaryDirectory() as fresh:
+        where = ["--interface", "cutgate", "--channel", places["bus"], "--key", places["key"]]
+        command = [str(Path(sys.executable).with_name("cutgate")), "sim", "--robot", "example", *where]
+        controller = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert controller.stdout is not None  # noqa: S101 - it is a pipe
+        controller.stdout.readline()
+        arguments = ["conform", *where, "--plant-disconnected"]
+        trial = used(started(arguments, SURROUNDINGS[0], Path(fresh), **QUIET))
+        controller.terminate()
+        return {"conform": trial, "sim (on trial)": used(controller)}
 
 
 # ---------------------------------------------------------------- the page
@@ -346,11 +371,11 @@ def endings(files: Path, problems: list[str]) -> list[str]:
 
 def costs(files: Path) -> list[str]:
     """What each command costs."""
-    rows = []
-    for name, (arguments, _) in one_shot(files).items():
-        seconds, memory = cost(arguments)
-        rows.append([f"`{name}`", f"{seconds:.2f}", f"{memory:.0f}"])
-    return table(("command", "processor s", "peak MiB"), rows)
+    found = {name: cost(arguments) for name, (arguments, _) in one_shot(files).items()}
+    found["demo (hub, controller, two sessions)"] = cost(["demo", "--out", "{fresh}/demo"], 1)
+    found |= conformance(files)
+    rows = [[f"`{name}`", f"{seconds:.2f}", f"{memory:.0f}"] for name, (seconds, memory) in found.items()]
+    return table(("command", "processor s", "peak MiB of one process"), rows)
 
 
 def made(files: Path) -> None:
@@ -377,30 +402,23 @@ What is done to a session that cuts (unread screens, readers that go, terminals 
 disks) is in [terminal.md](terminal.md) and in `tests/system`."""
 
 
+COSTS: Final = (
+    "On the shipped hip stem (2000 poses), a map of 400 mm steps on one core, and the log of a session of 6 poses; start-up",
+    "is in it. One run, two shared cores, the least of three. A session's processes: `bus serve`, `sim`, `run` and its",
+    "verification process; `demo` starts and waits for all of them.",
+)
+
+
 def page(problems: list[str]) -> str:
     """The whole page; what must not be is added to the problems."""
     with tempfile.TemporaryDirectory() as folder:
         files = Path(folder)
         made(files)
+        told = "To programs that go on until they are told to end; `run` waits for a controller."
         parts = [
             *(INTRODUCTION, "", *surroundings(files, problems)),
-            *(
-                "",
-                "## Signals",
-                "",
-                "To programs that go on until they are told to end; `run` waits for a controller.",
-            ),
-            *("", *endings(files, problems)),
-            *(
-                "",
-                "## What it costs",
-                "",
-                "On the shipped hip stem (2000 poses), a map of 400 mm steps on one core, and",
-            ),
-            *(
-                "the log of a session of 6 poses; start-up is in it. One run, two shared cores, the least of three."
-            ),
-            *("", *costs(files)),
+            *("", "## Signals", "", told, "", *endings(files, problems)),
+            *("", "## What it costs", "", *COSTS, "", *costs(files)),
         ]
     return "\n".join(parts) + "\n"
 

@@ -273,7 +273,9 @@ def test_each_warning_is_confirmed_by_its_own_code_and_the_remedy_names_the_rest
     both = altered(two, "confirmed", frozenset({"CUT_TINY", "LIMITS_IN_RADIANS"}))
     assert p.warnings_confirmed(both, NOW).holds
     assert p.unconfirmed(altered(two, "verdict", None)) == ()
-    assert not p.warnings_confirmed(altered(two, "verdict", None), NOW).holds
+    unknown = p.warnings_confirmed(altered(two, "verdict", None), NOW)
+    assert (unknown.holds, unknown.text) == (False, "not verified")
+    assert p.warnings_confirmed(READY, NOW).text == "none waits"
 
 
 SIMULATION = altered(READY, "job.simulation_allowed_by", "site.toml")

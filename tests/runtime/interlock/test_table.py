@@ -1243,6 +1243,17 @@ def test_an_admitted_path_waits_until_everything_holds():
     assert run.phase is Phase.STOPPING
 
 
+@pytest.mark.parametrize(
+    ("before", "withdrawn"), [(StopCause.NONE, True), (StopCause.BONE_MOVED, False), (None, False)]
+)
+def test_a_withdrawal_that_a_stopping_session_hears_counts_if_it_is_news(before, withdrawn):
+    """A cause that stood before this session is none of its registration's; before any heartbeat nothing is known."""
+    seen = None if before is None else replace(READY.controller, cause=before)
+    state = in_phase(Phase.STOPPING, controller=seen, registration_withdrawn=False, answer_due=False)
+    after, _ = step(state, beat(ControllerState.INHIBITED, cause=StopCause.BONE_MOVED), NOW)
+    assert after.registration_withdrawn is withdrawn
+
+
 def _warned(*codes, confirmed=()):
     verdict = replace(VERDICT, to_confirm=codes)
     return in_phase(Phase.ADMITTED, verdict=verdict, confirmed=frozenset(confirmed))

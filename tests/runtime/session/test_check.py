@@ -12,8 +12,9 @@ from cutgate.runtime.session import check as checks
 from cutgate.runtime.session.check import Check, disagreement, with_guidance
 from cutgate.runtime.session.messages import Request
 from cutgate.runtime.session.prover import answers
-from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification import approach, certificate, certified, plausibility
 from cutgate.runtime.verification.approach import Start, finished
+from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import (
     ADMISSIBLE_MM,
@@ -336,3 +337,33 @@ def test_what_was_neither_found_nor_proved_is_a_note(tmp_path_factory):
     told = with_guidance(answer, open_ended, "unused")
     assert (told.document["guidance"], told.document["guidance_note"]) == (None, "none was found")
     assert told.guidance is open_ended
+
+
+def test_what_looks_wrong_goes_with_the_answer_and_what_must_be_confirmed_with_the_verdict(
+    tmp_path_factory, monkeypatch
+):
+    assert own(tmp_path_factory).verdict.to_confirm == own(tmp_path_factory).cautions == ()
+    monkeypatch.setattr(plausibility, "CUT_LEAST_MM", 1000.0)
+    job, robot = job_and_robot(tmp_path_factory)
+    placed = plausibility.Placed(np.eye(4), 0.1)
+    answer = finished(Check(job, robot, placed).steps(5, STANDS))
+    assert [caution.code for caution in answer.cautions] == ["CUT_TINY", "CT_TRANSLATION_SMALL"]
+    assert answer.verdict.to_confirm == ("CUT_TINY",)
+    assert [warning["code"] for warning in answer.document["warnings"]] == [
+        "CUT_TINY",
+        "CT_TRANSLATION_SMALL",
+    ]
+
+
+def test_a_large_move_is_doubted_in_the_document_beside_what_was_doubted_before(
+    tmp_path_factory, monkeypatch
+):
+    monkeypatch.setattr(plausibility, "CUT_LEAST_MM", 1000.0)
+    job, robot = job_and_robot(tmp_path_factory, INADMISSIBLE_MM)
+    answer = finished(Check(job, robot).steps(5, STANDS))
+    move = Guidance((-200.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), (), 1.0, True, "moved")
+    told = with_guidance(answer, move, "").document["warnings"]
+    assert [warning["code"] for warning in told] == ["CUT_TINY", "MOVE_LARGE"]
+    assert [warning["code"] for warning in with_guidance(answer, None, "x").document["warnings"]] == [
+        "CUT_TINY"
+    ]

@@ -14,13 +14,8 @@ from typing import Final, NamedTuple
 from rich.console import Console, RenderableType
 
 from cutgate.runtime.audit.log import Paths
-from cutgate.runtime.commands.session_view import approach_line, outcome_lines, stopped
-from cutgate.runtime.commands.verdict_view import (
-    boundaries_table,
-    caution_line,
-    guidance_lines,
-    headline,
-)
+from cutgate.runtime.commands.session_view import approach_line, outcome_lines, stopped, verdict_lines
+from cutgate.runtime.commands.verdict_view import guidance_lines
 from cutgate.runtime.interlock.state import ENDED, Phase
 from cutgate.runtime.review.show import stop_lines
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, Pair, answers, job_of, pair_of
@@ -125,12 +120,7 @@ def refusal() -> list[RenderableType]:
         _, guided = answers(pair.prover.asked[0])
         found = guided.guidance.value  # type: ignore[union-attr]
         return [
-            headline(answer.proved),
-            "",
-            boundaries_table(answer.proved),
-            "",
-            *map(caution_line, answer.cautions),
-            "",
+            verdict_lines(answer),
             guidance_lines(found),
             outcome_lines(pair.state, PATHS),
         ]
@@ -144,10 +134,7 @@ def admission() -> list[RenderableType]:
         answer = pair.session.answer
         assert answer.approach is not None  # noqa: S101 - likewise
         return [
-            headline(answer.proved),
-            "",
-            boundaries_table(answer.proved),
-            "",
+            verdict_lines(answer),
             approach_line(answer.approach),
             outcome_lines(pair.state, PATHS),
         ]

@@ -17,8 +17,10 @@ from cutgate.runtime.commands.verdict_view import (
     GOOD,
     boundaries_table,
     caution_line,
+    facts_table,
     guidance_lines,
     headline,
+    where_facts,
 )
 from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing, no_stop_cause
 from cutgate.runtime.interlock.state import (
@@ -166,17 +168,7 @@ class SessionView:
 
     def verdict(self, answer: Answer) -> None:
         """The verdict, with every boundary, and what looks wrong."""
-        self._output.print(
-            lambda: Group(
-                headline(answer.proved),
-                "",
-                boundaries_table(answer.proved),
-                "",
-                *(caution_line(caution) for caution in answer.cautions),
-            )
-        )
-        if (elbow := answer.document.get("other_elbow")) is not None:
-            self._output.print(lambda: Text(f"Other elbow: {elbow['text']}"), soft_wrap=True)
+        self._output.print(lambda: verdict_lines(answer))
         if (approach := answer.approach) is not None:
             self._output.print(lambda: approach_line(approach), soft_wrap=True)
             for line in travel_lines(approach, answer.verdict.start_joints_u, answer.proved):
@@ -204,6 +196,18 @@ class SessionView:
             self._output.print(lambda: Group("", first), soft_wrap=True)
             self._output.print(lambda: Group(*rest))
         self._output.print(lambda: outcome_lines(state, paths, told=stop is not None), soft_wrap=True)
+
+
+def verdict_lines(answer: Answer) -> Group:
+    """The verdict, every boundary, where the cut lies by the document that is recorded, and what looks wrong."""
+    document = answer.document
+    tips = {name: entry["tip_mm"] for name, entry in document["boundaries"].items()}
+    facts = facts_table(where_facts(document["extent"], answer.proved, tips))
+    more = [caution_line(caution) for caution in answer.cautions]
+    if (elbow := document.get("other_elbow")) is not None:
+        more.append(Text(f"Other elbow: {printable(elbow['text'])}"))
+    apart = [part for line in more for part in ("", line)]
+    return Group(headline(answer.proved), "", boundaries_table(answer.proved), "", facts, *apart, "")
 
 
 def approach_line(approach: Approach) -> Text:

@@ -1,7 +1,7 @@
 """A verdict for people: the answer in one line, every boundary, the speeds, and how to move the bone."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from rich.console import Console, Group, RenderableType
@@ -14,7 +14,7 @@ from cutgate.runtime.verification.document import Digests
 from cutgate.runtime.verification.guidance import Guidance, Move
 from cutgate.runtime.verification.other_elbow import OtherElbow
 from cutgate.runtime.verification.plausibility import Caution
-from cutgate.runtime.verification.summary import summary
+from cutgate.runtime.verification.summary import summary, worst
 from cutgate.runtime.verification.verdict import Verdict
 
 MEANING: Final = {
@@ -56,7 +56,7 @@ def print_verdict(
         parts.append(speed_table(verdict))
     if verdict.reasons:
         parts.append(reason_lines(verdict))
-    parts.append(_facts({**_path_facts(verdict), **facts, **(_digest_facts(digests) if hashes else {})}))
+    parts.append(facts_table({**_path_facts(verdict), **facts, **(_digest_facts(digests) if hashes else {})}))
     for part in parts:
         console.print()
         console.print(part)
@@ -230,13 +230,45 @@ def _path_facts(verdict: Verdict) -> dict[str, str]:
     }
 
 
+def where_facts(
+    where: Mapping[str, Sequence[float]],
+    verdict: Verdict,
+    tips_mm: Mapping[str, Sequence[float] | None],
+    *,
+    every_place: bool = False,
+) -> dict[str, str]:
+    """Where the cut lies, in the robot frame: its box, entry, tilt, and the tip at what decided, or at every worst place.
+
+    Args:
+        where: as `Extent` has it.
+        verdict: what was found.
+        tips_mm: of each boundary's worst place; None where it has none.
+        every_place: of boundaries that decided nothing as well.
+    """
+    shown = tuple(verdict.boundaries.values()) if every_place else worst(verdict)
+    places = {b.name: _xyz(tip) for b in shown if (tip := tips_mm[b.name]) is not None}
+    size_mm = math.dist(where["min_mm"], where["max_mm"])
+    least, largest = where["tilt_deg"]
+    facts = {
+        "where it lies": f"{_xyz(where['min_mm'])} to {_xyz(where['max_mm'])} mm, {size_mm:.1f} mm across; "
+        f"tool tilted {least:.1f} to {largest:.1f} deg",
+        "entry tip": f"{_xyz(where['entry_tip_mm'])} mm",
+    }
+    told = "; ".join(f"{name} at {place}" for name, place in places.items())
+    return facts | ({"worst" if len(places) == 1 else "worst places": f"tip {told} mm"} if told else {})
+
+
+def _xyz(values: Sequence[float]) -> str:
+    return "x y z " + " ".join(f"{value:.1f}" for value in values)
+
+
 def _digest_facts(digests: Digests) -> dict[str, str]:
     """The digests in full: they are compared by eye with the controller's and the log's."""
     names = ("path", "limits", "calibration", "registration")
     return {f"{name} SHA-256": getattr(digests, name).hex() for name in names}
 
 
-def _facts(facts: dict[str, str]) -> Table:
+def facts_table(facts: Mapping[str, str]) -> Table:
     """Label and value, aligned."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)

@@ -1,7 +1,7 @@
 """``cutgate verify``: off-line verification of a plan or tool path."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -15,7 +15,13 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
-from cutgate.runtime.commands.verdict_view import print_cautions, print_end, print_other_elbow, print_verdict
+from cutgate.runtime.commands.verdict_view import (
+    print_cautions,
+    print_end,
+    print_other_elbow,
+    print_verdict,
+    where_facts,
+)
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
@@ -31,6 +37,7 @@ from cutgate.runtime.verification.plausibility import (
     cautions_of_move,
     described,
     extent,
+    place,
 )
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -203,7 +210,9 @@ def verify(
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
     method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the digests as well.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show the digests and every worst place as well.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Check off-line whether a whole cut path keeps its distance from every limit of the robot.
@@ -224,7 +233,7 @@ def verify(
         echo(document_text(_document(checked, prepared, found)))
     else:
         console = output()
-        facts = _facts(prepared, checked)
+        facts = _facts(prepared, checked, every_place=verbose)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
         print_cautions(console, found)
         print_other_elbow(console, other_elbow(checked.problem, checked.verdict))
@@ -234,7 +243,7 @@ def verify(
     raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
 
 
-def _facts(prepared: Prepared, checked: Checked) -> dict[str, str]:
+def _facts(prepared: Prepared, checked: Checked, *, every_place: bool) -> dict[str, str]:
     """What was verified, for the reader."""
     plan, placed, path = prepared.plan, prepared.registration, prepared.path
     facts = {
@@ -244,12 +253,8 @@ def _facts(prepared: Prepared, checked: Checked) -> dict[str, str]:
     }
     if placed:
         facts["CT"] = f"{prepared.ct_link}; registration residual {placed.value.residual_rms_mm:g} mm rms"
-    where = extent(checked.problem)
-    least, largest = (" ".join(f"{value:.1f}" for value in corner) for corner in (where.min_mm, where.max_mm))
-    facts["where it lies"] = (
-        f"x y z {least} to {largest} mm, tool tilted {where.tilt_deg[0]:.1f} to {where.tilt_deg[1]:.1f} deg"
-    )
-    facts["entry tip"] = "x y z " + " ".join(f"{value:.1f}" for value in where.entry_tip_mm) + " mm"
+    tips = {name: place(checked.problem, boundary) for name, boundary in checked.verdict.boundaries.items()}
+    facts |= where_facts(asdict(extent(checked.problem)), checked.verdict, tips, every_place=every_place)
     return facts | {"elapsed": f"{checked.elapsed_ms:.1f} ms"}
 
 

@@ -11,7 +11,7 @@ def summary(verdict: Verdict) -> str:
     if verdict.admissible:
         if not known:
             return "the whole path keeps every deadband"
-        tightest = min(known, key=_relative)
+        (tightest,) = worst(verdict)
         return (
             f"the whole path keeps every deadband; tightest is {tightest.name}, "
             f"{_value(tightest.certified)} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
@@ -31,6 +31,12 @@ def summary(verdict: Verdict) -> str:
         undefined += [f"{lines[0].quantity} of {', '.join(unbounded)}"] if unbounded else []
     parts += [f"undefined: {', '.join(undefined)}"] if undefined else []
     return "; ".join(parts or verdict.reasons) or "see the reasons below"
+
+
+def worst(verdict: Verdict) -> tuple[Boundary, ...]:
+    """The boundaries that are violated, the worst first; of an admissible verdict the tightest."""
+    known = sorted((b for b in verdict.boundaries.values() if b.certified is not None), key=_relative)
+    return tuple(b for b in known if b.violated) or tuple(known[:1])
 
 
 def _relative(boundary: Boundary) -> float:

@@ -60,7 +60,16 @@ def test_a_session_cuts_to_its_end_without_writing_to_a_screen_itself(pair, quie
         assert pair.end() is Phase.DONE
         view.outcome(pair.state, pair.close())
     told = b"".join(written).decode()
-    for line in ("ADMISSIBLE", "approach and retract", "moving: approach", "cutting: ", "CUT COMPLETED"):
+    for line in (
+        "ADMISSIBLE",
+        "where it lies",
+        "entry tip",
+        "tip pitch_min at",
+        "approach and retract",
+        "moving: approach",
+        "cutting: ",
+        "CUT COMPLETED",
+    ):
         assert line in told
     assert "is not a word here" in told
     assert "\x1b" not in told

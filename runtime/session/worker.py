@@ -30,6 +30,8 @@ from cutgate.runtime.session.messages import (
 
 JOIN_S = 0.5
 """It has nothing to lose: one that is busy is killed."""
+KILLED_S = 5.0
+"""What is killed ends at once; on a busy computer it is gone a little later."""
 LAST_WORDS_BYTES: Final = 1 << 16
 """So much of what the process has said on its standard error is looked at when it has failed: what a pipe holds."""
 
@@ -224,6 +226,6 @@ class Worker:
         except subprocess.TimeoutExpired:
             self._process.kill()
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(JOIN_S)
+                self._process.wait(KILLED_S)
         if self._process.stderr is not None:
             self._process.stderr.close()

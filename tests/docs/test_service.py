@@ -18,7 +18,7 @@ from cutgate.config.signals import ENDING
 from cutgate.runtime.commands.app import app
 from cutgate.runtime.commands.run import WITHDRAW_S
 from cutgate.runtime.session.loop import GUIDANCE_S
-from cutgate.runtime.session.worker import JOIN_S, give_priority_back
+from cutgate.runtime.session.worker import JOIN_S, KILLED_S, give_priority_back
 
 UNIT = EXAMPLES / "cutgate-run.service"
 PAGE = Path(__file__).parents[2] / "docs" / "timing.md"
@@ -54,7 +54,7 @@ def test_nothing_is_begun_anew_and_nobody_but_the_runtime_is_told_to_stop(servic
 
 def test_a_stop_in_order_has_the_time_that_it_may_take(service):
     bounds = (CONSTANTS["stop_confirm_ms"].high / 1000, CONSTANTS["checkpoint_deadline_ms"].high / 1000)
-    most_s = sum((*bounds, GUIDANCE_S, WITHDRAW_S, JOIN_S, FLUSH_S))
+    most_s = sum((*bounds, GUIDANCE_S, WITHDRAW_S, JOIN_S, KILLED_S, FLUSH_S))
     assert float(service["TimeoutStopSec"].removesuffix("s")) > most_s
 
 

@@ -48,13 +48,13 @@ ROBOT = ROOT / "examples" / "robot.toml"
 SITE = """schema = "cutgate.site/1"
 [timing]
 heartbeat_ms = 50
-timeout_ms = 500
+timeout_ms = 1000
 [approach]
 approach_clearance_mm = 0.5
 [controller]
 simulated = true
 """
-HEARTBEAT_S, TIMEOUT_S = 0.05, 0.5
+HEARTBEAT_S, TIMEOUT_S = 0.05, 1.0
 STANDS = "-35.5,79.5,340,-4,30.5"
 """Where the arm stands at power-up: half a degree from the entry pose, so that no test waits for the approach."""
 POSES = 300

@@ -14,7 +14,12 @@ CASES = Path(__file__).parents[3] / "shared" / "cases"
 EDGES = {
     # arguments in the folder, exit code, words that are told, words that must not be
     "an id that closes a tag": (["id-closing-tag.plan.json"], 0, ["[/]"], []),
-    "an id like a tag": (["id-swallowed.plan.json"], 0, ["[bold red]x[/bold red] [link=http://a]b[/link]"], []),
+    "an id like a tag": (
+        ["id-swallowed.plan.json"],
+        0,
+        ["[bold red]x[/bold red] [link=http://a]b[/link]"],
+        [],
+    ),
     "a registration like a tag": (
         ["base.csv", "--registration", "id-left-knee.registration.json"],
         0,

@@ -98,7 +98,11 @@ class Log:
 
     def of(self, topic: str) -> list[dict[str, Any]]:
         """The records of one topic, in file order, as parsed JSON; an empty object for what is none."""
-        return [_parse(data) or {} for _, data in self.each(topic)]
+        return list(self.one_by_one(topic))
+
+    def one_by_one(self, topic: str) -> Iterator[dict[str, Any]]:
+        """As ``of``, each only while it is looked at: a session has millions of frames."""
+        return (_parse(data) or {} for _, data in self.each(topic))
 
 
 def verify_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> Report:

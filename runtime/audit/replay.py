@@ -153,7 +153,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
         comparable = _comparable(opened[0], verifier, found)
         words = opened[0].verifier == verifier
         for recorded in verdicts:
-            document = _recompute(recorded, inputs, verify)
+            document = _recompute(recorded, inputs, verify, opened[0])
             found.documents.append(document)
             found.differences += _compare(recorded, document, inputs, comparable=comparable)
         found.differences += _boundary_records(log, verdicts)
@@ -162,7 +162,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
         for way in _typed(log, records.Approach):
             found.differences += _approach(way, inputs, found, comparable=comparable, words=words)
         if any(document["verdict"] == "inadmissible" for document in found.documents):
-            found.notes.append("the guidance was not computed again")
+            found.notes.append("the guidance was not computed again, nor the other elbow")
     else:
         found.notes.append("the session ended before a verdict: there is nothing to compute again")
     found.differences += _permits(log, opened[0], found.documents, found.approaches)
@@ -270,7 +270,9 @@ def _problem(inputs: _Inputs) -> Problem:
         raise ReplayError(f"the attachments pose no problem that can be verified: {error}") from None
 
 
-def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> dict[str, Any]:
+def _recompute(
+    recorded: records.Verdict, inputs: _Inputs, verify: Verify, opened: records.Open
+) -> dict[str, Any]:
     problem = _problem(inputs)
     try:
         verdict = verify(problem)
@@ -289,7 +291,7 @@ def _recompute(recorded: records.Verdict, inputs: _Inputs, verify: Verify) -> di
         digests=digests,
         elapsed_ms=recorded.elapsed_ms or 0.0,
     )
-    if recorded.verifier in BEFORE_WARNINGS:
+    if recorded.verifier == opened.verifier and opened.verifier in BEFORE_WARNINGS:
         return document
     return described(document, problem, verdict, cautions(problem, verdict, inputs.placed))
 
@@ -587,6 +589,8 @@ class _Ledger:
         self.permit = left.digest
         for code in sorted(self.to_confirm - self.confirmed):
             yield f"a permit left although the warning {code} was not confirmed"
+        if self.verdict is not None and left.verifier_version != self.verdict[0].verifier:
+            yield f"the permit names the verifier {left.verifier_version}, its verdict {self.verdict[0].verifier}"
         yield from _digests(permit, left, self.configuration)
         if self.approach is not None:
             yield from _bound(left, self.approach[0])

@@ -62,9 +62,13 @@ FeedOption = Annotated[
 
 Q0TurnsOption = Annotated[
     int | None,
-    typer.Option(help="Whole turns of the shoulder at the first pose; the best are chosen if left out."),
+    typer.Option(
+        min=-100,
+        max=100,
+        help="Whole turns of the shoulder at the first pose; the best are chosen if left out.",
+    ),
 ]
-RollTurnsOption = Annotated[int | None, typer.Option(help="Likewise of the roll.")]
+RollTurnsOption = Annotated[int | None, typer.Option(min=-100, max=100, help="Likewise of the roll.")]
 
 
 class Method(StrEnum):

@@ -129,7 +129,7 @@ def path_accepted(state: Interlock, _now_s: float) -> Permissive:
     text, remedy = "not uploaded", "upload it: start a new session"
     if stored is not None:
         text = "accepted" if accepted else f"{stored.refusal.name} at pose {stored.pose}"
-        remedy = MEANING[stored.refusal]
+        remedy = remedy if accepted else MEANING[stored.refusal]
     return _fact(
         "controller's own check of the path",
         accepted,
@@ -210,11 +210,20 @@ def warnings_confirmed(state: Interlock, _now_s: float) -> Permissive:
     return _fact(
         "warnings confirmed",
         state.verdict is not None and not awaited,
-        f"waits for {', '.join(awaited)}" if awaited else "none waits" if state.verdict else "not verified",
+        _of_warnings(state, awaited),
         "each one that asks for it",
         "check what the warning says; only if it is meant, say "
         + (", ".join(f"confirm {code}" for code in awaited) or "confirm with its code"),
     )
+
+
+def _of_warnings(state: Interlock, awaited: tuple[str, ...]) -> str:
+    """What waits; else what was confirmed, so that whoever reads why it was allowed sees what was overruled."""
+    if state.verdict is None:
+        return "not verified"
+    if awaited:
+        return f"waits for {', '.join(awaited)}"
+    return f"confirmed: {', '.join(state.verdict.to_confirm)}" if state.verdict.to_confirm else "none waits"
 
 
 def unconfirmed(state: Interlock) -> tuple[str, ...]:

@@ -51,7 +51,8 @@ MEANING: Final = MappingProxyType(
         "and verify again",
         Refusal.WRONG_ELBOW: "its elbow is on the other side: correct elbow in robot.toml, or name this robot's file",
         Refusal.TOOL_LENGTH: "the path is made for another tool: mount that one, or correct tool.length_mm in robot.toml",
-        Refusal.JOINTS_BEYOND_WIRE: "joints go further than a joint frame can report: narrow the limits of q0 and q3",
+        Refusal.JOINTS_BEYOND_WIRE: "a pose turns a joint further than a joint frame can report: take other turns (--q0-turns, "
+        "--roll-turns), or part the path",
         Refusal.PERMIT_MISMATCH: f"it holds another permit: {_ANEW}",
         Refusal.APPROACH: "entry or exit are not where its own kinematics put them, or outside its limits: lower "
         "approach_clearance_mm or move the bone; if it stays so, have its calibration looked at",

@@ -146,6 +146,8 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
             Text("VIOLATED" if violated else "", style=BAD),
         )
     console.print(table)
+    for warning in verdict["warnings"]:
+        console.print(f"WARNING {_text(warning, 'code')}: {_text(warning, 'text')}")
     if verdict["guidance"]:
         console.print(_guidance(verdict["guidance"]))
     elif "guidance_note" in verdict:
@@ -255,7 +257,10 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
     """Faults, operator words and the controller's records, as far as there are any."""
     lines = [
         *(
-            (entry["offset_s"], f"operator: {_text(entry, 'word')}" + _refused(entry))
+            (
+                entry["offset_s"],
+                f"operator: {_text(entry, 'word')} {_text(entry, 'what')}".rstrip() + _refused(entry),
+            )
             for entry in story["operator"]
         ),
         *(

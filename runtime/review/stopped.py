@@ -49,7 +49,7 @@ WORDS: Final[dict[StopCause, str]] = {
 }
 """What stopped it, in plain words."""
 
-PRIORITY: Final = "give the program its priority (docs/terminal.md)"
+PRIORITY: Final = "give the program its priority (docs/timing.md)"
 BUS: Final = (f"Look at cable, termination and power of the bus; on a busy computer {PRIORITY}.",)
 REGISTER: Final = ("Register the bone anew: this registration is never permitted again.",)
 APPROVE: Final = ("Compare the controller's settings with robot.toml, and approve the right ones.",)
@@ -163,7 +163,12 @@ def _withdraw(place: dict[str, Any] | None) -> tuple[str, ...]:
     if not depth_mm or depth_mm <= 0.0:
         return ()
     deep = f"The tip is {depth_mm:.1f} mm below the entry plane"
-    return (f"{deep}: withdraw the tool along its axis by the controller's own means, before anything else.",)
+    begun = bool(place and place["percent"])
+    out = "withdraw it along its axis by the controller's own means, before anything else."
+    # Before the cut has begun the arm may be beside the bone, on a joint line: there its axis leads anywhere.
+    return (
+        f"{deep}: the tool is in the bone, {out}" if begun else f"{deep}: if the tool is in the bone, {out}",
+    )
 
 
 def _again(stopped: Stopped) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ from cutgate.runtime.audit.records import (
     Process,
     Verdict,
 )
-from cutgate.runtime.review.stopped import Stopped, Way, stop_document
+from cutgate.runtime.review.stopped import MOVING, Stopped, Way, stop_document
 
 SCHEMA = "cutgate.audit-show/1"
 _STAMPS = set(AuditRecord.model_fields)
@@ -127,7 +127,17 @@ def _verdicts(
         )
         note = next((entry["note"] for entry in told if "note" in entry), None)
         noted = {} if note is None else {"guidance_note": note}
-        found.append({**verdict, "boundaries": own, "guidance": _guidance(verdict, told), **noted})
+        warned = _json(verdict).get("warnings")
+        warnings = [one for one in warned if isinstance(one, dict)] if isinstance(warned, list) else []
+        found.append(
+            {
+                **verdict,
+                "boundaries": own,
+                "warnings": warnings,
+                "guidance": _guidance(verdict, told),
+                **noted,
+            }
+        )
     return found
 
 
@@ -166,6 +176,9 @@ STOPPED: Final = ("stopping", "stopped")
 AT_REST: Final = (ControllerState.INHIBITED.name, ControllerState.FAULT.name)
 JOINTS: Final = (Joints01, Joints23, Joint4)
 SEEN: Final = {IDS[kind] for kind in (*JOINTS, Progress)}
+BROKEN_OFF: Final[dict[str, Any]] = {
+    "reason": "the log ends here: the runtime was killed, or its computer lost power, while the arm could move"
+}
 ENTRY_UM_MAX: Final = 10_000_000
 """No approach is longer."""
 
@@ -176,8 +189,9 @@ def _stop(log: Log) -> dict[str, Any] | None:
     first = next(
         (one for one in steps if one["from_state"] not in STOPPED and one.get("to_state") in STOPPED), None
     )
-    if first is None:
+    if first is None and not _broken_off(log, steps):
         return None
+    first = first or BROKEN_OFF | {"from_state": steps[-1]["to_state"]}
     controller = next(iter(log.of(Controller.TOPIC)[-1:]), {})
     session = next((one["session"] for one in steps if one.get("session")), None)
     progress, joints_u = _last_seen(log, session)
@@ -186,7 +200,7 @@ def _stop(log: Log) -> dict[str, Any] | None:
             cause=_cause(first.get("first_out")),
             reason=str(first.get("reason") or ""),
             phase=first["from_state"],
-            at_rest=controller.get("state") in AT_REST,
+            at_rest=first.get("first_out") is not None and controller.get("state") in AT_REST,
             latched=controller.get("state") == ControllerState.FAULT.name,
             standing=_cause(controller.get("cause")),
             progress=progress,
@@ -194,6 +208,11 @@ def _stop(log: Log) -> dict[str, Any] | None:
         ),
         _way(log),
     )
+
+
+def _broken_off(log: Log, steps: list[dict[str, Any]]) -> bool:
+    """Whether the log ends while the arm could move."""
+    return bool(steps) and steps[-1].get("to_state") in MOVING and not log.of(Close.TOPIC)
 
 
 def _cause(name: object) -> StopCause:
@@ -220,9 +239,9 @@ def _last_seen(log: Log, session: object) -> tuple[tuple[int, int] | None, tuple
 
 def _frames(log: Log, tag: int) -> Iterator[tuple[int, Frame]]:
     """The controller's intact frames that tell where the arm is, with their counters."""
-    for data in log.of(CanFrame.TOPIC):
+    for data in log.one_by_one(CanFrame.TOPIC):
         can_id = data.get("id")
-        if data.get("direction") == "received" and can_id in SEEN:
+        if data.get("direction") == "received" and isinstance(can_id, int) and can_id in SEEN:
             with suppress(ValueError, TypeError, KeyError):  # it is data
                 raw = bytes.fromhex(data["data"])
                 if intact(raw, DATA_IDS[can_id], tag):

@@ -621,8 +621,8 @@ def spoken(text: Word | str) -> Said | None:
     """What the operator said; only a confirmation names something besides, and None is no word here."""
     if isinstance(text, Word):
         return Said(text)
-    word, _, what = text.partition(" ")
-    return Said(Word.CONFIRM, what.strip().upper()) if word == Word.CONFIRM else None
+    word, *what = text.split(maxsplit=1)
+    return Said(Word.CONFIRM, "".join(what).upper()) if word == Word.CONFIRM else None
 
 
 def _view_of(beat: ControllerHeartbeat) -> ControllerView:

@@ -218,10 +218,10 @@ def cautions_of_move(guidance: Guidance | None) -> tuple[Caution, ...]:
     length, turn = math.hypot(*guidance.translation_mm), abs(guidance.yaw_deg)
     if length > MOVE_MOST_MM:
         text = f"the move would be {length:.0f} mm long: {_FRAME}"
-        return (Caution("MOVE_LARGE", text, length, MOVE_MOST_MM, confirm=True),)
+        return (Caution("MOVE_LARGE", text, length, MOVE_MOST_MM),)
     if turn > TURN_MOST_DEG:
         text = f"the bone would be turned by {turn:.1f} deg: {_FRAME}"
-        return (Caution("TURN_LARGE", text, turn, TURN_MOST_DEG, confirm=True),)
+        return (Caution("TURN_LARGE", text, turn, TURN_MOST_DEG),)
     return ()
 
 

@@ -97,7 +97,7 @@ def test_a_refused_session_replays(refused):
     result = replayed(refused)
     assert (result.outcome, result.differences) == (Outcome.IDENTICAL, ())
     assert result.verdict["verdict"] == "inadmissible"
-    assert "guidance was not computed again" in result.notes[0]
+    assert "guidance was not computed again, nor the other elbow" in result.notes[0]
 
 
 def test_a_rewritten_log_replays(admitted):
@@ -154,7 +154,10 @@ def test_a_log_of_0_1_0_that_says_nothing_of_warnings_replays(admitted):
     data = forge(forge(admitted, in_document(as_before)), changed(records.Verdict, verifier=earlier))
     data = forge(data, changed(records.Open, verifier=earlier))
     assert not [line for line in replayed(data).differences if "recomputed only" in line]
+    differs(data, f"the permit names the verifier {VERIFIER}, its verdict {earlier}")
     differs(forge(admitted, in_document(as_before)), "extent")
+    alone = forge(forge(admitted, in_document(as_before)), changed(records.Verdict, verifier=earlier))
+    differs(alone, "extent")
 
 
 # ---------------------------------------------------------------- forged verdicts

@@ -271,7 +271,8 @@ def test_each_warning_is_confirmed_by_its_own_code_and_the_remedy_names_the_rest
     assert (one.holds, one.text) == (False, "waits for LIMITS_IN_RADIANS")
     assert one.remedy.endswith("say confirm LIMITS_IN_RADIANS")
     both = altered(two, "confirmed", frozenset({"CUT_TINY", "LIMITS_IN_RADIANS"}))
-    assert p.warnings_confirmed(both, NOW).holds
+    confirmed = p.warnings_confirmed(both, NOW)
+    assert (confirmed.holds, confirmed.text) == (True, "confirmed: CUT_TINY, LIMITS_IN_RADIANS")
     assert p.unconfirmed(altered(two, "verdict", None)) == ()
     unknown = p.warnings_confirmed(altered(two, "verdict", None), NOW)
     assert (unknown.holds, unknown.text) == (False, "not verified")

@@ -121,9 +121,13 @@ def test_the_tip_is_where_the_controllers_kinematics_say_and_the_depth_is_along_
 
 
 def test_a_tip_below_the_entry_plane_is_to_be_withdrawn_first_and_one_above_is_not():
-    deep = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 10_000_000))
+    deep = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 10_000_000), progress=(0, 1))
     assert deep["where"]["depth_mm"] > 0.0
-    assert "withdraw the tool along its axis" in deep["next"][0]
+    assert "the tool is in the bone, withdraw it along its axis" in deep["next"][0]
+    assert "if the tool" not in deep["next"][0]
+    for progress in ((0, 0), None):  # on the approach the arm may stand beside the bone
+        before = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 10_000_000), progress=progress)
+        assert "if the tool is in the bone, withdraw it" in before["next"][0]
     assert "below the entry plane" in shown(deep)
     high = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 0), joints_u=(0, 0, 450_000_000, 0, 0))
     assert high["where"]["depth_mm"] < 0.0

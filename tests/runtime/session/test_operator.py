@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeStop
@@ -11,6 +12,8 @@ from cutgate.runtime.audit import records as audit
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.interlock.state import Phase, Refused, Word
+from cutgate.runtime.review.show import print_story
+from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.messages import Broken
 from cutgate.runtime.verification import certified, plausibility
@@ -250,9 +253,15 @@ def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubt
     doubtful.say("confirm").say("confirm cut_huge").run(0.1)
     assert doubtful.phase is Phase.ADMITTED
     assert not first_frames(doubtful, records.Permit)
-    doubtful.say("Confirm  cut_tiny")
+    doubtful.say("Confirm\tcut_tiny")
     assert doubtful.end() is Phase.DONE
     doubtful.close()
+    told = story(doubtful.read(), doubtful.paths.log, None)
+    console = Console(width=120, no_color=True, highlight=False, markup=False)
+    with console.capture() as capture:
+        print_story(console, told)
+    for line in ("WARNING CUT_TINY: ", "confirmed: CUT_TINY", "operator: confirm CUT_TINY"):
+        assert line in capture.get(), "whoever reads why it was allowed sees what was overruled"
     said = [
         (record["word"], record.get("what"), record["accepted"])
         for record in doubtful.read().of("/audit/operator")

@@ -8,8 +8,8 @@ from cutgate.firmware_sim.kinematics import calibrated_arm, forward
 from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, Joints01, Progress
 from cutgate.protocol.states import StopCause
-from cutgate.runtime.audit.inspect import read_log
-from cutgate.runtime.audit.records import CanFrame
+from cutgate.runtime.audit.inspect import Log, read_log
+from cutgate.runtime.audit.records import CanFrame, Close, Decision
 from cutgate.runtime.commands.session_view import run_document, stopped
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.review.story import story
@@ -123,3 +123,35 @@ def test_what_a_stranger_says_of_the_arm_is_not_believed_of_a_log(pair):
         "tip_mm": None,
         "depth_mm": None,
     }
+
+
+def test_a_log_that_ends_while_the_arm_moves_says_where_and_that_nobody_confirmed_anything(pair):
+    moving(pair).say("stop").end()
+    told = stopped(pair.session)
+    pair.close()
+
+    def cut_off(record):
+        ended = isinstance(record, Close) or (
+            isinstance(record, Decision) and record.to_state in ("stopping", "stopped")
+        )
+        return None if ended else record
+
+    found = from_the_log(pair, forge(pair.paths.log.read_bytes(), cut_off))
+    assert (found["cause"], found["while"], found["confirmed"]) == ("NONE", "cutting", False)
+    assert "the runtime was killed" in found["reason"]
+    assert found["where"] == told["where"]
+    assert found["next"][0] == "Release the enabling device."
+
+
+@pytest.mark.parametrize("can_id", [[1], {}, "x", None, 2**70, True])
+def test_a_frame_with_an_identifier_that_is_none_is_passed_over(pair, monkeypatch, can_id):
+    moving(pair).say("stop").end()
+    pair.close()
+    log, before = pair.read(), Log.one_by_one
+    frames = [{"direction": "received", "id": can_id, "data": "00" * 8}, {}, {"id": 1}]
+    monkeypatch.setattr(
+        Log,
+        "one_by_one",
+        lambda log, topic: iter(frames) if topic == CanFrame.TOPIC else before(log, topic),
+    )
+    assert story(log, pair.paths.log, None)["stop"]["where"]["segment"] is None

@@ -129,7 +129,7 @@ def test_a_large_move_is_doubted_before_it_is_made(guidance, code):
     for one in found:
         assert "check units, direction and frame (LPS or RAS) of the registration first" in one.text
         assert abs(one.value) > one.bound
-        assert one.confirm
+        assert not one.confirm, "an inadmissible path is not permitted, confirmed or not"
         assert json.dumps(one.value)
 
 

@@ -1,11 +1,15 @@
 """The page of the state machines: made from the code by one script, current, and complete."""
 
+import pytest
+
 from cutgate.firmware_sim import table as controller_table
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.interlock import table as interlock_table
 from cutgate.runtime.interlock.state import ENDED, Phase
 from docs.make_state_machines import PAGE, controller_edges, main, picture, runtime_edges
 from tests.runtime.interlock.test_invariants import _successors
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_page_is_the_scripts(tmp_path):

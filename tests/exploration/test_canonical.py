@@ -26,7 +26,7 @@ from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSi
 from tests.exploration.ways import LATCHED, TO_MOVING, TO_RESET
 from tests.exploration.world import JOB, VERDICT, World
 
-pytestmark = pytest.mark.no_cover
+pytestmark = [pytest.mark.no_cover, pytest.mark.slow]
 
 WORLD = World(reboots=True, limits=True, bone=True, emergency_stop=True, disk=True, exact=True)
 WALKS, STEPS = 2, 4

@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Final, TextIO
+from typing import IO, Any, Final, TextIO, cast
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -57,17 +57,19 @@ def output() -> Console:
 
 def messages() -> Console:
     """Standard error, for progress and refusals: what cannot be written there is of no matter."""
-    return LiteralConsole(stderr=True, file=_Unheard(sys.stderr), **_style(terminal=sys.stderr.isatty()))
+    return LiteralConsole(
+        stderr=True, file=cast("IO[str]", _Unheard(sys.stderr)), **_style(terminal=sys.stderr.isatty())
+    )
 
 
-class _Unheard(io.TextIOBase):
-    """A stream whose reader may be gone, and its disk full."""
+class _Unheard:
+    """A stream whose reader may be gone, and its disk full. It is not ours to close."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     @property
-    def encoding(self) -> str:  # type: ignore[override]
+    def encoding(self) -> str:
         return self._stream.encoding
 
     def isatty(self) -> bool:

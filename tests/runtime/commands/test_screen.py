@@ -1,8 +1,11 @@
 """Consoles: what a terminal gets and what a pipe gets, and a result whose reader has gone."""
 
 import errno
+import gc
+import io
 import os
 import subprocess
+import sys
 
 import pytest
 from rich.text import Text
@@ -10,7 +13,7 @@ from rich.text import Text
 from cutgate.config.interpreter import program
 from cutgate.config.screen import Screen
 from cutgate.runtime.commands import screen
-from cutgate.runtime.commands.screen import LiveConsole, delivered, output
+from cutgate.runtime.commands.screen import LiveConsole, delivered, messages, output
 
 WAIT_S = 20.0
 
@@ -83,3 +86,17 @@ def test_a_refusal_that_nobody_reads_is_a_refusal_and_no_verdict():
     done = subprocess.run(command, stderr=writing, stdin=subprocess.DEVNULL, timeout=WAIT_S, check=False)
     os.close(writing)
     assert done.returncode == 2
+
+
+def test_messages_outlive_their_stream_without_a_word(monkeypatch):
+    """It is closed by whoever made it; collecting what wrote to it is no error."""
+    told, stream = [], io.StringIO()
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    monkeypatch.setattr(sys, "stderr", stream)
+    console = messages()
+    console.print("x")
+    assert stream.getvalue() == "x\n"
+    stream.close()
+    del console
+    gc.collect()
+    assert told == []

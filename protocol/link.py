@@ -152,6 +152,8 @@ class Link:
         self._opened_s: float | None = None
         self._refreshed_s: float | None = None
         self._sent_s: dict[int, float] = {}
+        self._echoing: set[int] = set()
+        self._answered = False
         self._peer_counter: int | None = None
         self._heard = False
         self._counters: dict[int, int] = {}
@@ -176,6 +178,14 @@ class Link:
         self._clear()
 
     @property
+    def answered(self) -> bool:
+        """Whether the peer has echoed a heartbeat that echoed one of its own: ours are proved young to it as well.
+
+        Who enables on the peer's fresh heartbeat alone may be a heartbeat too early for the peer.
+        """
+        return self._answered
+
+    @property
     def is_open(self) -> bool:
         """Whether a session is open."""
         return self._opened_s is not None
@@ -197,6 +207,8 @@ class Link:
             frame = replace(frame, echo=echo)
         if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
             self._sent_s[counter] = now_s
+            if self._peer_counter is not None:
+                self._echoing.add(counter)
         return encode_frame(frame, counter, self.tag)
 
     def _next_counter(self, frame: Frame, can_id: int) -> int:
@@ -311,6 +323,7 @@ class Link:
         sent_s = None if none_yet else self._sent_s.get(echo)
         if sent_s is not None and 0.0 <= now_s - sent_s <= self.timeout_s:
             self._heard = True
+            self._answered = self._answered or echo in self._echoing
             self._refreshed_s = now_s
             return True
         self._count(stale_heartbeats=1)

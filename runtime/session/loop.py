@@ -358,7 +358,10 @@ class Session:
     def _item(self, item: object) -> None:
         match item:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
-                self._feed(HeartbeatReceived(_view_of(beat), fresh))
+                answered = (
+                    self._port.endpoint.link.answered
+                )  # else the controller would refuse what is enabled on it
+                self._feed(HeartbeatReceived(_view_of(beat), fresh and answered))
             case Accepted(sample=JointSample() as sample):
                 self.joints_u = records.joints_to_counts(sample.joints)
                 self._feed(JointsMeasured(self.joints_u, sample.measured_s))

@@ -789,3 +789,30 @@ def test_taking_back_another_frame_leaves_the_heartbeats_their_age():
     controller.take_back(IDS[Progress])
     outcome = deliver(runtime, controller, CUT, 0.01)
     assert outcome.fresh
+
+
+def test_a_side_is_answered_once_a_heartbeat_that_echoed_the_peer_is_echoed():
+    """The first heartbeat of each side echoes nothing: proof to the one is not yet proof to the other."""
+    runtime, controller = pair()
+    deliver(runtime, controller, CUT, 0.00)  # echoes nothing
+    assert deliver(controller, runtime, CUTTING, 0.01).fresh
+    assert not runtime.answered, "the controller has heard nothing that is young for sure"
+    assert deliver(runtime, controller, CUT, 0.02).fresh
+    assert controller.answered, "its own heartbeat echoed one, and is echoed"
+    assert not runtime.answered
+    assert deliver(controller, runtime, CUTTING, 0.03).fresh
+    assert runtime.answered
+    assert deliver(controller, runtime, CUTTING, 0.04).fresh
+    assert runtime.answered
+    runtime.open(TAG, 0.05)
+    assert not runtime.answered, "another session begins with nothing"
+
+
+def test_an_echo_that_proves_nothing_answers_nothing():
+    runtime, controller = pair()
+    deliver(runtime, controller, CUT, 0.00)
+    deliver(controller, runtime, CUTTING, 0.01)
+    deliver(runtime, controller, CUT, 0.02)
+    late = 0.02 + TIMEOUT_S + 0.001
+    assert not deliver(controller, runtime, CUTTING, late).fresh
+    assert not runtime.answered

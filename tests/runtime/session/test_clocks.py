@@ -7,7 +7,7 @@ import pytest
 
 from cutgate.protocol.frames import RuntimeHeartbeat
 from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.interlock.state import ENDED, Phase
 from tests.runtime.session.wire import Clock
 
 
@@ -161,3 +161,13 @@ def test_a_controller_that_stands_still_at_the_bus_stops_in_the_same_turn(cuttin
     stalled = seconds > 0.1
     assert (cutting.controller.cause is StopCause.LOOP_STALLED) is stalled
     assert cutting.controller.may_move is not stalled
+
+
+@pytest.mark.parametrize("earlier_s", [0.0, 0.005, 0.01, 0.05, 0.09])
+def test_however_the_heartbeats_lie_to_each_other_a_short_path_is_permitted(pair, earlier_s):
+    """It is verified within one heartbeat: then the runtime's own may not yet have echoed one of the controller's."""
+    slow = replace(pair.job.timing, heartbeat_ms=100, timeout_ms=1000)
+    pair.begin(replace(pair.job, timing=slow)).to(Phase.COLLECTING)
+    pair.session._next_heartbeat_s -= earlier_s
+    pair.to(Phase.PERMITTED, *ENDED)
+    assert pair.phase is Phase.PERMITTED, pair.state.reason

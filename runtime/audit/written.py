@@ -102,7 +102,10 @@ class Written:
 
     def _read_back(self) -> None:
         digest = sha256()
-        reading = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            reading = os.open(self.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        except FileNotFoundError:
+            raise LostError(f"{self.path} {_gone(self.descriptor)}") from None
         try:
             while data := os.read(reading, PIECE):
                 digest.update(data)
@@ -119,13 +122,18 @@ def identify(descriptor: int, path: Path) -> os.stat_result:
         LostError: nothing does, or another file.
         OSError: an error of the disk.
     """
-    ours = os.fstat(descriptor)
     try:
         found = os.stat(path, follow_symlinks=False)  # noqa: PTH116 - as fstat beside it
     except (FileNotFoundError, NotADirectoryError):
-        what = "was deleted" if ours.st_nlink == 0 else "was renamed or moved, or a folder above it was"
-        raise LostError(f"{path} {what}") from None
+        raise LostError(f"{path} {_gone(descriptor)}") from None
+    ours = os.fstat(descriptor)
     if (found.st_dev, found.st_ino) != (ours.st_dev, ours.st_ino):
         what = "was deleted" if ours.st_nlink == 0 else "was renamed"
         raise LostError(f"{path} {what}, and another file was put in its place")
     return found
+
+
+def _gone(descriptor: int) -> str:
+    """What became of an open file that is not found under its name: asked only now, it may go at any moment."""
+    deleted = os.fstat(descriptor).st_nlink == 0
+    return "was deleted" if deleted else "was renamed or moved, or a folder above it was"

@@ -116,6 +116,38 @@ def test_whatever_is_done_to_a_file_is_found_and_named(file, act, enabling):
         file.check(enabling=enabling)
 
 
+@pytest.mark.parametrize("act", [delete, rename], ids=lambda act: act.__name__)
+@pytest.mark.parametrize("call", range(6))
+def test_what_happens_to_a_file_while_it_is_looked_at_is_named_as_well(file, monkeypatch, act, call):
+    """Between any two calls of the system another may come: what is said of the file is true all the same."""
+    later(file.path)
+    touch(file.path)  # so that it is read back
+    asked = 0
+
+    def asks(name):
+        real = getattr(os, name)
+
+        def ask(*arguments, **options):
+            nonlocal asked
+            if asked == call:
+                asked += 1
+                act(file.path)
+            asked += 1
+            return real(*arguments, **options)
+
+        return ask
+
+    for name in ("stat", "fstat", "open", "read"):
+        monkeypatch.setattr(written.os, name, asks(name))
+    try:
+        file.check()
+    except LostError as lost:
+        assert ACTS[act].rstrip("$") in str(lost)  # noqa: PT017 - it may also come too late to be seen
+    else:
+        with pytest.raises(LostError, match=ACTS[act]):
+            file.check()
+
+
 @pytest.mark.parametrize("act", [overwrite, overwrite_and_put_back_the_times])
 def test_what_was_overwritten_in_the_very_moment_of_our_own_writing_is_found_before_anything_is_enabled(
     file, act

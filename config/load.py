@@ -44,8 +44,12 @@ DOTS_MAX: Final = 100
 than its line."""
 _WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*+"|[-+.\w]++')
 """Strings, and whatever stands in JSON without quotation marks."""
+DIGITS_MAX: Final = 309
+"""Of an integer: the largest double has so many."""
+_MANY_DIGITS: Final = re.compile(rf"[0-9_]{{{DIGITS_MAX + 1},}}")
 NEWLINE: Final = "\n"
 _ERROR_CHARACTERS: Final = 200
+_DOUBLE: Final = "write a number a double can hold"
 _FOREIGN: Final = "it holds something else; name another file"
 
 
@@ -208,10 +212,20 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
         raise InputError(
             path, "", None, f"not valid TOML: {_shortened(str(error))}", "correct the file"
         ) from None
-    except (RecursionError, ValueError) as error:  # nesting without end; an integer of thousands of digits
+    except (
+        RecursionError,
+        ValueError,
+    ) as error:  # nesting without end; more digits than Python makes a number of
+        if many := _MANY_DIGITS.search(text):
+            raise _no_number(path, text, many.start(), many.group(), _DOUBLE) from None
         raise InputError(
             path, "", None, f"not usable TOML: {shown(str(error))}", "correct the file"
         ) from None
+
+
+def _no_number(path: object, text: str, start: int, word: str, remedy: str) -> InputError:
+    place = f"line {text.count(NEWLINE, 0, start) + 1} column {start - text.rfind(NEWLINE, 0, start)}"
+    return InputError(path, place, shown(word), "a finite number", remedy)
 
 
 def _shortened(text: str) -> str:
@@ -220,27 +234,39 @@ def _shortened(text: str) -> str:
     return text if len(text) <= _ERROR_CHARACTERS else f"{text[:half]} ... {text[-half:]}"
 
 
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """What stands for a number in a JSON text, as a number that a double can hold, or refused with its place."""
+
+    path: object
+    text: str
+
+    def constant(self, word: str) -> float:
+        raise self._refused(word, "JSON has no NaN and no Infinity")
+
+    def fraction(self, word: str) -> float:
+        value = float(word)
+        if not math.isfinite(value):
+            raise self._refused(word, _DOUBLE)
+        return value
+
+    def integer(self, word: str) -> int:
+        if not (len(word.lstrip("-")) <= DIGITS_MAX and math.isfinite(float(word))):
+            raise self._refused(word, _DOUBLE)
+        return int(word)
+
+    def _refused(self, word: str, remedy: str) -> InputError:
+        """The first of this spelling outside of strings."""
+        start = next(one.start() for one in _WORDS.finditer(self.text) if one.group() == word)
+        return _no_number(self.path, self.text, start, word, remedy)
+
+
 def parse_json(path: object, data: bytes) -> Any:
-    """The JSON document; NaN, Infinity, overflowing numbers and duplicate keys are refused.
+    """The JSON document; NaN, Infinity, numbers beyond a double and duplicate keys are refused.
 
     Raises:
         InputError: names line and column, or the key.
     """
-
-    def constant(word: str) -> Any:
-        raise refused(word, "JSON has no NaN and no Infinity")
-
-    def number(word: str) -> float:
-        value = float(word)
-        if not math.isfinite(value):
-            raise refused(word, "write a number a double can hold")
-        return value
-
-    def refused(word: str, remedy: str) -> InputError:
-        """Of a number, with its place: the first of this spelling outside of strings."""
-        before = next(one.start() for one in _WORDS.finditer(text) if one.group() == word)
-        place = f"line {text.count(NEWLINE, 0, before) + 1} column {before - text.rfind(NEWLINE, 0, before)}"
-        return InputError(path, place, word, "a finite number", remedy)
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         document = dict(pairs)
@@ -252,18 +278,19 @@ def parse_json(path: object, data: bytes) -> Any:
     if data.startswith(BOM_UTF8):  # RFC 8259, 8.1: JSON has none
         remedy = "save the file as UTF-8 without it"
         raise InputError(path, "line 1", "a byte-order mark", "the beginning of the document", remedy)
-    text = decode(path, data)
+    numbers = _Numbers(path, decode(path, data))
     try:
-        return json.loads(text, parse_constant=constant, parse_float=number, object_pairs_hook=unique)
+        return json.loads(
+            numbers.text,
+            parse_constant=numbers.constant,
+            parse_float=numbers.fraction,
+            parse_int=numbers.integer,
+            object_pairs_hook=unique,
+        )
     except json.JSONDecodeError as error:
-        raise InputError(
-            path,
-            f"line {error.lineno} column {error.colno}",
-            None,
-            f"not valid JSON: {error.msg}",
-            "correct the file",
-        ) from None
-    except (RecursionError, ValueError) as error:
+        place = f"line {error.lineno} column {error.colno}"
+        raise InputError(path, place, None, f"not valid JSON: {error.msg}", "correct the file") from None
+    except RecursionError as error:
         raise InputError(
             path, "", None, f"not usable JSON: {shown(str(error))}", "correct the file"
         ) from None

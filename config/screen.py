@@ -4,6 +4,7 @@ The loop hands over and goes on; a thread of its own owns the descriptor. Whoeve
 go away, and the terminal may belong to another job: nothing of it reaches the loop.
 """
 
+import errno
 import io
 import os
 import select
@@ -15,6 +16,7 @@ from queue import Empty, SimpleQueue
 from threading import RLock, Thread
 from typing import Final
 
+from cutgate.config.exits import NOT_WRITTEN, READER_GONE
 from cutgate.config.signals import none_here
 
 STDOUT: Final = 1
@@ -163,6 +165,31 @@ class _Diverted(io.TextIOBase):
         for line in lines:
             self._screen.say(line)
         return len(text)
+
+
+def nobody_reads(error: OSError) -> bool:
+    """Whether an error says that a pipe has no reader any more, or a terminal is gone."""
+    return error.errno in (errno.EPIPE, errno.EIO)
+
+
+def write_nowhere(descriptor: int) -> None:
+    """From now on; also what the stream still holds."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, descriptor)
+    os.close(nowhere)
+
+
+def ended(code: int) -> int:
+    """The exit code of a program whose own is this one, once its standard output is written: or another, if it is not."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        write_nowhere(STDOUT)
+        if nobody_reads(error):
+            return READER_GONE
+        last_words(f"cutgate: what was to be written is not whole: {error.strerror}")
+        return NOT_WRITTEN
+    return code
 
 
 def last_words(text: str) -> None:

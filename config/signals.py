@@ -10,15 +10,18 @@ from typing import Any, Final
 
 _LEFT_ALONE: Final = frozenset(
     {signal.SIGKILL, signal.SIGSTOP}  # cannot be caught
-    | {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP, signal.SIGSYS, signal.SIGABRT}  # faults of the program itself
+    | {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}  # what they interrupt cannot go on
     | {signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH}  # do nothing by default
     | {signal.SIGPIPE, signal.SIGXFSZ}  # Python ignores them: the write fails instead
     | {signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU}  # suspend
 )  # fmt: skip
 ENDING: Final = frozenset(signal.valid_signals() - _LEFT_ALONE)
-"""End a process by default: Ctrl-C, a terminal that hangs up, kill, a limit of processor time, and the rest."""
-SUSPENDING: Final = frozenset({signal.SIGTSTP})
-"""Ctrl-Z."""
+"""End a process by default: Ctrl-C, a terminal that hangs up, kill, a limit of processor time, and the rest.
+
+Of faults of the program itself those after which it goes on; abort() ends it all the same once it was told so.
+"""
+SUSPENDING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
+"""Ctrl-Z, and a terminal that belongs to another job, of which a program of the same job reads or writes."""
 
 
 def name_of(number: int) -> str:

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from cutgate.config.exits import NOT_WRITTEN, READER_GONE
 from cutgate.config.interpreter import program
 from cutgate.config.load import EXAMPLES
-from cutgate.runtime.exits import NOT_WRITTEN, READER_GONE
 from tests.runtime.audit.build import session_log
 
 PAGE: Final = Path(__file__).parent / "environments.md"

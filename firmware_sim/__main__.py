@@ -15,9 +15,17 @@ def main(arguments: list[str]) -> int:
     return command.main(arguments[1:] if arguments[:1] == ["sim"] else arguments)
 
 
+def _main() -> int:
+    try:
+        return main(sys.argv[1:])
+    except SystemExit as told:  # after a help text, or about an option
+        return int(told.code or 0)
+
+
 if __name__ == "__main__":
     own_code_only()
-    from cutgate.config.terminal import open_standard_streams  # not before it is known where from
+    from cutgate.config.screen import ended  # not before it is known where from
+    from cutgate.config.terminal import open_standard_streams
 
     open_standard_streams()
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(ended(_main()))

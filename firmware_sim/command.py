@@ -13,6 +13,7 @@ import can
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
 from cutgate.config.constants import CONSTANTS
+from cutgate.config.exits import INTERNAL, OK, REFUSED
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
@@ -33,9 +34,6 @@ from cutgate.protocol.port import Port
 from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
 
-EXIT_OK: Final = 0
-EXIT_BAD_INPUT: Final = 2
-EXIT_INTERNAL: Final = 70
 LISTEN_S: Final = 0.6
 """How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
 TRANSFER_TIMEOUT_S: Final = 2.0
@@ -61,15 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         memory.ControllerMemoryError,
     ) as error:
         last_words(f"cutgate sim: {error}")
-        return EXIT_BAD_INPUT
+        return REFUSED
     except (can.CanInitializationError, can.CanError) as error:
         last_words(f"cutgate sim: bus: {error}")
-        return EXIT_BAD_INPUT
+        return REFUSED
     except Exception as error:  # noqa: BLE001 - the arm stands already; one line and a code, never a traceback
         text = f"{type(error).__name__}: {error}".replace("\n", " ")
         last_words(f"cutgate sim: internal error: {text}")
-        return EXIT_INTERNAL
-    return EXIT_OK
+        return INTERNAL
+    return OK
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -6,10 +6,10 @@ The imports take half a second. Nothing is open in it yet, so whoever interrupts
 import os
 import sys
 
+from cutgate.config.exits import INTERRUPTED, STOPPED
 from cutgate.config.interpreter import own_code_only
-from cutgate.runtime.exits import INTERRUPTED, STOPPED
 
-FORCING = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS")
+FORCING = ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """What makes libraries write for a terminal where there is none; whether there is one is decided in one place of ours."""
 
 

@@ -4,16 +4,14 @@ import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, TextIO
+from typing import TextIO
 
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
+from cutgate.config.exits import OK, REFUSED
 from cutgate.config.screen import STDERR, STDOUT, diverted, last_words, screens
 from cutgate.config.signals import ENDING, handled
 from cutgate.config.terminal import STDIN
 from cutgate.firmware_sim.bus.hub import Hub, HubError
-
-EXIT_OK: Final = 0
-EXIT_BAD_INPUT: Final = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,8 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         serve(options.socket, options.log, until_stdin_closes=options.until_stdin_closes)
     except (HubError, RuntimeDirectoryError, ValueError) as error:
         last_words(f"cutgate bus: {error}")
-        return EXIT_BAD_INPUT
-    return EXIT_OK
+        return REFUSED
+    return OK
 
 
 def serve(channel: str = LOCAL_CHANNEL, log: str | None = None, *, until_stdin_closes: bool = False) -> None:

@@ -11,10 +11,10 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from cutgate import __version__
+from cutgate.config.exits import INTERNAL, INTERRUPTED, NOT_WRITTEN, READER_GONE, REFUSED
 from cutgate.config.refusal import InputError
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.screen import delivered, echo, no_room
-from cutgate.runtime.exits import INTERNAL, INTERRUPTED, NOT_WRITTEN, READER_GONE, REFUSED
 
 COMMANDS: Final = {
     "verify": (

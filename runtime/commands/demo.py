@@ -21,6 +21,7 @@ import typer
 from rich.text import Text
 
 from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
+from cutgate.config.exits import STOPPED
 from cutgate.config.interpreter import program
 from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
@@ -33,7 +34,6 @@ from cutgate.runtime.audit.replay import Outcome, replay
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
-from cutgate.runtime.exits import STOPPED
 from cutgate.runtime.review.comparison import print_comparison
 from cutgate.runtime.review.show import print_time_line
 from cutgate.runtime.review.story import story

@@ -16,6 +16,7 @@ import can
 import typer
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
+from cutgate.config.exits import READER_GONE
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.config.ours import user
@@ -41,7 +42,6 @@ from cutgate.runtime.commands.verify import (
     Q0TurnsOption,
     RollTurnsOption,
 )
-from cutgate.runtime.exits import READER_GONE
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.check import Check
@@ -62,6 +62,8 @@ TOLD: Final[dict[int, str]] = {
     signal.SIGINT: "",
     signal.SIGHUP: "SIGHUP: the terminal hung up, and nobody can say stop any more",
     signal.SIGTSTP: "SIGTSTP (Ctrl-Z): a suspended runtime could not watch the arm",
+    signal.SIGTTIN: "SIGTTIN (reading in the background): a suspended runtime could not watch the arm",
+    signal.SIGTTOU: "SIGTTOU (writing in the background): a suspended runtime could not watch the arm",
 }
 """What is said of a signal that ends the session, where its name is not enough; Ctrl-C needs no telling."""
 

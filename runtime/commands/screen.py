@@ -19,8 +19,8 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from cutgate.config.screen import STDERR, STDOUT, Screen, printable
-from cutgate.runtime.exits import READER_GONE
+from cutgate.config.exits import READER_GONE
+from cutgate.config.screen import STDERR, STDOUT, Screen, nobody_reads, printable, write_nowhere
 
 PATIENCE_S: Final = 0.5
 PLAIN_WIDTH: Final = 100
@@ -40,7 +40,7 @@ class LiteralConsole(Console):
     def on_broken_pipe(self) -> None:
         """Nobody reads any more: that is no verdict, and of messages alone no matter."""
         self.quiet = True
-        _write_nowhere(STDERR if self.stderr else STDOUT)
+        write_nowhere(STDERR if self.stderr else STDOUT)
         if not self.stderr:
             raise typer.Exit(READER_GONE)
 
@@ -87,7 +87,7 @@ class _Unheard:
         try:
             self._stream.flush()
         except OSError:
-            _write_nowhere(self._stream.fileno())
+            write_nowhere(self._stream.fileno())
 
 
 def _style(*, terminal: bool) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def delivered(text: str, *, err: bool = False) -> bool:
     except OSError as error:
         if not err and not nobody_reads(error):
             raise
-        _write_nowhere(STDERR if err else STDOUT)
+        write_nowhere(STDERR if err else STDOUT)
         return False
     return True
 
@@ -117,24 +117,12 @@ def echo(text: str, *, err: bool = False) -> None:
         raise typer.Exit(READER_GONE)
 
 
-def nobody_reads(error: OSError) -> bool:
-    """Whether an error says that a pipe has no reader any more, or a terminal is gone."""
-    return error.errno in (errno.EPIPE, errno.EIO)
-
-
 def no_room(error: BaseException) -> bool:
     """Whether an error says that what was to be written does not fit where it goes; nothing more is written there."""
     if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return False
-    _write_nowhere(STDOUT)
+    write_nowhere(STDOUT)
     return True
-
-
-def _write_nowhere(descriptor: int) -> None:
-    """From now on; also what the stream still holds."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, descriptor)
-    os.close(nowhere)
 
 
 @contextmanager

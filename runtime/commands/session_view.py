@@ -147,9 +147,11 @@ class SessionView:
         """Tell the operator what holds the controller and which word is next: once each."""
         if state.phase is not Phase.HELD or state.controller is None:
             return
-        prompt = "acknowledged; the fault is latched: say reset"
+        prompt = self._hold
         if state.controller.cause is not StopCause.NONE:
             prompt = f"its cause is {state.controller.cause.name}: {no_stop_cause(state, now_s).remedy}"
+        elif state.heartbeat_fresh:
+            prompt = "acknowledged; the fault is latched: say reset"
         if prompt != self._hold:
             self._hold = prompt
             self.note(prompt)

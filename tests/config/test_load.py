@@ -498,7 +498,9 @@ def test_text_that_is_not_utf8_names_its_line():
         ('{"a": 1e999}', "1e999"),
         ('{"b": 1.5, "a": 1, "a": 2}', "a is given twice"),
         ("[" * 100_000, "not usable JSON"),
-        ("9" * 5000, "not usable JSON"),
+        ('{"id": "9", "a":\n -' + "9" * 5000 + "}", "line 2 column 2 is -9999.*a double can hold"),
+        ("[0, 1" + "0" * 309 + "]", "line 1 column 5 is 1000.*a double can hold"),
+        ("9" * 309, "line 1 column 1 is 9999.*a double can hold"),
     ],
 )
 def test_json_beyond_the_standard_is_refused(text, words):
@@ -506,10 +508,19 @@ def test_json_beyond_the_standard_is_refused(text, words):
         parse_json("f.json", text.encode())
 
 
-def test_toml_of_endless_nesting_or_digits_is_refused():
-    for text in ("a = " + "[" * 90_000, "a = " + "9" * 5000):
-        with pytest.raises(InputError, match=r"usable TOML|valid TOML"):
-            parse_toml("f.toml", text.encode())
+def test_an_integer_that_a_double_can_hold_is_read():
+    assert parse_json("f.json", b"[-1" + b"0" * 308 + b", 0, -0]") == [-(10**308), 0, 0]
+
+
+def test_toml_of_endless_nesting_is_refused():
+    with pytest.raises(InputError, match=r"usable TOML|valid TOML"):
+        parse_toml("f.toml", b"a = " + b"[" * 90_000)
+
+
+@pytest.mark.parametrize("digits", ["9" * 5000, "1_" * 4400 + "1"])
+def test_toml_of_endless_digits_is_refused_with_its_place(digits):
+    with pytest.raises(InputError, match=r"line 2 column 6 is [91_]*\.\.\., must be a finite number"):
+        parse_toml("f.toml", b"# don't\na = -" + digits.encode())
 
 
 def test_a_document_that_is_no_table_of_keys_is_refused():

@@ -74,7 +74,7 @@ def given(tmp_path, monkeypatch):
 
 
 def refused(capfd, arguments, *texts):
-    assert command.main(arguments) == command.EXIT_BAD_INPUT
+    assert command.main(arguments) == command.REFUSED
     error = capfd.readouterr().err
     assert error.startswith("cutgate sim: ")
     assert error.count("\n") == 1
@@ -83,7 +83,7 @@ def refused(capfd, arguments, *texts):
 
 def test_the_controller_starts_with_what_the_robot_file_says(given, capfd):
     arguments, processes = given
-    assert command.main([*arguments, "--time-scale", "5", "--fault", "hang@cutting"]) == command.EXIT_OK
+    assert command.main([*arguments, "--time-scale", "5", "--fault", "hang@cutting"]) == command.OK
     ((process, wake),) = processes
     assert process.controller.identity.serial.startswith("SIM-")
     assert process._options.time_scale == 5.0
@@ -223,7 +223,7 @@ def test_without_an_interface_the_default_is_taken(given, monkeypatch, more, cha
     opened = []
     monkeypatch.setattr(command, "default_interface", lambda: ("cutgate", "there"))
     monkeypatch.setattr(command, "open_bus", lambda *place, fd: opened.append((*place, fd)) or Bus())
-    assert command.main([*given[0][:4], *more]) == command.EXIT_OK
+    assert command.main([*given[0][:4], *more]) == command.OK
     assert opened == [("cutgate", channel, fd)]
     ((process, _),) = given[1]
     assert process.port.endpoint.is_fd(0x641) is fd
@@ -257,7 +257,7 @@ def test_a_bus_that_carries_our_frames_already_is_refused(given, capfd, monkeypa
     if used:
         refused(capfd, given[0], "already carries cutgate frames", f"0x{message.arbitration_id:03X}")
     else:
-        assert command.main(given[0]) == command.EXIT_OK
+        assert command.main(given[0]) == command.OK
 
 
 def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capfd, monkeypatch):
@@ -265,7 +265,7 @@ def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capfd, monk
         raise ValueError("one\ntwo")
 
     monkeypatch.setattr(command.Process, "run", fail)
-    assert command.main(given[0]) == command.EXIT_INTERNAL
+    assert command.main(given[0]) == command.INTERNAL
     assert capfd.readouterr().err == "cutgate sim: internal error: ValueError: one two\n"
 
 

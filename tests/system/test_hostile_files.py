@@ -50,7 +50,7 @@ HOSTILE = {
         lambda: b'{"poses": [], ' + b",".join(b'"%x":1' % number for number in range(5_000_000)) + b"}",
         "5000001 times ':'",
     ),
-    "an integer": ("plan.json", lambda: b'{"id": ' + b"9" * 60_000_000 + b"}", "not usable JSON"),
+    "an integer": ("plan.json", lambda: b'{"id": ' + b"9" * 60_000_000 + b"}", "line 1 column 8 is 999"),
     "a name": (
         "plan.json",
         lambda: b'{"schema": "cutgate.plan/1", "id": "' + b"9" * 30_000_000 + b'"}',
@@ -70,7 +70,7 @@ HOSTILE = {
     ),
     "nested tables": ("robot.toml", lambda: b"a = " + b"{a = " * 19_000, "not usable TOML"),
     "bits": ("robot.toml", lambda: ROBOT.replace(b"450.0", b"0x" + b"f" * 90_000, 1), "of 360000 bits"),
-    "digits": ("robot.toml", lambda: ROBOT.replace(b"450.0", b"9" * 90_000, 1), "not usable TOML"),
+    "digits": ("robot.toml", lambda: ROBOT.replace(b"450.0", b"9" * 90_000, 1), "column 17 is 999"),
 }
 
 

@@ -110,7 +110,15 @@ def test_a_terminal_that_hangs_up_stops_the_cut_in_order(rig):
 
 @pytest.mark.parametrize(
     "number",
-    [signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGRTMAX],
+    [
+        signal.SIGHUP,
+        signal.SIGQUIT,
+        signal.SIGABRT,
+        signal.SIGSYS,
+        signal.SIGTSTP,
+        signal.SIGTTIN,
+        signal.SIGRTMAX,
+    ],
     ids=lambda number: number.name,
 )
 def test_every_signal_that_would_end_or_suspend_the_runtime_stops_the_cut_in_order(rig, number):

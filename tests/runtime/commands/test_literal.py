@@ -154,6 +154,8 @@ READS_NOTHING = {
     "an inadmissible path": ["verify", "hip-stem", "--robot", "example", "--registration", "registration-first"],
     "help": ["--help"],
     "help of a command": ["verify", "--help"],
+    "help of the simulated controller": ["sim", "--help"],
+    "help of the hub": ["bus", "serve", "--help"],
     "version": ["--version"],
     "example": ["example", "{}/example"],
     "show": ["audit", "show", "{log}"],
@@ -186,7 +188,9 @@ def test_a_verdict_whose_messages_nobody_reads_stays_one(tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("arguments", [["--help"], ["verify", "tibial", "--robot", "example", "--json"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["sim", "--help"], ["verify", "tibial", "--robot", "example", "--json"]]
+)
 def test_output_that_finds_no_room_is_no_verdict_and_said_in_one_line(arguments):
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
@@ -212,7 +216,7 @@ def test_messages_that_find_no_room_change_no_code(tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS"])
+@pytest.mark.parametrize("name", ["FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "TTY_COMPATIBLE"])
 def test_help_in_a_pipe_has_no_sequences_whatever_is_forced(name):
     done = subprocess.run(
         program("cutgate.runtime.cli", "--help"),

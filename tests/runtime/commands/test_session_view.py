@@ -62,6 +62,17 @@ def test_an_emergency_stop_that_is_still_pressed_is_to_be_released_before_it_is_
     assert released.endswith("its cause is EMERGENCY_STOP: say acknowledge")
 
 
+def test_a_reset_is_asked_for_once_it_would_not_be_refused_for_a_heartbeat_that_is_about_to_come(capfd):
+    acknowledged = replace(READY.controller, cause=StopCause.NONE)
+    with SessionView(quiet_output=True) as view:
+        for fresh in (False, True, True):
+            state = in_phase(Phase.HELD, controller=acknowledged, heartbeat_fresh=fresh)
+            view.step(state, Said(Word.START), state, (), NOW)
+            assert bool(view._hold) == fresh
+    (told,) = capfd.readouterr().err.splitlines()
+    assert told.endswith("acknowledged; the fault is latched: say reset")
+
+
 def test_an_outcome_is_data_whatever_its_reason_and_its_files_are_called(capfd):
     state = in_phase(Phase.STOPPED, reason="bus\x1b[2J[/]")
     paths = Paths(

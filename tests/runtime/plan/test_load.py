@@ -241,7 +241,7 @@ BAD_PLANS = [
     (["poses", 1], [0, 0, 0, 0, 0, None], ("poses.1", "None", "six numbers")),
     (["poses", 1], [[0], 0, 0, 0, 0, 1], ("poses.1", "[[0]", "six numbers")),
     (["poses", 1], [10_001, 0, 0, 0, 0, 1], ("poses.1", "10001", "+-10000")),
-    (["poses", 1], [10**400, 0, 0, 0, 0, 1], ("poses", "integer", "+-10000")),
+    (["poses", 1], [10**400, 0, 0, 0, 0, 1], ("line 1 column", "10000", "a double can hold")),
     (["poses", 1], [0, 0, 0, 0, 0, 1.0011], ("poses.1", "1.0011", "length 1 within 0.001")),
     (["poses", 1], [0, 0, 0, 0, 0, 0], ("poses.1", "of length 0", "length 1")),
 ]

@@ -1,12 +1,13 @@
-"""Exit codes that mean the same for every command; 0 and 1 are each command's own."""
+"""Exit codes that mean the same for every command and program; 1 is each command's own."""
 
+OK = 0
 REFUSED = 2
 """An input file, an option or the bus was refused."""
 STOPPED = 3
 """``run``: stopped, by a person or a fault."""
 INTERNAL = 70
-INTERRUPTED = 130
 NOT_WRITTEN = 74
 """What was to be written does not fit where it was to go: no verdict's code may be given."""
+INTERRUPTED = 130
 READER_GONE = 141
 """Whoever was to read the result has gone: no verdict's code may be given, as by a program that SIGPIPE ends."""

@@ -13,6 +13,7 @@ import pytest
 from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.process import Options, Process, Word, middle_of
 from cutgate.firmware_sim.state import (
     BoneMoved,
@@ -24,7 +25,7 @@ from cutgate.firmware_sim.state import (
     PathChecked,
     Session,
 )
-from cutgate.protocol import records
+from cutgate.protocol import permit, records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerFault
 from cutgate.protocol.port import RETRY_S, Port
@@ -415,6 +416,46 @@ def test_what_is_measured_is_where_the_arm_stands(bench):
     one = bench()
     one.process._measure()
     assert one.process.controller.measured_u == (0, 72_500_000, 250_000_000, 0, 55_000_000)
+
+
+def test_a_stop_ends_the_check_of_a_path(bench, monkeypatch):
+    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.use_session(1)
+    one.process._block(records.split(PATH.body())[0])
+    one.process._feed(Fault(StopCause.OPERATOR_STOP))
+    checked = []
+    monkeypatch.setattr(PathCheck, "step", lambda _self, count: checked.append(count))
+    one.process._continue_check()
+    assert not checked
+
+
+def test_a_path_begun_before_a_stop_is_not_completed_after_it(bench):
+    """What lies between may have changed what the controller holds; a path is of one session, from its first block."""
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.use_session(1)
+    *blocks, last = records.split(pocket(poses=500, length_mm=1200.0).body())
+    for block in blocks:
+        one.process._block(block)
+    one.process._feed(Fault(StopCause.OPERATOR_STOP))
+    one.process.controller = _opened(one.process.controller)
+    one.process._block(last)
+    assert one.process._check is None
+    assert "path refused" in one.said[-1]
+
+
+def test_where_the_arm_stands_is_measured_anew_for_a_start(bench):
+    """Between the permit and the start somebody may have moved it."""
+    one = bench()
+    one.process.controller = _opened(one.process.controller)
+    one.process._measure()
+    q0, *rest = one.process._arm_state.joints
+    one.process._arm_state = replace(one.process._arm_state, joints=(q0 + math.radians(2.0), *rest))
+    start = permit.sign(KEY, records.Start(bytes(16), 1, bytes(32), bytes(32), (0,) * 5))
+    one.process._record(RecordReceived(start, records.Channel.CONTROL, 1, 1, 20, bytes(32)))
+    assert one.process.controller.measured_u == (2_000_000, 72_500_000, 250_000_000, 0, 55_000_000)
 
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):

@@ -808,6 +808,30 @@ def test_a_side_is_answered_once_a_heartbeat_that_echoed_the_peer_is_echoed():
     assert not runtime.answered, "another session begins with nothing"
 
 
+def test_what_was_sent_in_an_earlier_session_proves_nothing_in_this_one():
+    """Counters begin anew with each session; an echo of a later one than any sent is an echo of nothing."""
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 6)
+    for one in (runtime, controller):
+        one.open(TAG, now_s)
+    deliver(runtime, controller, CUT, now_s)  # the only one sent in this session: counter 0
+    assert not runtime.receive(*encode_frame(replace(CUTTING, echo=3), 0, TAG), now_s=now_s).fresh
+    assert runtime.receive(*encode_frame(replace(CUTTING, echo=0), 1, TAG), now_s=now_s).fresh
+
+
+def test_what_echoed_in_an_earlier_session_answers_nothing_in_this_one():
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 6)
+    for one in (runtime, controller):
+        one.open(TAG, now_s)
+    for _ in range(3):
+        deliver(
+            runtime, controller, CUT, now_s
+        )  # echoes nothing, as all of a session before the peer is heard
+    assert deliver(controller, runtime, CUTTING, now_s).fresh
+    assert not runtime.answered
+
+
 def test_an_echo_that_proves_nothing_answers_nothing():
     runtime, controller = pair()
     deliver(runtime, controller, CUT, 0.00)

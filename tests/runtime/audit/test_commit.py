@@ -136,6 +136,17 @@ def test_a_log_that_cannot_be_finished_is_not_closed(tmp_path, operation):
     assert [type(event) for event in events] == [Failed]
 
 
+def test_a_log_is_closed_only_when_all_of_both_files_is_on_the_disk(tmp_path):
+    disk = WatchedDisk()
+    thread = Thread(tmp_path, disk)
+    thread.committer.submit(Append(b"abc", b"some frames"))
+    before = {}
+    disk.trouble = lambda name, _count: before.update(disk.synced) if name == "replace" else None
+    assert isinstance(thread.finish()[-1], Closed)
+    log, frames = (descriptor for descriptor, _ in (thread.files.log, thread.files.frames))
+    assert before == {log: len(b"abc"), frames: len(b"some frames")}, "when HEAD was about to say closed"
+
+
 def test_an_error_of_any_kind_is_reported(tmp_path):
     def trouble(_name, _count):
         raise RuntimeError("unexpected")

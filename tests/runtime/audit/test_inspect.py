@@ -248,6 +248,14 @@ def rechunked(data, change, **fields):
     return joined(entries)
 
 
+def first_schema(content):
+    """The first schema of a chunk once more, byte for byte."""
+    at = 0
+    while content[at] != Opcode.SCHEMA:
+        at += 9 + struct.unpack_from("<Q", content, at + 1)[0]
+    return content[at : at + 9 + struct.unpack_from("<Q", content, at + 1)[0]]
+
+
 MESSAGE = Message(channel_id=1, log_time=1, data=b"{}", publish_time=1, sequence=9)
 
 
@@ -287,6 +295,7 @@ def test_bytes_after_the_end_are_tampered(data, tail):
         (lambda content: content + packed(MESSAGE), "times are not those"),
         (lambda content: content + packed(replace(MESSAGE, channel_id=99)), "names no channel"),
         (lambda content: content + packed(Schema(1, b"", "", "x")), "given twice"),
+        (lambda content: content + first_schema(content), "schema 1 is given twice"),
         (lambda content: content + packed(Schema(0, b"", "", "x")), "has no number"),
         (lambda content: content + packed(Channel(9, "t", "json", {}, 99)), "names no schema"),
         (lambda content: content + packed(Header("", "")), "does not belong into a chunk"),

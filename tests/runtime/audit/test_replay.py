@@ -512,6 +512,14 @@ def test_nothing_leaves_without_its_authorisation(admitted, kind):
     differs(forged, f"a {kind} left without a record that authorised it")
 
 
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_another_record_of_the_same_kind_authorises_nothing(admitted, kind):
+    """As one that was authorised and withheld, and then left all the same under another number."""
+    when = stage(kind, "sent")
+    forged = forge(admitted, changed(records.Permit, when, token=9))
+    differs(forged, f"a {kind} left without a record that authorised it")
+
+
 def test_no_start_leaves_without_an_acknowledged_permit(admitted):
     differs(
         forge(admitted, left_out(records.Permit, stage("permit", "acknowledged"))), "without an acknowledged"

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from cutgate.protocol.frames import RuntimeHeartbeat
+from cutgate.protocol.frames import ControllerHeartbeat, RuntimeHeartbeat
+from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock.state import ENDED, Phase
 from tests.runtime.session.wire import Clock
@@ -37,6 +38,21 @@ def test_a_runtime_that_wakes_up_discards_what_queued_and_says_that_it_stalled(c
     assert cutting.state.cause is StopCause.LOOP_STALLED
     assert "frames discarded" in cutting.state.reason
     assert cutting.end() is Phase.STOPPED
+
+
+@pytest.mark.parametrize("side", Side)
+def test_no_heartbeat_of_a_turn_that_stalled_says_what_was_right_before_it(cutting, side):
+    """The clocks are looked at and the table is fed before the heartbeat: what it says was decided in this turn."""
+    cutting.runtime_turns = side is Side.CONTROLLER
+    cutting.controller_turns = side is Side.RUNTIME
+    cutting.run(0.11)
+    cutting.runtime_turns = cutting.controller_turns = True
+    kind = RuntimeHeartbeat if side is Side.RUNTIME else ControllerHeartbeat
+    before = len(cutting.wire.frames(kind))
+    cutting.turn()
+    assert StopCause.NONE not in {beat.cause for _, beat in cutting.wire.frames(kind)[before:]}
+    assert cutting.state.cause is not StopCause.NONE
+    assert cutting.controller.cause is not StopCause.NONE
 
 
 def test_a_gap_as_long_as_the_time_out_is_not_a_stall(cutting):

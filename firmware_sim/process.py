@@ -58,7 +58,8 @@ from cutgate.firmware_sim.state import (
 )
 from cutgate.firmware_sim.table import step
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
+from cutgate.protocol.cycle import Cycle
+from cutgate.protocol.endpoint import RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     FRACTION_MAX,
     ControllerFault,
@@ -71,7 +72,7 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted, Violation
 from cutgate.protocol.path import PathHeader
 from cutgate.protocol.permit import fingerprint
-from cutgate.protocol.port import RETRY_S, Port
+from cutgate.protocol.port import Port
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
 FIRMWARE_VERSION = "sim-0.1"
@@ -80,7 +81,6 @@ OFF_START_DEG = 2.0
 HANG_S = 1.0
 DRIFT_DEG_S = 1.0
 RUSH = 3.0
-IDLE_HEARTBEAT_S = 0.02
 
 
 class Word(StrEnum):
@@ -149,9 +149,8 @@ class Process:
         self._faults = list(options.faults)
         self._silent = False
         self._undelivered = ""
-        self._turn_s = clock()
-        self._next_heartbeat_s = self._turn_s
-        self._next_announce_s = self._turn_s
+        self._cycle = Cycle(port, clock)
+        self._next_announce_s = self._cycle.now_s
         self._assembly = records.Assembly()
         self._check: PathCheck | None = None
         self._checked_path = b""
@@ -176,7 +175,7 @@ class Process:
         if self._words_descriptor is not None:
             poller.register(self._words_descriptor, select.POLLIN)
         while True:
-            ready = {descriptor for descriptor, _ in poller.poll(self._wait_ms())}
+            ready = {descriptor for descriptor, _ in poller.poll(1000.0 * self._wait_s())}
             if wake in ready:
                 self._feed(Fault(StopCause.OPERATOR_QUIT))
                 self.port.flush_last()
@@ -205,17 +204,18 @@ class Process:
             raise
 
     def _turn(self, ready: Collection[int]) -> None:
-        now_s = self._clock()
-        gap_s, self._turn_s = now_s - self._turn_s, now_s
-        self._look_at_clocks(gap_s, now_s)
-        for item in self._read_bus(now_s):
+        cycle = self._cycle
+        cycle.begin()
+        for violation in cycle.late():
+            self._late(violation)
+        for item in cycle.read():
             self._item(item)
         self._read_words(ready)
         self._continue_check()
         self._feed(Tick())
-        self._move(gap_s)
+        self._move(cycle.gap_s)
         self._inject()
-        self._speak(now_s)
+        self._speak(cycle.now_s)
         if not self._silent:
             self.port.flush()
 
@@ -232,10 +232,8 @@ class Process:
         self._remember(self.controller.memory)
 
     def _leave_now(self) -> None:
-        """Send what is queued before something that may take long; a bus that fails here fails in the turn as well."""
         if not self._silent:
-            with contextlib.suppress(can.CanError):
-                self.port.flush()
+            self.port.leave_now()
 
     def _remember(self, wanted: Memory) -> bool:
         """Write non-volatile memory; False, said once until it works again, where it cannot be written."""
@@ -249,14 +247,10 @@ class Process:
         self._memory_works = True
         return True
 
-    def _wait_ms(self) -> float:
+    def _wait_s(self) -> float:
         if self._check is not None:
             return 0.0
-        due = self._next_heartbeat_s if self._link_open else self._next_announce_s
-        left_s = min(due, self.port.endpoint.link.expires_s) - self._clock()
-        if self.port.waits:
-            left_s = min(left_s, RETRY_S)
-        return max(0.0, left_s * 1000.0)
+        return self._cycle.wait_s(None if self._link_open else self._next_announce_s)
 
     @property
     def _words_descriptor(self) -> int | None:
@@ -266,28 +260,12 @@ class Process:
     def _link_open(self) -> bool:
         return self.port.endpoint.link.is_open
 
-    def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
-        """Clocks first: a stalled loop, a lost peer, a late transfer."""
-        link = self.port.endpoint.link
-        if self._link_open and not gap_s <= link.timeout_s:
-            dropped = self.port.discard()
-            self._say(f"loop stalled for {gap_s * 1000:.0f} ms, {dropped} frames discarded")
-            self._feed(Fault(StopCause.LOOP_STALLED))
-        for violation in self.port.endpoint.expire(now_s):
-            lost = violation.cause is StopCause.HEARTBEAT_LOST
-            self._feed(HeartbeatLost() if lost else Fault(violation.cause))
+    def _late(self, violation: Violation) -> None:
+        self._say(violation.detail)
+        lost = violation.cause is StopCause.HEARTBEAT_LOST
+        self._feed(HeartbeatLost() if lost else Fault(violation.cause))
 
     # ------------------------------------------------------------ what arrives
-
-    def _read_bus(self, now_s: float) -> list[Item]:
-        """What waits on the bus; nothing of it counts if the loop stood still since it looked at the clock."""
-        items, link = self.port.read(now_s), self.port.endpoint.link
-        gap_s = self._clock() - now_s
-        if not link.is_open or gap_s <= link.timeout_s:
-            return items
-        self._say(f"loop stalled for {gap_s * 1000:.0f} ms at the bus, {len(items)} items discarded")
-        self._feed(Fault(StopCause.LOOP_STALLED))
-        return []
 
     def _item(self, item: object) -> None:
         match item:
@@ -295,6 +273,8 @@ class Process:
                 self._feed(HeartbeatReceived(beat.code, beat.epoch, beat.cause, fresh))
             case Accepted(frame=RuntimeStop() as stop):
                 self._feed(StopReceived(stop.code, stop.cause))
+            case Violation(cause=StopCause.LOOP_STALLED):
+                self._late(item)
             case Violation():
                 self._say(f"refused: {item.detail}")
                 self._feed(Fault(item.cause))
@@ -466,7 +446,7 @@ class Process:
                 endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
                 endpoint.use_session(session.tag)
                 endpoint.link.open(session.tag, self._clock())
-                self._next_heartbeat_s = self._clock()
+                self._cycle.next_heartbeat_s = self._clock()
             case CloseLink():
                 endpoint.end_session()
                 self._next_announce_s = self._clock() + self._options.announce_s
@@ -571,16 +551,13 @@ class Process:
     def _speak(self, now_s: float) -> None:
         """Heartbeat, joints and progress in a session; announcements outside one."""
         if self._link_open:
-            if now_s >= self._next_heartbeat_s or self.port.endpoint.heartbeat_waits:
+            if self._cycle.heartbeat_due():
                 self._heartbeat(now_s)
         elif now_s >= self._next_announce_s:
             self._announce(now_s)
 
     def _heartbeat(self, now_s: float) -> None:
         endpoint, controller = self.port.endpoint, self.controller
-        if now_s >= self._next_heartbeat_s:  # else in place of one that has not left
-            period_s = endpoint.link.heartbeat_s
-            self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
         endpoint.send_frame(
             ControllerHeartbeat(
                 state=controller.state,

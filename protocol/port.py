@@ -106,6 +106,18 @@ class Port:
         self.waits = not self.endpoint.hand_out(self._send)
         return not self.waits
 
+    def leave_now(self) -> can.CanError | None:
+        """As ``flush``, before anything that may take long; also on a bus that has failed, which may still be written.
+
+        Returns:
+            The failure of the bus, None where there is none: it fails in the next ``flush`` as well.
+        """
+        try:
+            self.flush()
+        except can.CanError as error:
+            return error
+        return None
+
     def flush_last(self, pause: Callable[[float], None] = time.sleep) -> bool:
         """The last words before this side falls silent: as ``flush``, again for a bounded time while some wait.
 

@@ -73,7 +73,7 @@ CUES: Final = (
 
 
 LATE: Final = frozenset({StopCause.HEARTBEAT_LOST.name, StopCause.LOOP_STALLED.name})
-STALLED: Final = "loop stalled"
+STALLED: Final = "the loop stood still"
 """What the controller says of its own lateness."""
 TOO_BUSY: Final = (
     "runtime and controller share this machine, and one of them did not get the processor in time: run the demo again with "

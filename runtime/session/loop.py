@@ -18,7 +18,8 @@ import can
 from cutgate.config.terminal import WordReader
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
+from cutgate.protocol.cycle import Cycle
+from cutgate.protocol.endpoint import RecordReceived, Undelivered
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -28,7 +29,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.path import PathHeader
-from cutgate.protocol.port import RETRY_S, Port
+from cutgate.protocol.port import Port
 from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Durable, Reserved
@@ -204,9 +205,8 @@ class Session:
         self._random = random
         self._blocks = records.split(state.job.path)
         self._segments = PathHeader.of(state.job.path).count - 1
-        self._turn_s = clock()
+        self._cycle = Cycle(port, clock)
         self._pauses = Pauses(state.job.timing)
-        self._next_heartbeat_s = self._turn_s
         self._interrupted = False
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
@@ -251,12 +251,9 @@ class Session:
             raise
 
     def _wait(self, wake: int) -> set[int]:
-        due_s = min(self._next_heartbeat_s, self._port.endpoint.link.expires_s) - self._clock()
-        if self._port.waits:
-            due_s = min(due_s, RETRY_S)
-        if self._steps is not None or self._checked:
-            due_s = 0.0
-        ready = {descriptor for descriptor, _ in self._poller.poll(max(0.0, due_s * 1000.0))}
+        busy = self._steps is not None or self._checked
+        wait_s = 0.0 if busy else self._cycle.wait_s()
+        ready = {descriptor for descriptor, _ in self._poller.poll(wait_s * 1000.0)}
         if wake in ready:
             os.read(wake, 4096)
         return ready
@@ -274,17 +271,17 @@ class Session:
             raise
 
     def _turn(self, ready: set[int]) -> None:
-        now_s = self._clock()
-        gap_s, self._turn_s = now_s - self._turn_s, now_s
-        self._pauses.turn(gap_s, now_s)
+        cycle = self._cycle
+        cycle.begin()
+        self._pauses.turn(cycle.gap_s, cycle.now_s)
         try:
-            self._look_at_clocks(gap_s, now_s)
-            for item in self._read_bus(now_s):
+            self._look_at_clocks()
+            for item in cycle.read():
                 self._item(item)
-            self._read_disk(now_s)
+            self._read_disk(cycle.now_s)
             self._read_worker(ready)
             self._read_words(ready)
-            self._heartbeat(now_s)
+            self._heartbeat()
             self._port.flush()
             self._go_on_checking()
             if self._bus_error is not None:
@@ -327,46 +324,31 @@ class Session:
             endpoint.send_frame(RuntimeStop(StopCode.STOP, cause), self._clock())
             self._leave_now()
 
-    def _look_at_clocks(self, gap_s: float, now_s: float) -> None:
+    def _look_at_clocks(self) -> None:
         """Clocks first: a stalled loop, a lost peer, a late transfer, a slow disk, what the table waits for."""
-        endpoint, log = self._port.endpoint, self._journal.log
-        if endpoint.link.is_open and not gap_s <= endpoint.link.timeout_s:
-            dropped = self._port.discard()
-            reason = f"the loop stood still for {gap_s * 1000:.0f} ms; {dropped} frames discarded"
-            self._feed(Failed(StopCause.LOOP_STALLED, reason))
-        for violation in endpoint.expire(now_s):
+        now_s = self._cycle.now_s
+        for violation in self._cycle.late():
             lost = violation.cause is StopCause.HEARTBEAT_LOST
             failed = Failed(violation.cause, violation.detail)
             self._feed(HeartbeatLost(self._pauses.longest_ms(now_s)) if lost else failed)
-        if not log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
+        if not self._journal.log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))
         self._feed(Tick())
 
     # ------------------------------------------------------------ what arrives
 
-    def _read_bus(self, now_s: float) -> list[Item]:
-        """What waits on the bus; nothing of it counts if the loop stood still since it looked at the clock."""
-        items, link = self._port.read(now_s), self._port.endpoint.link
-        gap_s = self._clock() - now_s
-        if not link.is_open or gap_s <= link.timeout_s:
-            return items
-        reason = f"the loop stood still for {gap_s * 1000:.0f} ms at the bus; {len(items)} items discarded"
-        self._feed(Failed(StopCause.LOOP_STALLED, reason))
-        return []
-
     def _item(self, item: object) -> None:
         match item:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
-                answered = (
-                    self._port.endpoint.link.answered
-                )  # else the controller would refuse what is enabled on it
-                self._feed(HeartbeatReceived(_view_of(beat), fresh and answered))
+                # Before it is answered, the controller would refuse what is enabled on it.
+                young = fresh and self._port.endpoint.link.answered
+                self._feed(HeartbeatReceived(_view_of(beat), young))
             case Accepted(sample=JointSample() as sample):
                 self.joints_u = records.joints_to_counts(sample.joints)
                 self._feed(JointsMeasured(self.joints_u, sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
-                self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._turn_s)))
+                self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._cycle.now_s)))
             case Accepted(frame=Progress() as progress):
                 self.progress = (progress.segment, progress.fraction)
                 self._view.progress(progress.segment, self._segments)
@@ -557,7 +539,7 @@ class Session:
                 endpoint.use_session(session.tag)
             case OpenLink(session=session):
                 endpoint.link.open(session.tag, now_s)
-                self._next_heartbeat_s = now_s
+                self._cycle.next_heartbeat_s = now_s
             case Verify():
                 self._verify(effect)
             case Commit() | Withheld() | Refused() | Dropped() | Deviation():
@@ -572,14 +554,8 @@ class Session:
         self._port.endpoint.stop_sending()
 
     def _leave_now(self) -> None:
-        """Send what is queued: also on a bus that has failed, which may still be written.
-
-        A bus that fails here stops this turn, after the step that ordered it is recorded.
-        """
-        try:
-            self._port.flush()
-        except can.CanError as error:
-            self._bus_error = error
+        """A bus that fails here stops this turn, after the step that ordered it is recorded."""
+        self._bus_error = self._port.leave_now() or self._bus_error
 
     def _leave_last(self) -> None:
         """No turn follows: a stop or end that waits for room on the bus is tried for a bounded time."""
@@ -608,16 +584,12 @@ class Session:
         self._worker.submit(self._check.request(wanted.request, wanted.start_joints_u, held))
         self._steps = self._check.steps(wanted.request, wanted.start_joints_u)
 
-    def _heartbeat(self, now_s: float) -> None:
-        """One that is due, and one in place of any that has not left: what leaves was made in this turn."""
-        endpoint = self._port.endpoint
-        due = now_s >= self._next_heartbeat_s
-        if due:
-            period_s = endpoint.link.heartbeat_s
-            self._next_heartbeat_s = max(self._next_heartbeat_s + period_s, now_s)
-        if endpoint.link.is_open and (due or endpoint.heartbeat_waits):
-            code = HEARTBEAT_CODE.get(self.state.phase, RuntimeCode.INHIBIT)
-            endpoint.send_frame(RuntimeHeartbeat(code, self.state.epoch, self.state.cause), now_s)
+    def _heartbeat(self) -> None:
+        """What leaves was made in this turn."""
+        endpoint, state = self._port.endpoint, self.state
+        if self._cycle.heartbeat_due() and endpoint.link.is_open:
+            code = HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
+            endpoint.send_frame(RuntimeHeartbeat(code, state.epoch, state.cause), self._cycle.now_s)
 
 
 def spoken(text: Word | str) -> Said | None:

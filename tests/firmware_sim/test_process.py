@@ -193,14 +193,14 @@ def test_the_loop_ends_with_its_bus(bench):
 
 def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(bench, monkeypatch):
     one = bench(announce_s=5.0)
-    monkeypatch.setattr(one.process, "_clock", lambda: 60.0)
+    monkeypatch.setattr(one.process._cycle, "_clock", lambda: 60.0)
     one.bus.room = 0
     one.process.turn()
     assert one.process.port.waits
-    assert one.process._wait_ms() == 1000.0 * RETRY_S
+    assert one.process._wait_s() == RETRY_S
     one.bus.room = 1
     one.process.turn()
-    assert one.process._wait_ms() == pytest.approx(5000.0)
+    assert one.process._wait_s() == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -217,7 +217,7 @@ def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
 
     monkeypatch.setattr(one.process.port, "flush_last", lambda: flush_last(pause))
     if fails:
-        monkeypatch.setattr(one.process, "_look_at_clocks", lambda *_: 1 / 0)
+        monkeypatch.setattr(one.process._cycle, "late", lambda: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             one.process.turn()
     else:
@@ -464,7 +464,7 @@ def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
     one.process.controller = _opened(one.process.controller)
     one.process.port.endpoint.use_session(1)
     one.process._block(records.split(PATH.body())[0])
-    assert one.process._wait_ms() == 0.0
+    assert one.process._wait_s() == 0.0
     for _ in range(len(PATH) + 1):
         one.process._continue_check()
     assert one.process.controller.state is ControllerState.LOADED

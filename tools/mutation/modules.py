@@ -22,6 +22,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
         "tests/firmware_sim/test_remembering.py",
     ),
     "firmware_sim/rules.py": ("tests/firmware_sim/test_rules.py",),
+    "protocol/cycle.py": ("tests/protocol/test_cycle.py",),
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),
     "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),

@@ -77,7 +77,7 @@ def test_two_sessions_as_told_are_a_success(played):
 def test_a_demo_that_is_late_says_which_side_by_how_much_what_to_do_and_what_is_left(played, late, tmp_path):
     sessions = [ran(FIRST), ran(SECOND)]
     sessions[late] |= LATE
-    stalled = "loop stalled for 612 ms, 9 frames discarded"
+    stalled = "the loop stood still for 612 ms; 9 frames discarded"
     code, document, said, begun = played(*sessions, stalled=[stalled])
     assert code == 3
     assert begun == [FIRST, SECOND][: late + 1], "nothing is begun that nobody would acknowledge"

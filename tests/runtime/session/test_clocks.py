@@ -184,6 +184,6 @@ def test_however_the_heartbeats_lie_to_each_other_a_short_path_is_permitted(pair
     """It is verified within one heartbeat: then the runtime's own may not yet have echoed one of the controller's."""
     slow = replace(pair.job.timing, heartbeat_ms=100, timeout_ms=1000)
     pair.begin(replace(pair.job, timing=slow)).to(Phase.COLLECTING)
-    pair.session._next_heartbeat_s -= earlier_s
+    pair.session._cycle.next_heartbeat_s -= earlier_s
     pair.to(Phase.PERMITTED, *ENDED)
     assert pair.phase is Phase.PERMITTED, pair.state.reason

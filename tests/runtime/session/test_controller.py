@@ -86,7 +86,7 @@ def test_a_reboot_ends_the_session(pair, state):
 def test_a_path_that_was_being_checked_does_not_survive_a_reboot(pair, monkeypatch):
     monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
     pair.begin().until(lambda: pair.process._check is not None)
-    assert pair.process._wait_ms() == 0.0
+    assert pair.process._wait_s() == 0.0
     pair.process._happen(FaultName.REBOOT)
     assert pair.process._check is None
     pair.end()

@@ -86,7 +86,7 @@ def test_the_last_word_of_a_session_is_tried_until_there_is_room(pair, monkeypat
         """The last one: the operator quits, or the program fails; either way the bus takes nothing."""
         node.room = node._left = 0
         if fails:
-            monkeypatch.setattr(session, "_read_bus", lambda _now_s: 1 / 0)
+            monkeypatch.setattr(session._cycle, "read", lambda: 1 / 0)
         else:
             pair.terminal.type("quit")
         last_turn({pair.terminal.reader.descriptor})
@@ -127,7 +127,7 @@ def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(pair, monkeypatch
     pair.to(Phase.PERMITTED)
     waits_ms: list[float] = []
     monkeypatch.setattr(pair.session, "_poller", Poller())
-    pair.until(lambda: pair.session._next_heartbeat_s - pair.clock() > 2 * RETRY_S)
+    pair.until(lambda: pair.session._cycle.next_heartbeat_s - pair.clock() > 2 * RETRY_S)
     pair.session._wait(-1)
     pair.session._port.waits = True
     pair.session._wait(-1)

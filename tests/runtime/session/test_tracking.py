@@ -225,7 +225,7 @@ def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, 
     """The runtime did not turn for less than its time-out; one of the samples that wait was measured off the path."""
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT, 0.1)
-    pair.until(lambda: pair.process._next_heartbeat_s - pair.clock() > 0.015)  # between two samples
+    pair.until(lambda: pair.process._cycle.next_heartbeat_s - pair.clock() > 0.015)  # between two samples
     pair.runtime_turns = False
     for number in range(waiting):
         measured = len(pair.wire.frames(Joint4))

@@ -1,0 +1,107 @@
+"""One cycle of a control loop, as both sides of the bus keep it: what came too late, what arrived, what is due.
+
+A loop that stood still must not act on what queued meanwhile, a heartbeat is sent only by a cycle that has looked at
+its clock, and nothing is waited for beyond the time at which something would be too late.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from cutgate.protocol.endpoint import Item
+from cutgate.protocol.link import Violation
+from cutgate.protocol.port import RETRY_S, Port
+from cutgate.protocol.states import StopCause
+
+MS_PER_S: Final = 1000.0
+
+
+class Cycle:
+    """The clock of one side's loop.
+
+    In each cycle, in this order::
+
+        poller.poll(1000.0 * cycle.wait_s())
+        cycle.begin()
+        for violation in cycle.late():  # feed each to the table before the next is asked for
+            ...
+        for item in cycle.read():
+            ...
+        if cycle.heartbeat_due():  # the last act but one: all that it says was decided in this cycle
+            port.endpoint.send_frame(heartbeat, cycle.now_s)
+        port.flush()
+
+    Args:
+        port: this side of the bus.
+        clock: monotonic seconds.
+
+    Attributes:
+        now_s: when this cycle began.
+        gap_s: so long after the one before.
+        next_heartbeat_s: when one is due; whoever opens a session sets it.
+    """
+
+    def __init__(self, port: Port, clock: Callable[[], float]) -> None:
+        self._port = port
+        self._clock = clock
+        self.now_s = self.next_heartbeat_s = clock()
+        self.gap_s = 0.0
+
+    def wait_s(self, next_s: float | None = None) -> float:
+        """How long there is nothing to do unless something arrives, s.
+
+        Args:
+            next_s: when something is due, for a side that sends no heartbeats now.
+        """
+        due_s = self.next_heartbeat_s if next_s is None else next_s
+        left_s = min(due_s, self._port.endpoint.link.expires_s) - self._clock()
+        if self._port.waits:  # nothing wakes a loop when a full transmit queue has room again
+            left_s = min(left_s, RETRY_S)
+        return max(0.0, left_s)
+
+    def begin(self) -> None:
+        """Look at the clock."""
+        now_s = self._clock()
+        self.gap_s, self.now_s = now_s - self.now_s, now_s
+
+    def late(self) -> Iterator[Violation]:
+        """What time alone has brought about: this loop stood still, the peer is lost, a transfer did not end.
+
+        One after the other: what the first of them voids is not too late as well.
+
+        Raises:
+            can.CanError: the bus has failed.
+        """
+        if not self._in_time(self.gap_s):
+            yield self._stalled(self.gap_s, f"{self._port.discard()} frames discarded")
+        yield from self._port.endpoint.expire(self.now_s)
+
+    def read(self) -> list[Item]:
+        """What arrived; nothing of it counts if the loop stood still at the bus, since it looked at its clock.
+
+        Raises:
+            can.CanError: the bus has failed.
+        """
+        items = self._port.read(self.now_s)
+        gap_s = self._clock() - self.now_s
+        return (
+            items
+            if self._in_time(gap_s)
+            else [self._stalled(gap_s, f"{len(items)} items discarded at the bus")]
+        )
+
+    def heartbeat_due(self) -> bool:
+        """Whether this cycle makes a heartbeat: one is due, or takes the place of one that has not left. Ask once."""
+        due = self.now_s >= self.next_heartbeat_s
+        if due:
+            period_s = self._port.endpoint.link.heartbeat_s
+            self.next_heartbeat_s = max(self.next_heartbeat_s + period_s, self.now_s)
+        return due or self._port.endpoint.heartbeat_waits
+
+    def _in_time(self, gap_s: float) -> bool:
+        link = self._port.endpoint.link
+        return not link.is_open or gap_s <= link.timeout_s
+
+    def _stalled(self, gap_s: float, discarded: str) -> Violation:
+        return Violation(
+            StopCause.LOOP_STALLED, f"the loop stood still for {gap_s * MS_PER_S:.0f} ms; {discarded}"
+        )

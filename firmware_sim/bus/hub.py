@@ -26,9 +26,10 @@ from pathlib import Path
 from typing import Final, Self, TextIO
 
 from cutgate.config.signals import wake
-from cutgate.firmware_sim.bus import candump, wire
+from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.peer import peer_of
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.protocol import candump
 
 QUEUE_FRAMES: Final = 65_536
 MAX_CLIENTS: Final = 64
@@ -304,7 +305,7 @@ class Hub:
     def _write_log(self, frame: Record) -> None:
         assert self._log is not None  # noqa: S101 - narrowed by the caller
         try:
-            self._log.write(candump.line(frame, self._log_name))
+            self._log.write(log_line(frame, self._log_name))
         except OSError as error:
             raise HubError(
                 f"log {self._log.name} cannot be written: {error.strerror}; free some space"
@@ -409,3 +410,24 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     return status.st_dev, status.st_ino
+
+
+def log_line(frame: Record, name: str) -> str:
+    """A frame that ``wire.check_frame`` accepts, with the hub's time, as a line of its log."""
+
+    def has(flag: Flag) -> bool:
+        return bool(frame.flags & flag)
+
+    return candump.line(
+        frame.time_ns,
+        name,
+        frame.number,
+        frame.data,
+        is_extended=has(Flag.EXTENDED),
+        is_remote=has(Flag.REMOTE),
+        is_error=has(Flag.ERROR),
+        is_fd=has(Flag.FD),
+        bit_rate_switch=has(Flag.BIT_RATE_SWITCH),
+        error_state=has(Flag.ERROR_STATE),
+        remote_length=frame.length if has(Flag.REMOTE) else 0,
+    )

@@ -235,31 +235,10 @@ class AuditLog:
         digest = sha256(data).hexdigest()
         self.write(records.Attachment(name=name, media_type=media_type, sha256=digest, size=len(data)))
 
-    def raw_frame(
-        self,
-        utc_ns: int,
-        interface: str,
-        arbitration_id: int,
-        data: bytes,
-        *,
-        extended: bool = False,
-        remote: bool = False,
-        fd: bool = False,
-        bit_rate_switch: bool = False,
-    ) -> None:
-        """Add a frame to the file of raw frames (``candump -L`` lines)."""
+    def raw_frame(self, line: bytes) -> None:
+        """Add a frame to the file of raw frames: its line of ``protocol.candump``."""
         if self._stopped:
             return
-        line = candump_line(
-            utc_ns,
-            interface,
-            arbitration_id,
-            data,
-            extended=extended,
-            remote=remote,
-            fd=fd,
-            bit_rate_switch=bit_rate_switch,
-        )
         self._frames.append(line)
         self._frames_hash.update(line)
         self._frames_bytes += len(line)
@@ -400,24 +379,6 @@ class AuditLog:
         if data:
             self._handed += len(data)
             self._pending.append((self._handed, self._now_s))
-
-
-def candump_line(
-    utc_ns: int,
-    interface: str,
-    arbitration_id: int,
-    data: bytes,
-    *,
-    extended: bool = False,
-    remote: bool = False,
-    fd: bool = False,
-    bit_rate_switch: bool = False,
-) -> bytes:
-    """One line of ``candump -L``; FD frames with the flags that the kernel gives them (4 FD, 1 bit rate switch)."""
-    seconds, rest = divmod(utc_ns, 1_000_000_000)
-    identifier = f"{arbitration_id:08X}" if extended else f"{arbitration_id:03X}"
-    content = "R" if remote else f"#{4 | bit_rate_switch:X}" * fd + data.hex().upper()
-    return f"({seconds}.{rest // 1000:06d}) {interface} {identifier}#{content}\n".encode()
 
 
 def cpu_dispatch() -> tuple[str, ...]:

@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 from typing import Any, Literal
 
-from cutgate.protocol import records
+from cutgate.protocol import candump, records
 from cutgate.protocol.differences import differences
 from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.port import Passed
 from cutgate.protocol.states import Purpose, Refusal, StopCause
 from cutgate.runtime.audit import names
@@ -67,7 +68,7 @@ ATTACHED = {"limits": names.LIMITS, "calibration": names.CALIBRATION, "tool": na
 QUIET = (HeartbeatReceived, JointsMeasured, ProgressReported, Tick)
 """Events that are recorded only when they change the phase or order something."""
 
-TRANSFER_FRAMES = range(0x600, 0x650)
+TRANSFER_FRAMES = frozenset((*CONTROL_IDS, *BULK_IDS))
 """Recorded as whole records; their frames are in the candump log."""
 
 SHOWN: dict[Phase, tuple[Evaluate, ...]] = {
@@ -355,17 +356,19 @@ class Journal:
     def frame(self, passed: Passed) -> None:
         """One frame that passed the bus; transfers' frames go to the candump file only."""
         utc_ns = time.time_ns()
-        self.log.raw_frame(
+        line = candump.line(
             utc_ns,
             self._interface,
             passed.can_id,
             passed.data,
-            extended=passed.is_extended,
-            remote=passed.is_remote,
-            fd=passed.is_fd,
+            is_extended=passed.is_extended,
+            is_remote=passed.is_remote,
+            is_error=passed.is_error,
+            is_fd=passed.is_fd,
             bit_rate_switch=passed.bit_rate_switch,
         )
-        if passed.can_id in TRANSFER_FRAMES:
+        self.log.raw_frame(line.encode())
+        if passed.can_id in TRANSFER_FRAMES and not (passed.is_extended or passed.is_error):
             return
         self.log.write(
             audit.CanFrame(

@@ -12,8 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cutgate.protocol import records
-from cutgate.runtime.audit.log import candump_line
+from cutgate.protocol import candump, records
 from cutgate.runtime.audit.records import CanFrame, Time
 from cutgate.runtime.interlock.state import Job, Timing
 from cutgate.runtime.kinematics.arm import TURN
@@ -76,7 +75,7 @@ def space(seconds: float, timing: Timing, *, chunk_period_s: float, interface: s
         interface: the bus's name in the raw frames.
     """
     frames = math.ceil(seconds * 1000.0 / timing.heartbeat_ms) * FRAMES_PER_HEARTBEAT
-    line = len(candump_line(_LATEST_NS, interface, 0x7FF, bytes(8)))
+    line = len(candump.line(_LATEST_NS, interface, 0x7FF, bytes(8)))
     record = len(_widest().encode()) + MESSAGE_BYTES
     chunks = math.ceil(seconds / chunk_period_s)
     log = FIXED_BYTES + frames * record + chunks * CHUNK_BYTES

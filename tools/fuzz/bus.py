@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from can.io.canutils import CanutilsLogReader
 
-from cutgate.firmware_sim.bus import candump, client, wire
+from cutgate.firmware_sim.bus import client, wire
+from cutgate.firmware_sim.bus.hub import log_line
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.records import Side
@@ -44,7 +45,7 @@ def check(data: bytes) -> None:
 
 def _logged(record: Record) -> None:
     """The log line is one, and python-can reads the same frame from it."""
-    line = candump.line(record, "vcan0")
+    line = log_line(record, "vcan0")
     expect(LINE.fullmatch(line) is not None, f"{line!r} is a line of candump")
     if record.flags & Flag.ERROR or record.time_ns > YEAR_2100_NS:
         return  # python-can keeps no data of an error frame; floats hold no microseconds far from now

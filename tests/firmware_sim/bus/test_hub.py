@@ -14,10 +14,10 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from cutgate.firmware_sim.bus import candump, peer, wire
 from cutgate.firmware_sim.bus import hub as hub_module
+from cutgate.firmware_sim.bus import peer, wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
-from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served
+from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served, log_line
 from cutgate.firmware_sim.bus.wire import Flag, Kind, Record
 
 WAIT_S = 20.0
@@ -429,7 +429,7 @@ def test_every_frame_is_logged_in_the_order_of_the_bus_as_python_can_reads_it(pa
     ],
 )  # fmt: skip
 def test_log_lines_have_the_form_of_candump(record, line):
-    assert candump.line(record, "bus") == line
+    assert log_line(record, "bus") == line
 
 
 class FullDisk(io.StringIO):

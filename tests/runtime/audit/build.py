@@ -17,6 +17,7 @@ from cutgate.config.load import Loaded, robot_from_bytes
 from cutgate.config.model import Robot
 from cutgate.config.ours import Replacement
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.protocol import candump
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.disk import Reservation, SystemDisk
@@ -143,7 +144,7 @@ def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **opt
     for number in range(decisions):
         log.write(records.Operator(word="start", accepted=True))
         if frames:
-            log.raw_frame(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
+            log.raw_frame(candump.line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8))).encode())
         log.write(decision(number))
     return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
 

@@ -28,15 +28,15 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
+from cutgate.protocol import candump
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.log import candump_line
 from cutgate.runtime.audit.scan import MAGIC, scan
 from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import decision, forge, small_log
 
-FRAMES = 3 * candump_line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8)))
+FRAMES = 3 * candump.line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8))).encode()
 """What ``small_log`` writes beside the log."""
 
 

@@ -13,7 +13,7 @@ from cutgate.runtime.audit import records
 from cutgate.runtime.audit.commit import Append, Closed, Durable, Failed, Reserved
 from cutgate.runtime.audit.heads import recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.log import AuditLog, Clock, candump_line
+from cutgate.runtime.audit.log import AuditLog, Clock
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -123,7 +123,7 @@ def test_after_a_failure_nothing_is_kept(tmp_path):
     size = log.size
     log.write(decision(1))
     log.attach("x", "text/plain", b"x")
-    log.raw_frame(0, "vcan0", 1, b"")
+    log.raw_frame(b"a line\n")
     log.commit(3)
     log.reserve(1, 1)
     log.tick(1e9)
@@ -144,7 +144,7 @@ def test_a_disk_that_never_answers_blocks_no_call(tmp_path):
         log.reserve(1 << 20, 1 << 18)
         for number in range(200):
             log.write(decision(number))
-            log.raw_frame(0, "vcan0", 0x80, b"12345678")
+            log.raw_frame(b"a line\n")
         log.attach("x", "text/plain", b"x" * 1000)
         log.commit(2)
         log.tick(clock.now_ns / 1e9 + 10)
@@ -229,20 +229,6 @@ def test_record_0_names_program_machine_and_simulation(tmp_path):
     assert opened["cpu_dispatch"]
     assert opened["previous_crashed"] is False
     assert "previous_head" not in opened
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        ({}, b"(1.000002) can0 012#AB\n"),
-        ({"extended": True}, b"(1.000002) can0 00000012#AB\n"),
-        ({"remote": True}, b"(1.000002) can0 012#R\n"),
-        ({"fd": True}, b"(1.000002) can0 012##4AB\n"),
-        ({"fd": True, "bit_rate_switch": True}, b"(1.000002) can0 012##5AB\n"),
-    ],
-)
-def test_raw_frames_are_candump_lines(options, line):
-    assert candump_line(1_000_002_000, "can0", 0x12, b"\xab", **options) == line
 
 
 def test_a_log_is_closed_once(tmp_path):

@@ -90,6 +90,22 @@ def test_frames_of_transfers_are_raw_only(log):
     assert candump.read_text().splitlines()[-1].endswith("vcan0 18FF0001#R")
 
 
+def test_only_the_frames_of_our_own_transfers_are_raw_only(log):
+    """What a stranger sends beside them is what a reviewer looks for; so is an error of the bus of that number."""
+    log.journal.frame(Passed("received", 0x610, bytes(8), False, False, False, False))
+    log.journal.frame(Passed("received", 0x600, bytes(8), True, False, False, False))
+    log.journal.frame(Passed("received", 0x004, bytes(8), False, False, True, False))
+    frames = written(log, "/can/frame")
+    assert [(frame["id"], frame["is_extended"], frame["is_error"]) for frame in frames] == [
+        (0x610, False, False),
+        (0x600, True, False),
+        (0x004, False, True),
+    ]
+    (candump,) = (log.directory / "logs").glob("*.candump.log")
+    lines = [line.split(" ")[-1] for line in candump.read_text().splitlines()]
+    assert lines == ["610#" + "00" * 8, "00000600#" + "00" * 8, "20000004#" + "00" * 8]
+
+
 def test_an_uneventful_step_is_not_recorded(log):
     log.journal.step(READY, Tick(), READY, (), 1.0)
     assert written(log, "/audit/decision") == []

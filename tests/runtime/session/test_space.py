@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.protocol import records
-from cutgate.runtime.audit.log import candump_line
+from cutgate.protocol import candump, records
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session.space import FIXED_BYTES, Space, estimated_s, space, waiting_s
 from tests.runtime.session.test_session import first_frames
@@ -140,5 +139,5 @@ def test_a_path_that_only_turns_takes_its_time(pair):
 @pytest.mark.parametrize("interface", ["can0", "x" * 100])
 def test_the_buss_name_is_counted_in_every_line_of_the_raw_frames(pair, interface):
     told = space(100.0, pair.job.timing, chunk_period_s=0.8, interface=interface)
-    line = candump_line(1_790_000_000_000_000_000, interface, 0x302, bytes(8))
+    line = candump.line(1_790_000_000_000_000_000, interface, 0x302, bytes(8))
     assert told.frames >= 100 * 300 * len(line)

@@ -16,7 +16,8 @@ from rich.console import Console, RenderableType
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import approach_line, outcome_lines, stopped, verdict_lines
 from cutgate.runtime.commands.verdict_view import guidance_lines
-from cutgate.runtime.interlock.state import ENDED, Phase
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.review.show import stop_lines
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, Pair, answers, job_of, pair_of
 

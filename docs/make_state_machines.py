@@ -26,8 +26,8 @@ from cutgate.protocol.states import LATCHING, WITHDRAWING, ControllerState, Refu
 from cutgate.runtime.interlock import permissives
 from cutgate.runtime.interlock import state as interlock_state
 from cutgate.runtime.interlock import table as interlock_table
-from cutgate.runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase, Timing
-from cutgate.runtime.interlock.table import MOVING
+from cutgate.runtime.interlock.phases import ENDED, MOVING, PHASES, Deadline
+from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.interlock.tracking import Deviation, Seen
 from tests.firmware_sim import controllers
 from tests.runtime.interlock import builders
@@ -315,7 +315,7 @@ ANSWERED: Final = {
 
 def _beat_case(state: Any, view: Any, effects: tuple[Any, ...]) -> str:  # noqa: PLR0911 - one line each
     """The heartbeat as the phase sees it: first what stops, then what it says."""
-    expected = interlock_table.EXPECTED.get(state.phase)
+    expected = PHASES[state.phase].expected
     if view.cause is not StopCause.NONE:
         return "a cause stands"
     if view.epoch != state.epoch:
@@ -472,7 +472,7 @@ def shared_transitions(edges: Iterable[Edge], states: Iterable[str], events: Any
     )
 
 
-def _deadline(limit: Callable[[Timing], float]) -> str:
+def _seconds(deadline: Deadline) -> str:
     """The field of ``Timing`` that a deadline reads, and its default."""
     read: list[str] = []
 
@@ -481,9 +481,9 @@ def _deadline(limit: Callable[[Timing], float]) -> str:
             read.append(name)
             return 0.0
 
-    limit(Probe())  # type: ignore[arg-type]
+    deadline.seconds(Probe())  # type: ignore[arg-type]
     (name,) = read
-    return f"`{name}`, {limit(builders.TIMING):g} s"
+    return f"`{name}`, {deadline.seconds(builders.TIMING):g} s"
 
 
 def phases() -> str:
@@ -492,25 +492,24 @@ def phases() -> str:
     for phase in Phase:
         if phase in ENDED:
             continue
-        code = HEARTBEAT_CODE.get(phase)
-        expected = interlock_table.EXPECTED.get(phase)
-        limit = interlock_table.DEADLINES.get(phase)
-        cause, what = interlock_table.MISSED.get(phase, (None, ""))
+        row = PHASES[phase]
         ends = {
             edge.target
             for edge in runtime_edges()
             if (edge.source, edge.case) == (phase.name, "deadline missed")
         }
-        missed = f"{what}: {_names(sorted(ends))}" if limit else "–"
+        deadline, missed = row.deadline, "–"
+        if deadline is not None:
+            cause = f" ({deadline.cause.name})" if deadline.cause else ""
+            missed = f"{deadline.missed}: {_names(sorted(ends))}{cause}"
+        expected = None if row.expected is None else _names(kind.name for kind in C if kind in row.expected)
         rows.append(
             (
                 phase.name,
-                code.name if code else "INHIBIT",
-                "not judged"
-                if expected is None
-                else _names(kind.name for kind in C if kind in expected) or "none",
-                _deadline(limit) if limit else "none",
-                f"{missed} ({cause.name})" if cause else missed,
+                row.heartbeat.name,
+                "not judged" if expected is None else expected or "none",
+                _seconds(deadline) if deadline is not None else "none",
+                missed,
             )
         )
     head = ("phase", "heartbeat says", "controller may report", "deadline", "missed")
@@ -637,7 +636,7 @@ def page() -> str:
         RUNTIME_ENDS,
         endings(runtime, stops),
         "### Phases, deadlines and what a missed one means\n",
-        PHASES,
+        PHASES_TEXT,
         phases(),
         "### What one phase answers to\n",
         OWN,
@@ -693,7 +692,7 @@ RUNTIME_ENDS: Final = """Phases with the same ends share a box; a star marks an 
 rows below say which, and in which cases). REFUSED: nothing was enabled. STOPPING: a stop has left and its confirmation is awaited; permit,
 nonce and pending record are void. A stop before there is a session ends at STOPPED at once.
 """
-PHASES: Final = """Defaults in seconds; a site sets them in `site.toml` ([constants.md](constants.md)). A heartbeat that reports anything
+PHASES_TEXT: Final = """Defaults in seconds; a site sets them in `site.toml` ([constants.md](constants.md)). A heartbeat that reports anything
 else than the controller may report in that phase stops. *Not judged*: the phase has a rule of its own, see its row
 below.
 """

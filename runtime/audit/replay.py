@@ -34,6 +34,7 @@ from cutgate.runtime.audit.configuration import allowed_by_option, configuration
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.log import cpu_dispatch
 from cutgate.runtime.audit.scan import StoredAttachment
+from cutgate.runtime.interlock.phases import MOVING, STOPPING
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
@@ -53,8 +54,6 @@ BIT_DEPENDENT: Final = ("evaluations", "segment", "fraction", "tip_length_mm", "
 BEFORE_WARNINGS: Final = ("cutgate 0.1.0",)
 """Verifiers that did not say where a cut lies and what looks wrong."""
 
-MOVING: Final = ("starting", "cutting", "finishing")
-STOPPED: Final = ("stopping", "stopped")
 WATCHED: Final = ("joints measured", "progress reported", "heartbeat", "time passed")
 """On these the moving arm is held against the verified path, and what the decision names is what it showed."""
 
@@ -615,7 +614,7 @@ def _decision(decision: records.Decision) -> Iterator[str]:
         for permissive in decision.permissives:
             if not permissive.holds:
                 yield f"decision {decision.sequence} sent although this did not hold: {permissive.name}"
-    if decision.from_state in MOVING and decision.event in WATCHED and decision.to_state not in STOPPED:
+    if decision.from_state in MOVING and decision.event in WATCHED and decision.to_state not in STOPPING:
         for rule in decision.permissives:
             if not rule.holds:
                 yield f"decision {decision.sequence} let the arm go on although this did not hold: {rule.name}"

@@ -16,7 +16,7 @@ import can
 import typer
 
 from cutgate.config.bus import RuntimeDirectoryError, default_interface, open_bus
-from cutgate.config.exits import READER_GONE
+from cutgate.config.exits import READER_GONE, STOPPED
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.config.ours import user
@@ -42,6 +42,7 @@ from cutgate.runtime.commands.verify import (
     Q0TurnsOption,
     RollTurnsOption,
 )
+from cutgate.runtime.interlock.phases import ENDINGS
 from cutgate.runtime.interlock.state import Interlock, Phase, Word
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.check import Check
@@ -52,7 +53,6 @@ from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.asked import AskedTurns
 from cutgate.runtime.verification.document import document_text
 
-EXIT: Final = {Phase.DONE: 0, Phase.REFUSED: 1, Phase.STOPPED: 3}
 OPERATOR_MAX: Final = 64
 BRANCH: Final = "joint branch"
 """Name of record 0's option that says which turns were asked for; the path and the permit hold the branch itself."""
@@ -129,7 +129,7 @@ def run(
             job = make_job(files, now=utc_now(), asked=asked, key_fingerprint=fingerprint(secret))
             check = Check(job, files.robot.value, files.placed)
     except KeyboardInterrupt:
-        raise typer.Exit(EXIT[Phase.STOPPED]) from None
+        raise typer.Exit(STOPPED) from None
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, _signals(view) as signals:
         view.note(f"key fingerprint {job.key_fingerprint}: the controller's key must have the same")
@@ -155,7 +155,7 @@ def run(
     ):
         raise typer.Exit(READER_GONE)
     # A cut that nobody can prove is never a success, nor a log that is not whole one of a session that was not admitted.
-    raise typer.Exit(EXIT[session.state.phase if paths.closed else Phase.STOPPED])
+    raise typer.Exit(ENDINGS[session.state.phase].exit_code if paths.closed else STOPPED)
 
 
 def _session(

@@ -7,6 +7,7 @@ from typing import Any, Final, Self
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from cutgate.config.exits import OK
 from cutgate.config.screen import SAID_MAX, STDERR, STDOUT, diverted, printable, screens
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
@@ -23,6 +24,7 @@ from cutgate.runtime.commands.verdict_view import (
     where_facts,
 )
 from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing, no_stop_cause
+from cutgate.runtime.interlock.phases import ENDINGS, PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
     Effect,
@@ -45,30 +47,6 @@ from cutgate.runtime.verification.plausibility import cautions_of_move
 SCHEMA: Final = "cutgate.run/1"
 PERCENT_STEP: Final = 10
 AT_REST: Final = (ControllerState.INHIBITED, ControllerState.FAULT)
-
-SAYS: Final = {
-    Phase.OPENING: "controller found, opening a session",
-    Phase.HELD: "the controller carries a stop or a latched fault",
-    Phase.COLLECTING: "collecting limits, calibration and tool",
-    Phase.UPLOADING: "limits, calibration and tool equal the approved; uploading the path",
-    Phase.VERIFYING: "path stored by the controller; verifying it",
-    Phase.NONCE_PERMIT: "every permissive for the permit holds",
-    Phase.AUTHORISING_PERMIT: "permit authorised, its record is being made durable",
-    Phase.PERMITTING: "record durable, permit sent",
-    Phase.PERMITTED: "permitted: cutting mode is on. Release the enabling device, hold it, then say start",
-    Phase.AUTHORISING_START: "start authorised, its record is being made durable",
-    Phase.STARTING: "record durable, start sent",
-    Phase.CUTTING: "moving: approach, then cutting",
-    Phase.FINISHING: "the controller reports the end of the retract",
-    Phase.STOPPING: "STOP sent",
-}
-"""What a person is told on entering a phase."""
-
-OUTCOME: Final = {
-    Phase.DONE: ("CUT COMPLETED", GOOD),
-    Phase.REFUSED: ("NOT ADMITTED", BAD),
-    Phase.STOPPED: ("STOPPED", BAD),
-}
 
 
 class SessionView:
@@ -134,14 +112,15 @@ class SessionView:
         self._watch_device(after, now_s)
 
     def _entered(self, state: Interlock, now_s: float) -> None:
+        announced = PHASES[state.phase].announced
         if state.phase is Phase.STOPPING:
-            self.note(f"{SAYS[state.phase]}: {state.reason}", BAD)
+            self.note(f"{announced}: {state.reason}", BAD)
         elif state.phase is Phase.ADMITTED:
-            self.note("admitted; waiting for the permissives of the permit", GOOD)
+            self.note(announced, GOOD)
             for permissive in failing(FOR_PERMIT, state, now_s):
                 self.note(f"  {permissive}", "yellow")
-        elif state.phase in SAYS:
-            self.note(SAYS[state.phase])
+        elif announced:
+            self.note(announced)
 
     def _watch_hold(self, state: Interlock, now_s: float) -> None:
         """Tell the operator what holds the controller and which word is next: once each."""
@@ -245,9 +224,13 @@ def stopped(session: Session) -> dict[str, Any] | None:
 
 def outcome_lines(state: Interlock, paths: Paths, *, told: bool = False) -> Group:
     """What came of it and why, unless it is told already, and where the log is."""
-    word, style = OUTCOME[state.phase]
+    ending = ENDINGS[state.phase]
     reason = f": {printable(state.reason)}" if state.reason else ""
-    lines: list[RenderableType] = [""] if told else ["", Text.assemble((word, style), reason)]
+    lines: list[RenderableType] = (
+        [""]
+        if told
+        else ["", Text.assemble((ending.headline, GOOD if ending.exit_code == OK else BAD), reason)]
+    )
     if state.job.simulation_allowed_by:
         lines.append(Text(printable(_simulation(state)), BAD))
     if state.controller is not None:
@@ -281,9 +264,7 @@ def run_document(
     view = state.controller
     return {
         "schema": SCHEMA,
-        "outcome": {Phase.DONE: "completed", Phase.REFUSED: "not_admitted", Phase.STOPPED: "stopped"}[
-            state.phase
-        ],
+        "outcome": ENDINGS[state.phase].document,
         "cause": state.cause.name,
         "reason": state.reason,
         "stop": stop,

@@ -10,7 +10,6 @@ from cutgate.protocol.states import (
     FaultCode,
     Purpose,
     Refusal,
-    RuntimeCode,
     StopCause,
     StopCode,
 )
@@ -49,19 +48,6 @@ class Phase(StrEnum):
     DONE = auto()
     REFUSED = auto()
     STOPPED = auto()
-
-
-ENDED = frozenset({Phase.DONE, Phase.REFUSED, Phase.STOPPED})
-
-HEARTBEAT_CODE: dict[Phase, RuntimeCode] = {
-    Phase.PERMITTING: RuntimeCode.READY,
-    Phase.PERMITTED: RuntimeCode.READY,
-    Phase.NONCE_START: RuntimeCode.READY,
-    Phase.AUTHORISING_START: RuntimeCode.READY,
-    Phase.STARTING: RuntimeCode.CUT,
-    Phase.CUTTING: RuntimeCode.CUT,
-}
-"""What the heartbeat says; every phase not listed says INHIBIT."""
 
 
 class Word(StrEnum):

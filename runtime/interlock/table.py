@@ -30,9 +30,9 @@ from cutgate.runtime.interlock.permissives import (
     measured_now,
     unconfirmed,
 )
+from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, MOVING, PHASES, SIGNED
 from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import (
-    ENDED,
     Announced,
     BlockStored,
     Commit,
@@ -66,7 +66,6 @@ from cutgate.runtime.interlock.state import (
     Session,
     SessionOpened,
     Tick,
-    Timing,
     UseSession,
     VerdictReady,
     Verify,
@@ -581,7 +580,8 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
     if view.epoch != state.epoch:
         reason = f"the controller's epoch is {view.epoch}, the session's {state.epoch}"
         return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
-    if view.state not in EXPECTED[state.phase]:
+    expected = PHASES[state.phase].expected
+    if expected is None or view.state not in expected:
         reason = f"the controller reports {view.state.name} while {state.phase}"
         return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
     if state.phase in MOVING and not view.emergency_stop_clear:
@@ -701,13 +701,13 @@ def measured(state: Interlock, event: JointsMeasured, _now_s: float) -> Outcome:
 
 def tick(state: Interlock, _event: Tick, now_s: float) -> Outcome:
     """Every phase that waits has a deadline; one that has passed stops, or ends a wait without a result."""
-    limit = DEADLINES.get(state.phase)
-    if limit is None:
+    deadline = PHASES[state.phase].deadline
+    if deadline is None:
         return state, ()
-    bound_s, cause, what = limit(state.job.timing), *MISSED[state.phase]
+    bound_s, cause = deadline.seconds(state.job.timing), deadline.cause
     if 0.0 <= now_s - state.since_s <= bound_s:
         return state, ()
-    reason = f"{what} within {bound_s:g} s"
+    reason = f"{deadline.missed} within {bound_s:g} s"
     if cause is StopCause.NOT_ADMITTED:
         missing = failing(FOR_PERMIT, state, now_s) if state.phase is Phase.ADMITTED else ()
         return refuse(state, "; ".join((reason, *map(str, missing))), now_s)
@@ -757,11 +757,6 @@ def dropped(state: Interlock, event: Event, _now_s: float) -> Outcome:
 
 Handler = Callable[[Interlock, Any, float], Outcome]
 P = Phase
-
-AUTHORISING = frozenset({P.AUTHORISING_RESET, P.AUTHORISING_PERMIT, P.AUTHORISING_START})
-MOVING = frozenset({P.STARTING, P.CUTTING, P.FINISHING})
-SIGNED = frozenset({P.RESETTING, P.PERMITTING, P.STARTING})
-"""Where the answer to a signed record is awaited."""
 
 TABLE: dict[tuple[Phase, type], Handler] = {
     (P.WAITING, Announced): announced,
@@ -835,68 +830,3 @@ EVERYWHERE: dict[type, Handler] = {
     Tick: tick,
 }
 """What every other phase answers."""
-
-C = ControllerState
-EXPECTED: dict[Phase, frozenset[ControllerState]] = {
-    P.WAITING: frozenset(),
-    P.COLLECTING: frozenset({C.OPEN}),
-    P.UPLOADING: frozenset({C.OPEN, C.LOADED}),
-    P.VERIFYING: frozenset({C.OPEN, C.LOADED}),
-    P.ADMITTED: frozenset({C.LOADED}),
-    P.NONCE_PERMIT: frozenset({C.LOADED}),
-    P.AUTHORISING_PERMIT: frozenset({C.LOADED}),
-    P.PERMITTING: frozenset({C.LOADED, C.PERMITTED}),
-    P.PERMITTED: frozenset({C.LOADED, C.PERMITTED}),  # a heartbeat may have left before the permit arrived
-    P.NONCE_START: frozenset({C.PERMITTED}),
-    P.AUTHORISING_START: frozenset({C.PERMITTED}),
-    P.STARTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
-    P.CUTTING: frozenset({C.PERMITTED, C.CUTTING, C.DONE}),
-    P.FINISHING: frozenset({C.DONE}),
-}
-"""What the controller may report in each phase; anything else stops."""
-
-DEADLINES: dict[Phase, Callable[[Timing], float]] = {
-    P.WAITING: lambda t: t.announce_wait_s,
-    P.OPENING: lambda t: t.reply_timeout_s,
-    P.HELD: lambda t: t.operator_wait_s,
-    P.NONCE_RESET: lambda t: t.reply_timeout_s,
-    P.AUTHORISING_RESET: lambda t: t.commit_deadline_s,
-    P.RESETTING: lambda t: t.reply_timeout_s,
-    P.COLLECTING: lambda t: t.reply_timeout_s,
-    P.UPLOADING: lambda t: t.transfer_timeout_s,
-    P.VERIFYING: lambda t: t.verify_timeout_s,
-    P.ADMITTED: lambda t: t.operator_wait_s,
-    P.NONCE_PERMIT: lambda t: t.reply_timeout_s,
-    P.AUTHORISING_PERMIT: lambda t: t.commit_deadline_s,
-    P.PERMITTING: lambda t: t.reply_timeout_s,
-    P.PERMITTED: lambda t: float(t.permit_lifetime_s),
-    P.NONCE_START: lambda t: t.reply_timeout_s,
-    P.AUTHORISING_START: lambda t: t.commit_deadline_s,
-    P.STARTING: lambda t: t.reply_timeout_s,
-    P.FINISHING: lambda t: 2 * t.timeout_ms / 1000,  # as long as the tracking monitor waits for a sample
-    P.STOPPING: lambda t: t.stop_confirm_s,
-}
-"""How long each phase may last. CUTTING lasts as long as heartbeats do."""
-
-MISSED: dict[Phase, tuple[StopCause, str]] = {
-    P.WAITING: (StopCause.NOT_ADMITTED, "no controller announced itself"),
-    P.OPENING: (StopCause.NOT_ADMITTED, "the controller did not open the session"),
-    P.HELD: (StopCause.NOT_ADMITTED, "the controller's stop was not acknowledged and reset"),
-    P.NONCE_RESET: (StopCause.TRANSFER_FAILED, "no nonce for the reset"),
-    P.AUTHORISING_RESET: (StopCause.AUDIT_FAILED, "the reset's record did not reach the disk"),
-    P.RESETTING: (StopCause.TRANSFER_FAILED, "no answer to the reset"),
-    P.COLLECTING: (StopCause.TRANSFER_FAILED, "limits, calibration and tool did not arrive"),
-    P.UPLOADING: (StopCause.TRANSFER_FAILED, "the path was not stored, or no measured joints came"),
-    P.VERIFYING: (StopCause.NOT_ADMITTED, "no verdict"),
-    P.ADMITTED: (StopCause.NOT_ADMITTED, "the permissives for the permit did not all hold"),
-    P.NONCE_PERMIT: (StopCause.TRANSFER_FAILED, "no nonce for the permit"),
-    P.AUTHORISING_PERMIT: (StopCause.AUDIT_FAILED, "the permit's record did not reach the disk"),
-    P.PERMITTING: (StopCause.TRANSFER_FAILED, "no answer to the permit"),
-    P.PERMITTED: (StopCause.PERMIT_EXPIRED, "the operator did not start"),
-    P.NONCE_START: (StopCause.TRANSFER_FAILED, "no nonce for the start"),
-    P.AUTHORISING_START: (StopCause.AUDIT_FAILED, "the start's record did not reach the disk"),
-    P.STARTING: (StopCause.TRANSFER_FAILED, "no answer to the start"),
-    P.FINISHING: (StopCause.TRACKING_DEVIATION, "no measured joints after the end was reported"),
-    P.STOPPING: (StopCause.NONE, "no confirmation of the stop"),
-}
-"""What a missed deadline means."""

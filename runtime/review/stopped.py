@@ -12,10 +12,8 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import FRACTION_MAX
 from cutgate.protocol.records import RecordError, joints_to_memory
 from cutgate.protocol.states import StopCause
-from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.interlock.phases import MOVING
 from cutgate.runtime.kinematics.arm import TrueArm
-
-MOVING: Final = (Phase.STARTING, Phase.CUTTING, Phase.FINISHING)
 
 C = StopCause
 WORDS: Final[dict[StopCause, str]] = {

@@ -41,7 +41,8 @@ from cutgate.runtime.audit.records import (
     Process,
     Verdict,
 )
-from cutgate.runtime.review.stopped import MOVING, Stopped, Way, stop_document
+from cutgate.runtime.interlock.phases import MOVING, STOPPING
+from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 
 SCHEMA = "cutgate.audit-show/1"
 _STAMPS = set(AuditRecord.model_fields)
@@ -172,7 +173,6 @@ def _allowed(log: Log) -> dict[str, dict[str, Any]]:
     return found
 
 
-STOPPED: Final = ("stopping", "stopped")
 AT_REST: Final = (ControllerState.INHIBITED.name, ControllerState.FAULT.name)
 JOINTS: Final = (Joints01, Joints23, Joint4)
 SEEN: Final = {IDS[kind] for kind in (*JOINTS, Progress)}
@@ -187,7 +187,7 @@ def _stop(log: Log) -> dict[str, Any] | None:
     """What is to be known after a stop, from the log alone; None where it tells of none."""
     steps = [one for one in log.of(Decision.TOPIC) if isinstance(one.get("from_state"), str)]
     first = next(
-        (one for one in steps if one["from_state"] not in STOPPED and one.get("to_state") in STOPPED), None
+        (one for one in steps if one["from_state"] not in STOPPING and one.get("to_state") in STOPPING), None
     )
     if first is None and not _broken_off(log, steps):
         return None

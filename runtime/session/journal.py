@@ -16,13 +16,9 @@ from cutgate.runtime.audit import names
 from cutgate.runtime.audit import records as audit
 from cutgate.runtime.audit.log import AuditLog, Paths
 from cutgate.runtime.interlock.permissives import (
-    AT_START,
-    COLLECTED,
-    FOR_PERMIT,
-    FOR_START,
-    Evaluate,
     evaluate,
 )
+from cutgate.runtime.interlock.phases import PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
     BlockStored,
@@ -42,7 +38,6 @@ from cutgate.runtime.interlock.state import (
     NonceReceived,
     ParameterReceived,
     PathStored,
-    Phase,
     ProgressReported,
     RecordDurable,
     Refused,
@@ -70,19 +65,6 @@ QUIET = (HeartbeatReceived, JointsMeasured, ProgressReported, Tick)
 
 TRANSFER_FRAMES = frozenset((*CONTROL_IDS, *BULK_IDS))
 """Recorded as whole records; their frames are in the candump log."""
-
-SHOWN: dict[Phase, tuple[Evaluate, ...]] = {
-    Phase.COLLECTING: COLLECTED,
-    Phase.VERIFYING: FOR_PERMIT,
-    Phase.ADMITTED: FOR_PERMIT,
-    Phase.NONCE_PERMIT: FOR_PERMIT,
-    Phase.AUTHORISING_PERMIT: FOR_PERMIT,
-    Phase.PERMITTED: FOR_START,
-    Phase.NONCE_START: FOR_START,
-    Phase.AUTHORISING_START: FOR_START,
-    Phase.FINISHING: AT_START,
-}
-"""Which permissives a decision taken in this phase rests on."""
 
 KINDS: dict[Purpose, Kind] = {Purpose.PERMIT: "permit", Purpose.START: "start", Purpose.RESET: "reset"}
 SIGNED: dict[type[records.Record], Kind] = {
@@ -161,7 +143,7 @@ class Journal:
     ) -> None:
         self._sequence += 1
         commit = next((effect for effect in effects if isinstance(effect, Commit)), None)
-        shown = evaluate(SHOWN.get(before.phase, ()), after, now_s) if after.collected.complete else ()
+        shown = evaluate(PHASES[before.phase].permissives, after, now_s) if after.collected.complete else ()
         deviation = next((effect for effect in effects if isinstance(effect, Deviation)), None)
         shown = deviation.judged if deviation else shown
         self.log.write(

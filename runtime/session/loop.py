@@ -30,13 +30,12 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.path import PathHeader
 from cutgate.protocol.port import Port
-from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
+from cutgate.protocol.states import StopCause, StopCode
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Durable, Reserved
 from cutgate.runtime.audit.commit import Failed as LogFailed
+from cutgate.runtime.interlock.phases import ENDED, PHASES, STOPPING
 from cutgate.runtime.interlock.state import (
-    ENDED,
-    HEARTBEAT_CODE,
     Announced,
     BlockStored,
     Commit,
@@ -98,7 +97,6 @@ EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
 }
 """What each record from the controller means to the table."""
 
-STOPPED = frozenset({Phase.STOPPING, Phase.STOPPED})
 CHECK_HEARTBEATS = 1 / 8
 """So long does this side's own check hold up a turn; its steps are far shorter."""
 PAUSE_HEARTBEATS = 2
@@ -520,7 +518,7 @@ class Session:
         return effects
 
     def _watch_for_stop(self, before: Interlock) -> None:
-        if before.phase not in STOPPED and self.state.phase in STOPPED:
+        if before.phase not in STOPPING and self.state.phase in STOPPING:
             self.stopped_in = before.phase
 
     def _carry_out(self, effect: Effect) -> None:
@@ -588,8 +586,8 @@ class Session:
         """What leaves was made in this turn."""
         endpoint, state = self._port.endpoint, self.state
         if self._cycle.heartbeat_due() and endpoint.link.is_open:
-            code = HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
-            endpoint.send_frame(RuntimeHeartbeat(code, state.epoch, state.cause), self._cycle.now_s)
+            beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.cause)
+            endpoint.send_frame(beat, self._cycle.now_s)
 
 
 def spoken(text: Word | str) -> Said | None:

@@ -5,7 +5,8 @@ import pytest
 from cutgate.firmware_sim import table as controller_table
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.interlock import table as interlock_table
-from cutgate.runtime.interlock.state import ENDED, Phase
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase
 from docs.make_state_machines import PAGE, controller_edges, main, picture, runtime_edges
 from tests.runtime.interlock.test_invariants import _successors
 

@@ -16,9 +16,10 @@ from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import DATA_IDS, IDS, TRANSFER_IDS, Frame
 from cutgate.protocol.link import Accepted, Discarded, Violation
 from cutgate.protocol.records import Record, Side
-from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.interlock.state import ENDED, HEARTBEAT_CODE, Phase
+from cutgate.runtime.interlock.phases import ENDED, PHASES
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import Pair
 from tests.runtime.session.wire import Rule
 
@@ -244,7 +245,7 @@ class Scene:
         phase = self.pair.phase
         return (
             not self.pair.controller.cutting_mode
-            and phase not in HEARTBEAT_CODE
+            and PHASES[phase].heartbeat is RuntimeCode.INHIBIT
             and (phase is Phase.STOPPING or phase in ENDED)
         )
 

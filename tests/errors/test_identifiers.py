@@ -15,7 +15,8 @@ from cutgate.protocol.link import Accepted, Discarded, Violation
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.interlock.state import ENDED, Phase
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import Pair
 
 RUNTIME, CONTROLLER = Side.RUNTIME, Side.CONTROLLER

@@ -15,7 +15,7 @@ from dataclasses import replace
 from cutgate.firmware_sim import state as c
 from cutgate.protocol.states import LATCHING, ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
-from cutgate.runtime.interlock.table import AUTHORISING
+from cutgate.runtime.interlock.phases import AUTHORISING, ENDED
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.names import TOKEN, RuntimeSide
 from tests.exploration.world import JOB, VERDICT
@@ -55,7 +55,7 @@ def canonical_controller(state: c.Controller) -> c.Controller:
 def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
     """Without clock values and reasons; None once the session has ended, for the process is gone."""
     state = side.interlock
-    if state.phase in r.ENDED:
+    if state.phase in ENDED:
         return None
     if state.phase is r.Phase.STOPPING:
         state = r.Interlock(
@@ -108,7 +108,7 @@ P = r.Phase
 HELD = frozenset({P.HELD, P.NONCE_RESET, P.AUTHORISING_RESET, P.RESETTING})
 """Where the acknowledged cause is what a reset will name."""
 DEVICE_COUNTS = frozenset({P.PERMITTED, P.NONCE_START, P.AUTHORISING_START, P.STARTING})
-BEFORE_PERMIT = frozenset(P) - r.ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.FINISHING, P.STOPPING}
+BEFORE_PERMIT = frozenset(P) - ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.FINISHING, P.STOPPING}
 
 
 def _canonical_tokens(state: r.Interlock, commits: tuple[r.Commit, ...]) -> RuntimeSide:

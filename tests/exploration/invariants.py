@@ -10,6 +10,7 @@ from cutgate.protocol import records
 from cutgate.protocol.records import digest
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.interlock import state as r
+from cutgate.runtime.interlock.phases import PHASES
 from tests.exploration.names import Message, RuntimeSide, signed
 
 MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})
@@ -105,7 +106,7 @@ def runtime_step(
             if wrong:
                 return wrong
     if deviates or _stop_cause(before.interlock, event):
-        if r.HEARTBEAT_CODE.get(after.phase, RuntimeCode.INHIBIT) is not RuntimeCode.INHIBIT:
+        if PHASES[after.phase].heartbeat is not RuntimeCode.INHIBIT:
             return f"3: the runtime upholds motion after {type(event).__name__}"
         ended = before.interlock.phase not in MOVING or any(
             isinstance(effect, r.SendStop) and effect.code is StopCode.STOP for effect in effects

@@ -13,10 +13,10 @@ from cutgate.protocol.states import (
     FaultCode,
     Purpose,
     Refusal,
-    RuntimeCode,
     StopCause,
 )
 from cutgate.runtime.interlock import state as r
+from cutgate.runtime.interlock.phases import ENDED, PHASES
 from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_runtime, cause_class
 from tests.exploration.names import (
@@ -142,7 +142,7 @@ class Runtime:
     def _beats(self, side: RuntimeSide) -> Iterable[Change]:
         state = side.interlock
         if link_open(state):
-            code = r.HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
+            code = PHASES[state.phase].heartbeat
             beat = c.HeartbeatReceived(code, state.epoch, state.cause, fresh=True)
             move = Move("runtime", "sends its heartbeat", sound=True)
             yield Change(move, self.sides.number(side), (Message(tag_of(side), beat),))
@@ -250,7 +250,7 @@ class Runtime:
 
 def link_open(state: r.Interlock) -> bool:
     """Whether the runtime's single frames flow: from the answer to OPEN on."""
-    return state.phase not in (r.Phase.WAITING, r.Phase.OPENING, *r.ENDED)
+    return state.phase not in (r.Phase.WAITING, r.Phase.OPENING, *ENDED)
 
 
 def tag_of(side: RuntimeSide | None) -> int:

@@ -17,7 +17,8 @@ from cutgate.firmware_sim.process import Word as ControllerWord
 from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock import table as interlock
-from cutgate.runtime.interlock.state import ENDED, Phase, RecordDurable, Word
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase, RecordDurable, Word
 from cutgate.runtime.session.job import make_job, read_files
 from tests.runtime.session.pair import NOW, job_of, pair_of
 from tests.seeds import seeds

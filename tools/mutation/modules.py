@@ -12,6 +12,7 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
 OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
+    "runtime/interlock/phases.py": ("tests/runtime/interlock/test_table.py",),
     "runtime/interlock/table.py": ("tests/runtime/interlock/test_table.py",),
     "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
     "runtime/interlock/tracking.py": ("tests/runtime/interlock/test_tracking.py",),

@@ -13,7 +13,8 @@ from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.log import AuditLog, Paths
 from cutgate.runtime.commands import run as command
 from cutgate.runtime.commands.app import execute
-from cutgate.runtime.interlock.state import ENDED, Phase
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.verification.asked import BEST
 from tests.runtime.audit.build import LOG_ID, OPENED, PATIENCE_S, small_log

@@ -19,8 +19,8 @@ from cutgate.protocol.states import (
     StopCode,
 )
 from cutgate.runtime.interlock import table
+from cutgate.runtime.interlock.phases import MOVING, PHASES
 from cutgate.runtime.interlock.state import (
-    HEARTBEAT_CODE,
     Announced,
     BlockStored,
     Collected,
@@ -58,7 +58,6 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from cutgate.runtime.interlock.table import MOVING
 from cutgate.runtime.interlock.tracking import ReferenceTrajectory, Seen, TrackingMonitor
 
 NOW = 1000.0
@@ -369,7 +368,7 @@ def events(state: Interlock) -> list[Event]:
 
 def code(state: Interlock) -> RuntimeCode:
     """What the heartbeat says in this state."""
-    return HEARTBEAT_CODE.get(state.phase, RuntimeCode.INHIBIT)
+    return PHASES[state.phase].heartbeat
 
 
 PERMISSIVENESS = {RuntimeCode.INHIBIT: 0, RuntimeCode.READY: 1, RuntimeCode.CUT: 2}

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
+from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, MOVING
 from cutgate.runtime.interlock.state import (
-    ENDED,
     Commit,
     Interlock,
     Phase,
@@ -18,7 +18,6 @@ from cutgate.runtime.interlock.state import (
     SendStop,
     SessionOpened,
 )
-from cutgate.runtime.interlock.table import AUTHORISING, MOVING
 from tests.runtime.interlock.builders import (
     EPOCH,
     FRESH,

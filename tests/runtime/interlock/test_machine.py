@@ -22,8 +22,8 @@ from cutgate.protocol.states import (
     StopCause,
     StopCode,
 )
+from cutgate.runtime.interlock.phases import ENDED, MOVING
 from cutgate.runtime.interlock.state import (
-    ENDED,
     Announced,
     BlockStored,
     Commit,
@@ -51,7 +51,6 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Word,
 )
-from cutgate.runtime.interlock.table import MOVING
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
     BEYOND,

@@ -1,7 +1,7 @@
 """The interlock's table: what leaves, when, and what never does."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
@@ -19,9 +19,9 @@ from cutgate.protocol.states import (
 )
 from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock import table
+from cutgate.runtime.interlock.permissives import AT_START, COLLECTED, FOR_PERMIT, FOR_START
+from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, ENDINGS, MOVING, PHASES, SIGNED, STOPPING
 from cutgate.runtime.interlock.state import (
-    ENDED,
-    HEARTBEAT_CODE,
     Announced,
     BlockStored,
     Commit,
@@ -55,7 +55,6 @@ from cutgate.runtime.interlock.state import (
     Withheld,
     Word,
 )
-from cutgate.runtime.interlock.table import AUTHORISING, DEADLINES, EXPECTED, MISSED, MOVING
 from cutgate.runtime.interlock.tracking import Deviation, Seen, TrackingMonitor
 from tests.altering import altered
 from tests.runtime.interlock.builders import (
@@ -102,6 +101,7 @@ from tests.runtime.interlock.builders import (
     view,
 )
 
+EXPECTED = {phase: row.expected for phase, row in PHASES.items() if row.expected is not None}
 LIVE = [phase for phase in Phase if phase not in ENDED]
 ENABLING_PHASES = {
     Phase.AUTHORISING_PERMIT: (records.Permit, Phase.PERMITTING, Phase.ADMITTED, p.FOR_PERMIT),
@@ -137,7 +137,7 @@ ORDERS = MOVING - {Phase.FINISHING}
 
 
 def test_only_two_phases_order_the_cut_and_each_is_reached_through_its_start():
-    assert {phase for phase, order in HEARTBEAT_CODE.items() if order is RuntimeCode.CUT} == ORDERS
+    assert {phase for phase, row in PHASES.items() if row.heartbeat is RuntimeCode.CUT} == ORDERS
     assert len(ORDERS) == 2
     for phase in Phase:
         state = in_phase(phase)
@@ -763,11 +763,11 @@ def test_every_phase_that_waits_has_a_deadline(phase):
     patiently = {"tracking": patient(0.0)} if phase in MOVING else {}
     state = in_phase(phase, since_s=0.0, **patiently)  # from 0 on, for no sum to be rounded
     if phase is Phase.CUTTING:
-        assert phase not in DEADLINES
+        assert PHASES[phase].deadline is None
         assert step(state, Tick(), 1e9) == (state, ())
         return
-    bound_s = DEADLINES[phase](TIMING)
-    cause, _ = MISSED[phase]
+    deadline = PHASES[phase].deadline
+    bound_s, cause = deadline.seconds(TIMING), deadline.cause
     for inside in (0.0, bound_s):
         assert step(state, Tick(), inside) == (state, ())
     for outside in (math.nextafter(bound_s, math.inf), -0.1, math.nan):
@@ -786,9 +786,58 @@ def test_every_phase_that_waits_has_a_deadline(phase):
             assert f"{bound_s:g} s" in after.reason
 
 
-def test_both_deadline_tables_name_the_same_phases():
-    assert set(DEADLINES) == set(MISSED)
-    assert set(DEADLINES) == set(LIVE) - {Phase.CUTTING}
+def test_every_phase_has_a_row_and_an_end_waits_for_nothing():
+    assert list(PHASES) == list(Phase)
+    assert {phase for phase, row in PHASES.items() if row.deadline} == set(LIVE) - {Phase.CUTTING}
+    for phase in ENDED:
+        row = PHASES[phase]
+        assert (row.deadline, row.expected, row.permissives) == (None, None, ())
+        assert row.heartbeat is RuntimeCode.INHIBIT
+        assert (row.moving, row.authorising, row.signed) == (False, False, False)
+
+
+RESTS_ON = {
+    Phase.COLLECTING: COLLECTED,
+    **dict.fromkeys(
+        (Phase.VERIFYING, Phase.ADMITTED, Phase.NONCE_PERMIT, Phase.AUTHORISING_PERMIT), FOR_PERMIT
+    ),
+    **dict.fromkeys((Phase.PERMITTED, Phase.NONCE_START, Phase.AUTHORISING_START), FOR_START),
+    Phase.FINISHING: AT_START,
+}
+"""Typed here a second time: what the log shows of a decision taken in this phase."""
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_the_log_shows_what_a_decision_rests_on(phase):
+    assert PHASES[phase].permissives == RESTS_ON.get(phase, ())
+
+
+def test_a_person_is_told_of_every_phase_but_those_that_pass_at_once_or_end():
+    silent = {phase for phase, row in PHASES.items() if not row.announced}
+    passing = {Phase.NONCE_RESET, Phase.AUTHORISING_RESET, Phase.RESETTING, Phase.NONCE_START}
+    assert silent == {Phase.WAITING, *passing, *ENDED}
+
+
+def test_a_row_stays_as_it_is_written():
+    for row in (PHASES[Phase.WAITING], PHASES[Phase.WAITING].deadline, ENDINGS[Phase.DONE]):
+        with pytest.raises(FrozenInstanceError):
+            row.heartbeat = RuntimeCode.CUT
+
+
+def test_the_arm_moves_only_where_the_heartbeat_says_so_or_its_end_is_awaited():
+    """A second list, typed here: what the table says of the phases that matter most."""
+    assert {Phase.STARTING, Phase.CUTTING, Phase.FINISHING} == MOVING
+    assert {Phase.AUTHORISING_RESET, Phase.AUTHORISING_PERMIT, Phase.AUTHORISING_START} == AUTHORISING
+    assert {Phase.DONE, Phase.REFUSED, Phase.STOPPED} == ENDED
+    assert {Phase.RESETTING, Phase.PERMITTING, Phase.STARTING} == SIGNED
+    assert {Phase.STOPPING, Phase.STOPPED} == STOPPING
+    ready = {phase for phase, row in PHASES.items() if row.heartbeat is RuntimeCode.READY}
+    assert ready == {Phase.PERMITTING, Phase.PERMITTED, Phase.NONCE_START, Phase.AUTHORISING_START}
+    assert {phase: ending.exit_code for phase, ending in ENDINGS.items()} == {
+        Phase.DONE: 0,
+        Phase.REFUSED: 1,
+        Phase.STOPPED: 3,
+    }
 
 
 def test_waiting_in_vain_for_the_permissives_names_them():

@@ -42,7 +42,8 @@ from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
 from cutgate.runtime.audit.replay import Replay, replay
 from cutgate.runtime.audit.written import LostError
-from cutgate.runtime.interlock.state import ENDED, Collected, DeviceCycle, Interlock, Phase, Verdict, Word
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Collected, DeviceCycle, Interlock, Phase, Verdict, Word
 from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.session import prover
 from cutgate.runtime.session.check import Answer as Own

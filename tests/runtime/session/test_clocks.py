@@ -8,7 +8,8 @@ import pytest
 from cutgate.protocol.frames import ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.runtime.interlock.state import ENDED, Phase
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.wire import Clock
 
 

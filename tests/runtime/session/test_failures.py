@@ -12,7 +12,8 @@ from cutgate.protocol.states import ControllerState, FaultCode, StopCause
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.reading import candump_of
 from cutgate.runtime.commands.app import INTERNAL, execute
-from cutgate.runtime.interlock.state import ENDED, HeartbeatReceived, Phase, Send
+from cutgate.runtime.interlock.phases import ENDED
+from cutgate.runtime.interlock.state import HeartbeatReceived, Phase, Send
 from cutgate.runtime.interlock.table import TABLE
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session

@@ -348,7 +348,6 @@ class Send:
 
     record: records.Record
     session: int
-    bulk: bool = False
 
 
 @dataclass(frozen=True)

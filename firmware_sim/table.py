@@ -227,9 +227,9 @@ def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcom
     assert state.session is not None  # noqa: S101 - OPEN and LOADED have a session
     tag, held = state.session.tag, state.holdings
     return state, (
-        Send(records.Limits.parse(held.limits), tag, bulk=True),
-        Send(records.Calibration.parse(held.calibration), tag, bulk=True),
-        Send(records.Tool.parse(held.tool), tag, bulk=True),
+        Send(records.Limits.parse(held.limits), tag),
+        Send(records.Calibration.parse(held.calibration), tag),
+        Send(records.Tool.parse(held.tool), tag),
     )
 
 
@@ -246,7 +246,7 @@ def path_checked(state: Controller, event: PathChecked, _now_s: float) -> Outcom
         ),
     )
     answer = records.PathStored(digest=digest(event.path), refusal=event.refusal, pose=event.pose)
-    return loaded, (Send(answer, state.session.tag, bulk=True),)
+    return loaded, (Send(answer, state.session.tag),)
 
 
 def give_nonce(state: Controller, event: NonceRequested, now_s: float) -> Outcome:

@@ -257,7 +257,9 @@ class Transfer:
             return None
         self.abort()
         reason = f"transfer on {self.tx_id:#05x} stood still for more than {self.timeout_s} s"
-        return TransferError(reason + "; do both sides use CAN FD?" * self.fd, lost=True)
+        if self.fd:
+            reason += "; do both sides use CAN FD?"
+        return TransferError(reason, lost=True)
 
     def stop_sending(self) -> None:
         """Void what goes out, queued and half sent; what comes in goes on."""

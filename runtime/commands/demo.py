@@ -101,15 +101,13 @@ def demo(
     began_s = time.monotonic()
     folder = _folder(out)
     say = _Teller(messages().print)
+    framing = ["--fd"] if fd else []
     runs: list[dict[str, Any]] = []
     why: list[str] = []
     try:
-        with (
-            _bus(folder, say) as where,
-            _controller(folder, [*where, *["--fd"] * fd], say) as controller,
-        ):
+        with _bus(folder, say) as where, _controller(folder, [*where, *framing], say) as controller:
             for registration in STORY:
-                run = _run(folder, registration, [*where, *["--fd"] * fd], controller, say)
+                run = _run(folder, registration, [*where, *framing], controller, say)
                 runs.append(run)
                 why = departure(registration, run, say.stalled)
                 if why:  # what follows needs this one

@@ -38,7 +38,7 @@ from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.verification.chain import build
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.enclosures import HALF_TURN
-from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, VERTICAL, Geometry, canonical
+from cutgate.runtime.verification.geometry import EPSILON, MIRRORED, ROUNDINGS, VERTICAL, Geometry, canonical
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.standing import standing
 from cutgate.runtime.verification.verdict import Boundary
@@ -70,7 +70,6 @@ _TITLE: Final[dict[LegName, str]] = {
     "exit": "straight line from the last pose to the exit pose",
     "retract": "joint line from the exit pose to the start joints",
 }
-_MIRRORED: Final = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,7 +364,7 @@ def _joint_line(geometry: Geometry, start: Start, name: LegName, pose: Floats, *
     boundaries = {}
     names: dict[str, _Least | None] = dict.fromkeys(SIDES) if not inside else {}
     for source, least in {**names, **values}.items():
-        shown = _MIRRORED.get(source, source) if geometry.side < 0.0 else source
+        shown = MIRRORED.get(source, source) if geometry.side < 0.0 else source
         boundaries[shown] = _boundary(shown, least, geometry, start)
     begins = 0 if name == "approach" else 1
     outside = [] if inside else _outside(geometry, line, lower, upper)

@@ -29,7 +29,9 @@ beside it (1 / sin q1 for headings, 1 / sin q4 for azimuths)."""
 VERTICAL = 1e-9
 """Below this sine of the pitch an axis counts as exactly vertical and its azimuth as undefined."""
 
-MIRRORED = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
+MIRRORED_SIDES = {"left": "right", "right": "left"}
+"""Of the planar boundaries alone, where those of the roll are named already."""
+MIRRORED = {**MIRRORED_SIDES, "roll_min": "roll_max", "roll_max": "roll_min"}
 """What the boundaries of a left elbow are called on its mirror image, and the other way round."""
 
 LARGEST_TURN = math.radians(179.0)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.geometry import MIRRORED_SIDES
 from cutgate.runtime.verification.guidance import (
     Quantise,
     Vector,
@@ -35,8 +36,6 @@ SCHEMA: Final = "cutgate.reach/1"
 
 BLOCK: Final = 4096
 """Displacements looked at in one go."""
-
-MIRRORED: Final = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +175,7 @@ def excluded(problem: Problem, grid: Grid, yaw_deg: float, lift_mm: float) -> li
     out: list[Position | Vector] = []
     for i in range(len(x)):
         name, least = SIDES[side[i]], float(clearance[i])
-        name = MIRRORED.get(name, name) if g.side < 0.0 else name
+        name = MIRRORED_SIDES.get(name, name) if g.side < 0.0 else name
         if placing.keep_mm - short < least:
             name, least = slide, placing.keep_mm - short
         if least < placing.keep_mm - placing.pad_mm:
@@ -274,4 +273,4 @@ def outline(problem: Problem) -> Iterator[tuple[str, Floats]]:
     for name, arc in zip(SIDES, g.arcs, strict=True):
         angles = arc.start + np.linspace(0.0, min(arc.span, 2.0 * math.pi), 181)
         points = np.stack((arc.x + arc.radius * np.cos(angles), arc.y + arc.radius * np.sin(angles)), axis=1)
-        yield MIRRORED.get(name, name) if g.side < 0.0 else name, points * (1.0, g.side)
+        yield MIRRORED_SIDES.get(name, name) if g.side < 0.0 else name, points * (1.0, g.side)

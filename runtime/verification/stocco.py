@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.defects import defects
-from cutgate.runtime.verification.geometry import Geometry, Segments, canonical
+from cutgate.runtime.verification.geometry import MIRRORED_SIDES, Geometry, Segments, canonical
 from cutgate.runtime.verification.points import Points, at
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
@@ -41,8 +41,6 @@ Floats = NDArray[np.float64]
 
 MOST_EVALUATIONS = 2_000_000
 """A march is given up after so many evaluations: not admitted."""
-
-MIRRORED = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +136,7 @@ def verify(problem: Problem) -> Verdict:
     enclosed = _enclosed(geometry, arm, lengths, ARM) | _enclosed(geometry, wrist, segments.theta, WRIST)
     boundaries = {}
     for name in BOUNDARIES:
-        source = MIRRORED.get(name, name) if geometry.side < 0 else name
+        source = MIRRORED_SIDES.get(name, name) if geometry.side < 0 else name
         if source in enclosed:
             boundaries[name] = boundary(name, enclosed[source], geometry.arm_mm, geometry.wrist_rad, tip_at)
     admitted = started and arm.admitted and wrist.admitted

@@ -552,7 +552,7 @@ def test_a_request_without_a_session_is_answered_outside_any():
 def test_the_records_are_given_as_they_are_held(state):
     after, effects = step(state, CollectReceived(), NOW)
     assert after == state
-    assert effects == tuple(Send(record, TAG, bulk=True) for record in (LIMITS, CALIBRATION, TOOL))
+    assert effects == tuple(Send(record, TAG) for record in (LIMITS, CALIBRATION, TOOL))
 
 
 @each_state
@@ -573,9 +573,7 @@ def test_an_accepted_path_is_stored_and_answered_with_its_digest(state):
         ENDS,
     )
     (send,) = effects
-    assert send == Send(
-        records.PathStored(digest=PATH.digest, refusal=Refusal.ACCEPTED, pose=0), TAG, bulk=True
-    )
+    assert send == Send(records.PathStored(digest=PATH.digest, refusal=Refusal.ACCEPTED, pose=0), TAG)
 
 
 @pytest.mark.parametrize("state", [OPENED, LOADED], ids=["open", "loaded"])

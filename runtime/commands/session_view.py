@@ -207,6 +207,7 @@ def stopped(session: Session) -> dict[str, Any] | None:
     way = None
     if held.calibration is not None and held.tool is not None and verdict is not None and verdict.approach:
         way = Way(state.job.path, held.calibration, held.tool, verdict.approach.entry_um)
+    progress, joints_u = session.last_seen
     return stop_document(
         Stopped(
             cause=state.cause,
@@ -215,8 +216,8 @@ def stopped(session: Session) -> dict[str, Any] | None:
             at_rest=view is not None and view.state in AT_REST,
             latched=view is not None and view.state is ControllerState.FAULT,
             standing=view.cause if view is not None else StopCause.NONE,
-            progress=session.progress,
-            joints_u=session.joints_u,
+            progress=progress,
+            joints_u=joints_u,
         ),
         way,
     )

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cutgate.config.screen import printable
-from cutgate.runtime.review.stopped import SAFE
+from cutgate.runtime.review.stopped import APPROACH, RETRACT, SAFE
 from cutgate.runtime.review.story import failing
 
 GOOD: Final = "bold green"
@@ -67,16 +67,21 @@ def _where(stop: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if where is None:
         yield "where", "not known" if stop["moving"] else "the arm had not been started"
         return
-    if where["segment"] is None:
+    heard = "" if stop["confirmed"] else ", as last heard"
+    if where["leg"] == APPROACH:
+        yield "where", f"on the approach, before the cut{heard}"
+    elif where["segment"] is None:
         yield "where", "not known: no progress was reported"
+    elif where["leg"] == RETRACT:
+        yield "where", f"on the retract: the whole path is cut{heard}"
     else:
         done = f"{where['percent']:.1f} % of the path is cut, {where['to_go_mm']:.1f} mm to go"
-        yield "where", f"segment {where['segment']} of {where['segments']}: {done}"
+        yield "where", f"segment {where['segment']} of {where['segments']}: {done}{heard}"
     if where["tip_mm"] is not None:
         x, y, z = where["tip_mm"]
         side = "below" if where["depth_mm"] > 0.0 else "above"
         depth = f"{abs(where['depth_mm']):.1f} mm {side} the entry plane, along the tool"
-        yield "tip", f"x {x:.1f} y {y:.1f} z {z:.1f} mm; {depth}"
+        yield "tip", f"x {x:.1f} y {y:.1f} z {z:.1f} mm; {depth}{heard}"
 
 
 def _head(console: Console, story: Mapping[str, Any]) -> None:

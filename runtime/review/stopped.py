@@ -13,6 +13,7 @@ from cutgate.protocol.frames import FRACTION_MAX
 from cutgate.protocol.records import RecordError, joints_to_memory
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.interlock.phases import MOVING
+from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.kinematics.arm import TrueArm
 
 C = StopCause
@@ -72,7 +73,9 @@ NEXT: Final[dict[StopCause, tuple[str, ...]]] = {
     C.BONE_MOVED: ("Fix the bone.", *REGISTER),
     C.PEER_REBOOTED: ("Look at the controller's power supply.",),
     C.TRACKING_DEVIATION: ("Look at drives, brakes and load of the joint that the reason names.",),
-    C.AUDIT_FAILED: ("Free or replace the disk of the log directory.",),
+    C.AUDIT_FAILED: (
+        "Look at what the reason names: free or replace the disk of the log directory, or keep others out of it.",
+    ),
     C.LIMIT_EXCEEDED: ("Look at the drives; move the arm inside its limits by the controller's own means.",),
     C.TRANSFER_FAILED: BUS,
     C.PROTOCOL_VIOLATION: MAKER,
@@ -156,16 +159,19 @@ def _safe(stopped: Stopped) -> tuple[str, ...]:
     return SAFE if stopped.phase in MOVING else SAFE[:1]
 
 
+OUT: Final = "withdraw it along its axis by the controller's own means, before anything else."
+
+
 def _withdraw(place: dict[str, Any] | None) -> tuple[str, ...]:
+    """Before and after the cut the arm may be beside the bone, on a joint line: there its axis leads anywhere."""
     depth_mm = place and place["depth_mm"]
-    if not depth_mm or depth_mm <= 0.0:
+    if not place or not depth_mm or depth_mm <= 0.0:
         return ()
-    deep = f"The tip is {depth_mm:.1f} mm below the entry plane"
-    begun = bool(place and place["percent"])
-    out = "withdraw it along its axis by the controller's own means, before anything else."
-    # Before the cut has begun the arm may be beside the bone, on a joint line: there its axis leads anywhere.
+    if place["leg"] == CUT:
+        return (f"The tip is {depth_mm:.1f} mm below the entry plane: the tool is in the bone, {OUT}",)
+    on = {APPROACH: "The arm was on its approach", RETRACT: "The path is cut and the arm was on its retract"}
     return (
-        f"{deep}: the tool is in the bone, {out}" if begun else f"{deep}: if the tool is in the bone, {out}",
+        f"{on.get(place['leg'], 'It is not known how far the arm came')}: if the tool is in the bone, {OUT}",
     )
 
 
@@ -173,7 +179,8 @@ def _again(stopped: Stopped) -> tuple[str, ...]:
     """A new session is needed after every stop; what it must say first depends on the controller."""
     whole = "; it cuts the path from its beginning" if stopped.phase in MOVING else ""
     if stopped.standing is StopCause.NONE:
-        return (f"Start a new session{whole}.",)
+        asked = "" if stopped.at_rest else "; say acknowledge, and reset, when it asks for them"
+        return (f"Start a new session{whole}{asked}.",)
     words = "say acknowledge, then reset" if stopped.latched else "say acknowledge"
     return (f"Start a new session and {words}{whole}.",)
 
@@ -186,7 +193,25 @@ def _place(stopped: Stopped, way: Way | None) -> dict[str, Any] | None:
         calibration, tool = records.Calibration.parse(way.calibration), records.Tool.parse(way.tool)
     except RecordError:
         return None
-    return {**_done(path, stopped.progress), **_tip(path, calibration, tool, way.entry_um, stopped.joints_u)}
+    done = _done(path, stopped.progress)
+    tip = _tip(path, calibration, tool, way.entry_um, stopped.joints_u)
+    return {"leg": _leg(stopped, len(path) - 1), **done, **tip}
+
+
+APPROACH, CUT, RETRACT = "approach", "cut", "retract"
+
+
+def _leg(stopped: Stopped, segments: int) -> str | None:
+    """Which part of its way the arm was on: progress stands at the path's first point on the approach, then at its last.
+
+    None where no progress of this path was reported although the arm may be on it.
+    """
+    progress = stopped.progress
+    if stopped.phase == Phase.FINISHING or progress == (segments - 1, FRACTION_MAX):
+        return RETRACT
+    if stopped.phase == Phase.STARTING or progress == (0, 0):
+        return APPROACH
+    return CUT if progress is not None and 0 <= progress[0] < segments else None
 
 
 def _done(path: records.Path, progress: tuple[int, int] | None) -> dict[str, Any]:

@@ -1,25 +1,12 @@
 """A log as one document for people: what was decided, when, why, and where the files are."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from cutgate.config.load import DEFAULT_LIMIT
-from cutgate.protocol.e2e import intact
-from cutgate.protocol.frames import (
-    DATA_IDS,
-    IDS,
-    Frame,
-    Joint4,
-    Joints01,
-    Joints23,
-    Progress,
-    decode_frame,
-    joint_values,
-)
-from cutgate.protocol.records import joints_to_counts
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.inspect import Log
@@ -42,6 +29,7 @@ from cutgate.runtime.audit.records import (
     Verdict,
 )
 from cutgate.runtime.interlock.phases import MOVING, STOPPING
+from cutgate.runtime.review.last_seen import LastSeen
 from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 
 SCHEMA = "cutgate.audit-show/1"
@@ -174,8 +162,6 @@ def _allowed(log: Log) -> dict[str, dict[str, Any]]:
 
 
 AT_REST: Final = (ControllerState.INHIBITED.name, ControllerState.FAULT.name)
-JOINTS: Final = (Joints01, Joints23, Joint4)
-SEEN: Final = {IDS[kind] for kind in (*JOINTS, Progress)}
 BROKEN_OFF: Final[dict[str, Any]] = {
     "reason": "the log ends here: the runtime was killed, or its computer lost power, while the arm could move"
 }
@@ -194,7 +180,7 @@ def _stop(log: Log) -> dict[str, Any] | None:
     first = first or BROKEN_OFF | {"from_state": steps[-1]["to_state"]}
     controller = next(iter(log.of(Controller.TOPIC)[-1:]), {})
     session = next((one["session"] for one in steps if one.get("session")), None)
-    progress, joints_u = _last_seen(log, session)
+    seen, tag = _last_seen(log), _tag(session)
     return stop_document(
         Stopped(
             cause=_cause(first.get("first_out")),
@@ -203,8 +189,8 @@ def _stop(log: Log) -> dict[str, Any] | None:
             at_rest=first.get("first_out") is not None and controller.get("state") in AT_REST,
             latched=controller.get("state") == ControllerState.FAULT.name,
             standing=_cause(controller.get("cause")),
-            progress=progress,
-            joints_u=joints_u,
+            progress=seen.progress(tag),
+            joints_u=seen.joints_u(tag),
         ),
         _way(log),
     )
@@ -219,33 +205,15 @@ def _cause(name: object) -> StopCause:
     return StopCause[name] if isinstance(name, str) and name in StopCause.__members__ else StopCause.NONE
 
 
-def _last_seen(log: Log, session: object) -> tuple[tuple[int, int] | None, tuple[int, ...] | None]:
-    """The last progress and the last measured joints that the controller sent in a session, 1e-6 deg | mm."""
-    place, joints_u = None, None
-    parts: dict[int, tuple[int, Frame]] = {}
-    for counter, frame in _frames(log, _tag(session)):
-        if isinstance(frame, Progress):
-            place = (frame.segment, frame.fraction)
-            continue
-        parts[IDS[type(frame)]] = (counter, frame)
-        held = [parts.get(IDS[kind], (None, None)) for kind in JOINTS]
-        match [one for _, one in held]:
-            case [Joints01() as first, Joints23() as second, Joint4() as third] if (
-                len({at for at, _ in held}) == 1
-            ):
-                joints_u = joints_to_counts(joint_values(first, second, third))
-    return place, joints_u
-
-
-def _frames(log: Log, tag: int) -> Iterator[tuple[int, Frame]]:
-    """The controller's intact frames that tell where the arm is, with their counters."""
+def _last_seen(log: Log) -> LastSeen:
+    """What the controller sent of where the arm is."""
+    seen = LastSeen()
     for data in log.one_by_one(CanFrame.TOPIC):
-        can_id = data.get("id")
-        if data.get("direction") == "received" and isinstance(can_id, int) and can_id in SEEN:
-            with suppress(ValueError, TypeError, KeyError):  # it is data
-                raw = bytes.fromhex(data["data"])
-                if intact(raw, DATA_IDS[can_id], tag):
-                    yield raw[2], decode_frame(can_id, raw)
+        with suppress(ValueError, TypeError, KeyError):  # it is data
+            plain = not (data["is_extended"] or data["is_rtr"] or data["is_error"])
+            if data["direction"] == "received" and plain:
+                seen.frame(int(data["id"]), bytes.fromhex(data["data"]))
+    return seen
 
 
 def _tag(session: object) -> int:

@@ -53,6 +53,7 @@ from cutgate.runtime.interlock.state import (
     Withheld,
 )
 from cutgate.runtime.interlock.tracking import Deviation
+from cutgate.runtime.review.last_seen import LastSeen
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.space import space, waiting_s
 
@@ -114,6 +115,7 @@ class Journal:
 
     def __init__(self, log: AuditLog, interface: str) -> None:
         self.log = log
+        self.last_seen = LastSeen()
         self._interface = plain(interface)
         self._sequence = 0
         self._view: ControllerView | None = None
@@ -337,6 +339,8 @@ class Journal:
 
     def frame(self, passed: Passed) -> None:
         """One frame that passed the bus; transfers' frames go to the candump file only."""
+        if passed.direction == "received" and not (passed.is_extended or passed.is_remote or passed.is_error):
+            self.last_seen.frame(passed.can_id, passed.data)
         utc_ns = time.time_ns()
         line = candump.line(
             utc_ns,

@@ -183,10 +183,6 @@ class Session:
         self.answer: Answer | None = None
         self.stopped_in: Phase | None = None
         """Where the session stood when it was stopped."""
-        self.progress: tuple[int, int] | None = None
-        """Segment and fraction, in counts of 1/65535, as the controller reported them last."""
-        self.joints_u: tuple[int, ...] | None = None
-        """The joints it measured last, 1e-6 deg | mm."""
         self._check = check
         self._steps: Steps[Answer] | None = None
         self._own: Answer | None = None
@@ -208,6 +204,12 @@ class Session:
         self._interrupted = False
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
+
+    @property
+    def last_seen(self) -> tuple[tuple[int, int] | None, tuple[int, ...] | None]:
+        """Progress and joints as last heard, whether or not in time; for telling only (``LastSeen``)."""
+        session, seen = self.state.session, self._journal.last_seen
+        return (None, None) if session is None else (seen.progress(session.tag), seen.joints_u(session.tag))
 
     # ------------------------------------------------------------ the loop
 
@@ -343,12 +345,10 @@ class Session:
                 young = fresh and self._port.endpoint.link.answered
                 self._feed(HeartbeatReceived(_view_of(beat), young))
             case Accepted(sample=JointSample() as sample):
-                self.joints_u = records.joints_to_counts(sample.joints)
-                self._feed(JointsMeasured(self.joints_u, sample.measured_s))
+                self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
                 self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._cycle.now_s)))
             case Accepted(frame=Progress() as progress):
-                self.progress = (progress.segment, progress.fraction)
                 self._view.progress(progress.segment, self._segments)
                 self._feed(ProgressReported(progress.segment, progress.fraction))
             case Violation():

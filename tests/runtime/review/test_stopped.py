@@ -65,13 +65,18 @@ def test_a_stop_nobody_confirmed_says_first_how_to_make_sure_of_it():
 @pytest.mark.parametrize(
     ("standing", "latched", "asks"),
     [
-        (StopCause.NONE, False, "Start a new session; it cuts"),
+        (StopCause.NONE, False, "Start a new session; it cuts the path from its beginning."),
         (StopCause.BONE_MOVED, False, "Start a new session and say acknowledge; it cuts"),
         (StopCause.AUDIT_FAILED, True, "Start a new session and say acknowledge, then reset; it cuts"),
     ],
 )
 def test_the_last_step_is_what_the_controller_asks_for(standing, latched, asks):
     assert told(standing=standing, latched=latched)["next"][-1].startswith(asks)
+
+
+def test_who_has_not_heard_the_controller_does_not_know_what_it_will_ask_for():
+    unheard = told(standing=StopCause.NONE, at_rest=False)["next"][-1]
+    assert unheard.endswith("beginning; say acknowledge, and reset, when it asks for them.")
 
 
 @pytest.mark.parametrize("phase", sorted({*Phase} - {Phase.STARTING, Phase.CUTTING, Phase.FINISHING}))
@@ -125,14 +130,45 @@ def test_a_tip_below_the_entry_plane_is_to_be_withdrawn_first_and_one_above_is_n
     assert deep["where"]["depth_mm"] > 0.0
     assert "the tool is in the bone, withdraw it along its axis" in deep["next"][0]
     assert "if the tool" not in deep["next"][0]
-    for progress in ((0, 0), None):  # on the approach the arm may stand beside the bone
-        before = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 10_000_000), progress=progress)
-        assert "if the tool is in the bone, withdraw it" in before["next"][0]
     assert "below the entry plane" in shown(deep)
     high = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 0), joints_u=(0, 0, 450_000_000, 0, 0))
     assert high["where"]["depth_mm"] < 0.0
     assert not any("withdraw" in step for step in high["next"])
     assert "above the entry plane" in shown(high)
+
+
+END = (len(PATH) - 2, FRACTION_MAX)
+LEGS = {
+    "before any progress": (Phase.STARTING, None, "approach", "on the approach, before the cut"),
+    "at the first point": (Phase.CUTTING, (0, 0), "approach", "on the approach, before the cut"),
+    "just begun": (Phase.CUTTING, (0, 1), "cut", "segment 0 of"),
+    "nearly done": (Phase.CUTTING, (END[0], FRACTION_MAX - 1), "cut", "0.0 mm to go"),
+    "at the last point": (Phase.CUTTING, END, "retract", "on the retract: the whole path is cut"),
+    "awaiting the end": (Phase.FINISHING, END, "retract", "on the retract: the whole path is cut"),
+    "not known": (Phase.CUTTING, None, None, "no progress was reported"),
+    "of no such segment": (Phase.CUTTING, (len(PATH), 0), None, "no progress was reported"),
+}
+ADVICE = {
+    "approach": "The arm was on its approach: if the tool is in the bone, withdraw it",
+    "cut": "the tool is in the bone, withdraw it along its axis",
+    "retract": "The path is cut and the arm was on its retract: if the tool is in the bone, withdraw it",
+    None: "It is not known how far the arm came: if the tool is in the bone, withdraw it",
+}
+
+
+@pytest.mark.parametrize(("phase", "progress", "leg", "text"), LEGS.values(), ids=LEGS)
+def test_the_leg_decides_what_is_said_of_the_bone(phase, progress, leg, text):
+    """On a joint line the arm may stand beside the bone, however deep it is below the plane."""
+    deep = told(way=Way(WAY.path, WAY.calibration, WAY.tool, 10_000_000), phase=phase, progress=progress)
+    assert deep["where"]["leg"] == leg
+    assert deep["where"]["depth_mm"] > 0.0
+    assert ADVICE[leg] in deep["next"][0]
+    assert text in shown(deep)
+
+
+def test_a_place_that_nobody_has_confirmed_is_the_last_that_was_heard():
+    assert shown(told(at_rest=False)).count("as last heard") == 2
+    assert "as last heard" not in shown(told())
 
 
 @pytest.mark.parametrize(

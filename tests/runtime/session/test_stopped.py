@@ -6,7 +6,7 @@ import pytest
 
 from cutgate.firmware_sim.kinematics import calibrated_arm, forward
 from cutgate.protocol import records
-from cutgate.protocol.frames import IDS, Joints01, Progress
+from cutgate.protocol.frames import FRACTION_MAX, IDS, Joints01, Progress
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.records import CanFrame, Close, Decision
@@ -25,7 +25,7 @@ def moving(pair, time_scale=1.0):
     """The cut is half done."""
     pair.power_up(time_scale=time_scale)
     pair.to(Phase.CUTTING)
-    return pair.until(lambda: (pair.session.progress or (0, 0))[0] >= 2, 60.0)
+    return pair.until(lambda: (pair.session.last_seen[0] or (0, 0))[0] >= 2, 60.0)
 
 
 def operator(pair):
@@ -69,6 +69,25 @@ def test_a_stopped_cut_is_told_alike_by_session_and_log(pair, act):
     pair.close()
     assert from_the_log(pair) == told
     assert run_document(pair.state, pair.session.answer, pair.paths, told)["stop"] == told
+
+
+def test_what_a_stalled_session_was_sent_meanwhile_is_told_although_it_is_not_acted_on(pair):
+    """Else a person looks for the tool where it was before the stall."""
+    moving(pair, 0.05)
+    before, _ = pair.session.last_seen
+    pair.runtime_turns = False
+    pair.run(0.2)
+    pair.runtime_turns = True
+    assert pair.end() is Phase.STOPPED
+    told = stopped(pair.session)
+    assert told["cause"] == StopCause.LOOP_STALLED.name
+    after, _ = pair.session.last_seen
+    assert after > before
+    stands = pair.process._arm_state
+    assert after[0] == stands.segment
+    assert 0 <= stands.fraction - after[1] / FRACTION_MAX < 0.01, "it moved on for a heartbeat at most"
+    pair.close()
+    assert from_the_log(pair) == told
 
 
 def test_the_place_is_where_the_plant_stands(pair):
@@ -116,6 +135,7 @@ def test_what_a_stranger_says_of_the_arm_is_not_believed_of_a_log(pair):
 
     found = from_the_log(pair, forge(pair.paths.log.read_bytes(), edit))
     assert found["where"] | {"tip_mm": None, "depth_mm": None} == {
+        "leg": None,
         "segment": None,
         "segments": told["where"]["segments"],
         "percent": None,

@@ -9,5 +9,7 @@ INTERNAL = 70
 NOT_WRITTEN = 74
 """What was to be written does not fit where it was to go: no verdict's code may be given."""
 INTERRUPTED = 130
+SIGNALLED = 128
+"""And the signal's number: ended by it, in order, as a shell says of a program that it has ended."""
 READER_GONE = 141
 """Whoever was to read the result has gone: no verdict's code may be given, as by a program that SIGPIPE ends."""

@@ -21,11 +21,12 @@ import typer
 from rich.text import Text
 
 from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
-from cutgate.config.exits import STOPPED
+from cutgate.config.exits import SIGNALLED, STOPPED
 from cutgate.config.interpreter import program
 from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import printable
+from cutgate.config.signals import ENDING, handled, name_of
 from cutgate.protocol.permit import KEY_BYTES
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
@@ -105,7 +106,11 @@ def demo(
     runs: list[dict[str, Any]] = []
     why: list[str] = []
     try:
-        with _bus(folder, say) as where, _controller(folder, [*where, *framing], say) as controller:
+        with (
+            _ended_in_order(say),
+            _bus(folder, say) as where,
+            _controller(folder, [*where, *framing], say) as controller,
+        ):
             for registration in STORY:
                 run = _run(folder, registration, [*where, *framing], controller, say)
                 runs.append(run)
@@ -163,6 +168,22 @@ def _folder(out: Path | None) -> Path:
     fill(folder, "--out", {name: (EXAMPLES / name).read_bytes() for name in (PLAN, *STORY, *SETTINGS)})
     new_key_file(folder / "site.key", secrets.token_bytes(KEY_BYTES))
     return folder
+
+
+@contextmanager
+def _ended_in_order(say: _Teller) -> Iterator[None]:
+    """Whatever ends the demo ends its processes first, the runtime before all: it stops the arm and closes its log."""
+    first = True
+
+    def end(number: int) -> None:
+        nonlocal first
+        if first:  # a second one must not cut short what the first has begun
+            first = False
+            say("demo", f"{name_of(number)}: ending runtime, controller and bus")
+            raise typer.Exit(SIGNALLED + number)
+
+    with handled(ENDING - {signal.SIGINT}, end):
+        yield
 
 
 @contextmanager

@@ -22,7 +22,9 @@ Vector = tuple[float, float, float]
 CUT_LEAST_MM: Final = 1.0
 CT_LEAST_MM: Final = 10.0
 RADIANS_MOST: Final = 2.0 * math.pi
-"""Limits in degrees that are all smaller than a turn in radians are hardly meant."""
+"""Limits of a joint in degrees that are smaller than a revolution in radians are hardly meant."""
+DEADBAND_LEAST_DEG: Final = 0.1
+"""Of the wrist; 5 deg in radians is less."""
 MOVE_MOST_MM: Final = 150.0
 TURN_MOST_DEG: Final = 15.0
 _FRAME: Final = "check units, direction and frame (LPS or RAS) of the registration first"
@@ -102,7 +104,7 @@ def cautions(problem: Problem, verdict: Verdict, placed: Placed | None) -> tuple
         verdict: what was found.
         placed: None where no registration is given.
     """
-    found = [_size(problem), _radians(problem)]
+    found = [_size(problem), _radians(problem), _tiny_deadband(problem)]
     if placed is not None:
         found += [
             _near_the_origin(placed.matrix),
@@ -144,13 +146,24 @@ def _size(problem: Problem) -> Caution | None:
 
 
 def _radians(problem: Problem) -> Caution | None:
-    largest = math.degrees(
-        max(abs(float(bound[q])) for bound in (problem.lower, problem.upper) for q in _ROTARY)
-    )
-    if largest > RADIANS_MOST:
+    """Each joint on its own: files are edited line by line, and one joint may have no limits to speak of."""
+    largest = {
+        q: math.degrees(max(abs(float(problem.lower[q])), abs(float(problem.upper[q])))) for q in _ROTARY
+    }
+    small = {f"q{q}": most for q, most in largest.items() if most <= RADIANS_MOST}
+    if not small:
         return None
-    text = f"no rotary joint may leave +-{largest:.3g} deg: check whether the limits are in radians"
-    return Caution("LIMITS_IN_RADIANS", text, largest, RADIANS_MOST, confirm=True)
+    most = max(small.values())
+    text = f"{', '.join(small)} may not leave +-{most:.3g} deg: check whether the limits are in radians"
+    return Caution("LIMITS_IN_RADIANS", text, most, RADIANS_MOST, confirm=True)
+
+
+def _tiny_deadband(problem: Problem) -> Caution | None:
+    found = math.degrees(problem.deadband.wrist_rad)
+    if found >= DEADBAND_LEAST_DEG:
+        return None
+    text = f"the wrist's deadband is {found:.3g} deg only: check whether it is in radians"
+    return Caution("DEADBAND_IN_RADIANS", text, found, DEADBAND_LEAST_DEG, confirm=True)
 
 
 def _near_the_origin(registration: Floats) -> Caution | None:

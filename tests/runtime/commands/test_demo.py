@@ -2,10 +2,12 @@
 
 import json
 import os
+import signal
 from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
+import typer
 
 from cutgate.runtime.commands import demo
 from cutgate.runtime.commands.app import execute
@@ -26,6 +28,25 @@ def ran(registration, **changes):
         "log": log,
     }
     return told | changes
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1])
+def test_a_signal_that_ends_the_demo_ends_its_processes_first_and_a_second_one_changes_nothing(number):
+    said, ended = [], []
+
+    def processes():
+        with demo._ended_in_order(lambda *line: said.append(line)):
+            try:
+                signal.raise_signal(number)
+            finally:  # as each process of the demo is ended
+                signal.raise_signal(signal.SIGTERM)
+                ended.append("runtime")
+
+    with pytest.raises(typer.Exit) as left:
+        processes()
+    assert left.value.exit_code == 128 + number
+    assert ended == ["runtime"]
+    assert said == [("demo", f"{number.name}: ending runtime, controller and bus")]
 
 
 LATE = {"outcome": "stopped", "cause": "HEARTBEAT_LOST", "reason": LOST, "verdict": None}

@@ -109,7 +109,28 @@ def test_limits_in_radians_are_told():
     lower[2], upper[2] = 50.0, 450.0
     (found,) = found_in(case(lower=lower, upper=upper))
     assert (found.code, found.confirm) == ("LIMITS_IN_RADIANS", True)
-    assert found_in(case(lower=lower, upper=np.where(np.arange(5) == 1, math.radians(6.3), upper))) == ()
+    assert found.text.startswith("q0, q1, q3, q4 may not leave +-2.97 deg")
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3, 4])
+def test_one_joints_limits_in_radians_are_told_and_a_little_more_are_not(joint):
+    usual = case()
+    lower, upper = np.array(usual.lower), np.array(usual.upper)
+    lower[joint], upper[joint] = math.radians(-2.0), math.radians(6.28)
+    (found,) = found_in(case(lower=lower, upper=upper))
+    assert found.text.startswith(f"q{joint} may not leave +-6.28 deg")
+    assert (found.value, found.confirm) == (pytest.approx(6.28), True)
+    upper[joint] = math.radians(6.3)
+    assert found_in(case(lower=lower, upper=upper)) == ()
+
+
+@pytest.mark.parametrize(
+    ("deg", "warns"), [(math.radians(2.0), True), (0.099, True), (0.1, False), (0.5, False)]
+)
+def test_a_deadband_in_radians_is_told(deg, warns):
+    found = found_in(replace(case(), deadband=replace(case().deadband, wrist_rad=math.radians(deg))))
+    assert codes(found) == ["DEADBAND_IN_RADIANS"] * warns
+    assert all(one.confirm and one.value == pytest.approx(deg) and one.bound == 0.1 for one in found)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import os
 import re
 import stat
 import tomllib
-from codecs import BOM_UTF8
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -46,6 +46,8 @@ _WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*+"|[-+.\w]++')
 """Strings, and whatever stands in JSON without quotation marks."""
 DIGITS_MAX: Final = 309
 """Of an integer: the largest double has so many."""
+_TOML_NAMES: Final = frozenset({"inf", "nan"})
+"""What TOML calls these; whoever writes one is told with the key."""
 _MANY_DIGITS: Final = re.compile(rf"[0-9_]{{{DIGITS_MAX + 1},}}")
 NEWLINE: Final = "\n"
 _ERROR_CHARACTERS: Final = 200
@@ -116,7 +118,7 @@ PRESETS: Final = Shipped(SHIPPED / "config" / "presets", "", ".toml", "a preset"
 def read_bytes(
     path: str | os.PathLike[str],
     limit: int = DEFAULT_LIMIT,
-    remedy: str = "raise file_size_limit_mb in the site.toml of run (no other command has one), or part the path",
+    remedy: str = "raise file_size_limit_mb in a site.toml (--site of run and verify), or part the path",
 ) -> bytes:
     """The whole file as it was when opened, read once; one that is too large is not read at all.
 
@@ -183,6 +185,10 @@ def decode(path: object, data: bytes) -> str:
     Raises:
         InputError: not UTF-8; names line and byte.
     """
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        raise InputError(
+            path, "line 1", "a byte-order mark of UTF-16", "UTF-8 text", "save the file as UTF-8"
+        )
     try:
         return data.removeprefix(BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -206,8 +212,15 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
             raise InputError(
                 path, f"line {number}", found, bound, "no key has so many parts; shorten the line"
             )
+
+    def fraction(word: str) -> float:
+        value = float(word)
+        if not math.isfinite(value) and word.lstrip("+-") not in _TOML_NAMES:
+            raise _no_number(path, text, text.find(word), word, _DOUBLE)
+        return value
+
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=fraction)
     except tomllib.TOMLDecodeError as error:
         raise InputError(
             path, "", None, f"not valid TOML: {_shortened(str(error))}", "correct the file"

@@ -1,5 +1,6 @@
 """What a controller's limits, calibration and tool say otherwise than the approved ones, in words and units."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -9,8 +10,10 @@ from cutgate.protocol.parameters import NOT_GIVEN, UNIT, Calibration, Limits, To
 Parameters = Limits | Calibration | Tool
 
 _JOINT: Final = ("deg", "deg", "mm", "deg", "deg")
-_RATE: Final = tuple(f"{unit}/s" for unit in _JOINT)
-_RATE2: Final = tuple(f"{unit}/s2" for unit in _JOINT)
+_RATE: Final = ("rad/s", "rad/s", "mm/s", "rad/s", "rad/s")
+_RATE2: Final = tuple(f"{unit}2" for unit in _RATE)
+_IN_RADIANS: Final = {"rad/s", "rad/s2"}
+"""As in robot.toml, where people look for them; a record has them in degrees."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +62,28 @@ def _unequal(entry: _Field, received: Parameters, approved: Parameters) -> Itera
     given = [values != NOT_GIVEN for values in (found, wanted)]
     for which, unit, one, other in zip(entry.which, entry.units, found, wanted, strict=True):
         if one != other:
-            shown, bound = (
-                f"{value / UNIT:.6f}".rstrip("0").rstrip(".") + f" {unit}" if there else "not given"
-                for value, there in zip((one, other), given, strict=True)
-            )
+            shown, bound = _apart(one if given[0] else None, other if given[1] else None, unit)
             yield f"{entry.words.format(which)} is {shown}, approved: {bound}"
+
+
+_DECIMALS: Final = (6, 9)
+"""As in robot.toml; and as many as tell any two values of a record apart."""
+
+
+def _apart(one: int | None, other: int | None, unit: str) -> list[str]:
+    """Two values that differ, so that they look it."""
+    for decimals in _DECIMALS:
+        shown = [_shown(value, unit, decimals) for value in (one, other)]
+        if shown[0] != shown[1]:
+            break
+    return shown
+
+
+def _shown(value: int | None, unit: str, decimals: int) -> str:
+    if value is None:
+        return "not given"
+    number = math.radians(value / UNIT) if unit in _IN_RADIANS else value / UNIT
+    return f"{number:.{decimals}f}".rstrip("0").rstrip(".") + f" {unit}"
 
 
 def _values(value: int | tuple[int, ...]) -> tuple[int, ...]:

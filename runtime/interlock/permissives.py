@@ -83,6 +83,9 @@ def plant_speed(state: Interlock, _now_s: float) -> Permissive:
 
 # ---------------------------------------------------------------- what the controller holds
 
+DIFFERENCES_SHOWN = 5
+"""One for each joint."""
+
 
 def _equals_approved(
     name: str, kind: type[Parameters], received: bytes | None, approved: bytes
@@ -97,16 +100,17 @@ def _equals_approved(
 
 
 def _compared(kind: type[Parameters], received: bytes | None, approved: bytes) -> str:
-    """The first value that differs, and how many do."""
+    """The values that differ, as many as a line holds, and how many more do."""
     if received is None:
         return "not received"
     if received == approved:
         return "equal"
     try:
-        first, *more = differences(kind.parse(received), kind.parse(approved))
+        found = differences(kind.parse(received), kind.parse(approved))
     except records.RecordError:
         return f"{_short(_digest(received))}, approved {_short(_digest(approved))}"
-    return f"{first} (and {len(more)} more)" if more else first
+    more = f" (and {len(found) - DIFFERENCES_SHOWN} more: audit show has all)"
+    return "; ".join(found[:DIFFERENCES_SHOWN]) + (more if len(found) > DIFFERENCES_SHOWN else "")
 
 
 def limits_approved(state: Interlock, _now_s: float) -> Permissive:

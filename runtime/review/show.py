@@ -278,7 +278,7 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
         *(
             (
                 entry["offset_s"],
-                f"the controller's {_text(entry, 'kind')} are not the approved ones: {_text(entry, 'difference')}",
+                f"the controller's {_text(entry, 'kind')} otherwise than approved: {_text(entry, 'difference')}",
             )
             for entry in story["collected"]
             if entry.get("matches_approved") is not True

@@ -1,6 +1,7 @@
 """Robot and site files: what is read, what is refused and how it is said."""
 
 import hashlib
+import math
 import os
 import re
 import tomllib
@@ -510,6 +511,19 @@ def test_json_beyond_the_standard_is_refused(text, words):
 
 def test_an_integer_that_a_double_can_hold_is_read():
     assert parse_json("f.json", b"[-1" + b"0" * 308 + b", 0, -0]") == [-(10**308), 0, 0]
+
+
+def test_a_number_of_toml_that_no_double_holds_is_refused_as_it_is_written():
+    with pytest.raises(InputError, match=r"line 2 column 5 is -1e400, must be a finite number"):
+        parse_toml("f.toml", b"# 1\na = -1e400")
+    assert parse_toml("f.toml", b"a = -inf")["a"] == -math.inf  # which the key's own bound refuses
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_of_utf16_is_named(encoding):
+    for read in (parse_toml, parse_json):
+        with pytest.raises(InputError, match="line 1 is a byte-order mark of UTF-16, must be UTF-8 text"):
+            read("f", "\ufeff{}".encode(encoding))
 
 
 def test_toml_of_endless_nesting_is_refused():

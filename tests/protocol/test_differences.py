@@ -36,7 +36,9 @@ def test_equal_records_do_not_differ_and_every_count_of_every_field_is_told(reco
         (replace(LIMITS, q_min_u=(-80_000_000, 0, 50_000_001, -170_000_000, 0)), LIMITS,
          "q2 lower limit is 50.000001 mm, approved: 50 mm"),
         (replace(LIMITS, speed_u=(57_000_000, 57_000_000, 200_000_000, 114_000_000, 0)), LIMITS,
-         "q4 speed limit is 0 deg/s, approved: 114 deg/s"),
+         "q4 speed limit is 0 rad/s, approved: 1.989675 rad/s"),
+        (replace(LIMITS, speed_u=(57_000_000, 57_000_000, 200_000_000, 114_000_001, 114_000_000)), LIMITS,
+         "q3 speed limit is 1.989675365 rad/s, approved: 1.989675347 rad/s"),
         (replace(CALIBRATION, slide_tilt_u=(0, -250_000)), CALIBRATION,
          "slide tilt along y is -0.25 mrad, approved: 0 mrad"),
         (replace(CALIBRATION, forearm_link_u=450_000_000), CALIBRATION,
@@ -51,4 +53,4 @@ def test_name_both_values_and_unit_are_told(received, approved, told):
 def test_limits_that_are_not_given_are_told_as_such():
     given = replace(LIMITS, acceleration_u=(1_000_000,) * 5)
     assert differences(LIMITS, given)[2] == "q2 acceleration limit is not given, approved: 1 mm/s2"
-    assert differences(given, LIMITS)[4] == "q4 acceleration limit is 1 deg/s2, approved: not given"
+    assert differences(given, LIMITS)[4] == "q4 acceleration limit is 0.017453 rad/s2, approved: not given"

@@ -349,7 +349,7 @@ def test_show_lists_what_went_wrong(capsys, tmp_path):
     for text in (
         "operator: start (refused: not yet)",
         "fault of the controller: SECOND_NODE seen",
-        "the controller's limits are not the approved ones",
+        "the controller's limits otherwise than approved",
         "(x2)",
         "first-out HEARTBEAT_LOST",
         "bone [x]: 0.700 (required: <= 0.5 mm)",

@@ -194,7 +194,9 @@ def test_what_was_never_seen_does_not_hold(field, evaluates):
     ("changes", "told"),
     [
         ({"q_max_u": (80_000_000, 140_000_000, 450_000_000, 170_000_000, 110_000_000)}, "q1 upper limit is 140 deg, approved: "),
-        ({"speed_u": (1, 2, 3, 4, 5)}, "(and 4 more)"),
+        ({"speed_u": (1, 2, 3, 4, 5)}, "; q4 speed limit is"),
+        ({"speed_u": (1, 2, 3, 4, 5), "q_max_u": (80_000_000, 140_000_000, 450_000_000, 170_000_000, 110_000_000)}, "; q3 speed limit is "),
+        ({"speed_u": (1, 2, 3, 4, 5), "q_max_u": (80_000_000, 140_000_000, 450_000_000, 170_000_000, 110_000_000)}, " (and 1 more: audit show has all)"),
     ],
 )  # fmt: skip
 def test_other_limits_are_told_with_both_values(changes, told):

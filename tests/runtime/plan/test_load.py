@@ -390,7 +390,7 @@ def test_a_file_over_the_size_limit_is_refused(tmp_path):
         (tmp_path / name).write_text(" " * 100, encoding="utf-8")
         message = message_of(lambda name=name: load_plan(tmp_path / name, size_limit=99))
         assert (
-            "size is 100 bytes, must be <= 99 bytes; raise file_size_limit_mb in the site.toml of run"
+            "size is 100 bytes, must be <= 99 bytes; raise file_size_limit_mb in a site.toml (--site of run and verify)"
             in message
         )
 

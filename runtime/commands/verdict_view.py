@@ -84,12 +84,18 @@ def print_other_elbow(console: Console, found: OtherElbow | None) -> None:
 
 
 def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> None:
-    """Prints how to move the bone, where it is known, and last the answer: the end is what a screen still shows."""
+    """Prints how to move the bone, where it is known; and last the answer and the move: what a screen still shows.
+
+    The first line cannot have the move: an answer does not wait until one is found.
+    """
     if guidance is not None:
         console.print()
         console.print(guidance_lines(guidance))
     console.print()
     console.print(headline(verdict))
+    if guidance is not None and guidance.translation_mm is not None:
+        for line in _combined_move(guidance, guidance.translation_mm):
+            console.print(line)
 
 
 def headline(verdict: Verdict) -> Text:

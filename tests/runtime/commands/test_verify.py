@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 import threading
@@ -160,9 +161,9 @@ def test_for_people_the_whole_verdict_is_there_before_the_way_out_is_looked_for(
     assert before[0].startswith("INADMISSIBLE: outer short by")
     assert all(word in before[0] for word in ("wrist_singularity", "Reasons", "elapsed", "registration "))
     assert after.strip().startswith("How to move the bone")
-    assert after.splitlines()[-2:] == before[0].splitlines()[:2], (
-        "the answer is the last that is said as well"
-    )
+    *_, again, rest, move = after.splitlines()
+    assert [again, rest] == before[0].splitlines()[:2], "the answer is said last as well"
+    assert re.match(r"  Move it x .* mm \(.* mm\): verified", move), "and with it what to do"
 
 
 def test_a_way_out_that_is_looked_for_long_is_announced_beside_the_verdict(cutgate, monkeypatch, capsys):

@@ -149,7 +149,7 @@ def stop(how: Stop) -> list[RenderableType]:
         pair.to(how.phase, *ENDED, limit_s=LONG_S)
         assert pair.session is not None  # noqa: S101 - it has begun
         if how.phase is Phase.CUTTING and how.fault is None:
-            pair.until(lambda: (pair.session.progress or (0, 0))[0] >= 2, LONG_S)  # type: ignore[union-attr]
+            pair.until(lambda: (pair.session.last_seen[0] or (0, 0))[0] >= 2, LONG_S)  # type: ignore[union-attr]
         how.act(pair)
         pair.until(lambda: pair.phase in ENDED, 2 * LONG_S)
         told = stopped(pair.session)

@@ -11,13 +11,14 @@ import can
 import pytest
 
 from cutgate.config.bus import RuntimeDirectoryError
+from cutgate.config.load import SHIPPED
 from cutgate.firmware_sim import __main__ as entry
 from cutgate.firmware_sim import command, memory
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.frames import IDS, RuntimeHeartbeat
 from cutgate.protocol.states import StopCause
 
-ROBOT = Path("config/presets/example.toml")
+ROBOT = SHIPPED / "config" / "presets" / "example.toml"
 
 
 class Bus:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.processes
 RUN_S = 60.0
 SCRIPT = Path(sys.executable).with_name("cutgate")
 TALK = """
-import json, os, socket, sys, time
+import json, os, signal, socket, sys
 line = socket.socket(fileno=os.dup(1))
 def request():
     data = b""
@@ -46,15 +46,15 @@ def claim():
 """What a false verifier needs to speak as ours does."""
 LIES = {
     "says admissible": (
-        "say(claim()); time.sleep(600)",
+        "say(claim()); signal.pause()",
         "said ADMISSIBLE, this side's own check says INADMISSIBLE",
     ),
     "says it for another path": (
-        "c = claim(); c['path'] = c['limits']; say(c); time.sleep(600)",
+        "c = claim(); c['path'] = c['limits']; say(c); signal.pause()",
         "answered for another path",
     ),
     "says it with a forged proof": (
-        "say({**claim(), 'proof': 'cutgate.proof/1'}); time.sleep(600)",
+        "say({**claim(), 'proof': 'cutgate.proof/1'}); signal.pause()",
         "proof: Extra inputs are not permitted",
     ),
     "says more than any message holds": (
@@ -106,7 +106,7 @@ def test_whatever_a_false_verifier_does_nothing_is_permitted_and_it_is_told(far,
 def test_a_search_for_guidance_that_does_not_end_holds_up_neither_the_verdict_nor_who_wants_to_leave(far):
     program = (
         "c = claim(); c.update(admissible=False, approach=None); say(c)\n"
-        "import signal; signal.pthread_sigmask(signal.SIG_SETMASK, range(1, 32)); time.sleep(600)"
+        "import signal; signal.pthread_sigmask(signal.SIG_SETMASK, range(1, 32)); signal.pause()"
     )
     run, sim = far.run(registration="far.json", script=Script(verifier=TALK + program)), far.sim()
     run.line("looking for the smallest move of the bone")

@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Event as ThreadEvent
 from typing import Any
 
-from cutgate.config.load import Loaded, robot_from_bytes
+from cutgate.config.load import SHIPPED, Loaded, robot_from_bytes
 from cutgate.config.model import Robot
 from cutgate.config.ours import Replacement
 from cutgate.config.records import calibration_record, limits_record, tool_record
@@ -36,7 +36,7 @@ VERIFIER = "cutgate test"
 OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))
 LOG_ID = "0123456789abcdef0123456789abcdef"
 PATIENCE_S = 30.0
-ROBOT = Path("config/presets/example.toml")
+ROBOT = SHIPPED / "config" / "presets" / "example.toml"
 MODELS = {model.TOPIC: model for model in records.MODELS}
 
 

@@ -260,7 +260,7 @@ def test_a_guidance_search_that_goes_on_is_killed_when_the_session_is_over(tmp_p
     monkeypatch.setattr(
         workers,
         "program",
-        lambda _module: [sys.executable, "-c", "import time\nwhile True: time.sleep(1)"],
+        lambda _module: [sys.executable, "-c", "import signal\nwhile True: signal.pause()"],
     )
     worker = Worker.start(request_of(tmp_path_factory, INADMISSIBLE_MM).path)
     worker.close()

@@ -1,5 +1,6 @@
 """The story of a log on a terminal: readable at 100 columns, and as plain text when piped."""
 
+import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from itertools import groupby
@@ -17,6 +18,8 @@ GOOD: Final = "bold green"
 BAD: Final = "bold red"
 _DIGEST: Final = 16
 _SHOWN_MAX: Final = 1e15
+_UNIT: Final = re.compile(r"[<>]= [-+.e0-9]+ (\S+)")
+"""A bound with a unit."""
 """A number beyond it is none that a session wrote."""
 
 
@@ -214,7 +217,7 @@ def print_time_line(
     table.columns[0].justify = "right"
     table.columns[4].ratio = 1
     for first, count in _runs(decisions):
-        before, after = _text(first, "from_state"), _text(first, "to_state")
+        before, after = (_text(first, name).replace("_", " ") for name in ("from_state", "to_state"))
         disposition = _text(first, "disposition")
         table.add_row(
             f"{first['offset_s']:.3f}",
@@ -252,10 +255,12 @@ def _why(decision: Mapping[str, Any]) -> str:
 
 
 def _shown(permissive: Mapping[str, Any]) -> str:
-    value = permissive.get("value")
-    if isinstance(value, float) and value.is_integer() and abs(value) <= _SHOWN_MAX:
-        return f"{value:.0f}"
-    return _number(value) if "value" in permissive else _text(permissive, "text")
+    """A permissive's value, in the unit of its bound."""
+    if "value" not in permissive:
+        return _text(permissive, "text")
+    value, unit = permissive["value"], _UNIT.fullmatch(_text(permissive, "bound"))
+    whole = isinstance(value, float) and value.is_integer() and abs(value) <= _SHOWN_MAX
+    return (f"{value:.0f}" if whole else _number(value)) + (f" {unit[1]}" if unit else "")
 
 
 def _facts(console: Console, story: Mapping[str, Any]) -> None:
@@ -309,6 +314,8 @@ def _files(console: Console, story: Mapping[str, Any]) -> None:
 
 def _pairs(console: Console, rows: Mapping[str, str]) -> None:
     table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column()
+    table.add_column(overflow="fold")
     for label, value in rows.items():
         if value:
             table.add_row(f"  {label}", value)
@@ -318,7 +325,7 @@ def _pairs(console: Console, rows: Mapping[str, str]) -> None:
 def _table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     for column in columns:
-        table.add_column(column)
+        table.add_column(column, overflow="fold")  # a digit that is cut off makes another number
     return table
 
 

@@ -352,7 +352,7 @@ def test_show_lists_what_went_wrong(capsys, tmp_path):
         "the controller's limits otherwise than approved",
         "(x2)",
         "first-out HEARTBEAT_LOST",
-        "bone [x]: 0.700 (required: <= 0.5 mm)",
+        "bone [x]: 0.700 mm (required: <= 0.5 mm)",
         "key: none (required: given)",
         "CRASHED (gone)",
         "stopped",

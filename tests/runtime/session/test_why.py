@@ -1,5 +1,7 @@
 """What a reviewer reads of a session months later: why the permit and the start were allowed, and who was there."""
 
+import re
+
 import pytest
 from rich.console import Console
 
@@ -42,6 +44,19 @@ def test_why_the_start_was_allowed_is_every_permissive_with_value_and_bound(pair
     assert "Why it was allowed permissive permit" in words
     for name in ("emergency stop", "age of the permit", "<= 0.5 mm", "enabling device"):
         assert name in words
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_nothing_is_cut_off_whatever_the_width_and_every_value_has_its_bounds_unit(pair, width):
+    """A digit that is cut off makes another number, a phase that is cut off may be either of two."""
+    pair.end()
+    text = shown(told(pair), width)
+    assert "…" not in text
+    words = " ".join(text.split())
+    assert "authorising permit" in words
+    assert "authorising start" in words
+    for unit in ("s", "mm", "deg"):
+        assert re.search(rf"[0-9] {unit} +[0-9.]+ {unit} +<= [0-9.]+ {unit}", text)
 
 
 def test_where_nothing_was_permitted_nothing_is_explained(outside):

@@ -17,11 +17,16 @@ import tempfile
 import termios
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import can
+
+from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.config.exits import NOT_WRITTEN, READER_GONE
 from cutgate.config.interpreter import program
 from cutgate.config.load import EXAMPLES
@@ -30,6 +35,8 @@ from tests.runtime.audit.build import session_log
 PAGE: Final = Path(__file__).parent / "environments.md"
 WAIT_S: Final = 60.0
 """A bound, not an expectation."""
+AT_ONCE: Final = 2
+"""Columns that are tried at the same time: the cores of a small machine."""
 
 
 class Seen(NamedTuple):
@@ -133,6 +140,7 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         ),
         "example": (["example", "{fresh}/example"], 0),
         "key new": (["key", "new", "{fresh}/key"], 0),
+        "key fingerprint": (["key", "fingerprint", str(files / "site.key")], 0),
         "audit verify": (["audit", "verify", log], 0),
         "audit show": (["audit", "show", log], 0),
         "audit replay": (["audit", "replay", log], 0),
@@ -167,11 +175,17 @@ def started(
     return subprocess.Popen(["/bin/sh", "-c", go, "sh", *command], env=environment, **streams)
 
 
-def tried(arguments: Sequence[str], where: Surrounding) -> Seen:
+Meanwhile = Callable[[subprocess.Popen[bytes], Path], None]
+"""What is done to a command while it runs, and with its fresh folder."""
+
+
+def tried(
+    arguments: Sequence[str], where: Surrounding, meanwhile: Meanwhile = lambda _process, _fresh: None
+) -> Seen:
     """The exit code and everything that was said."""
     with tempfile.TemporaryDirectory() as fresh:
         if where.columns is not None:
-            return _in_a_terminal(arguments, where, Path(fresh))
+            return _in_a_terminal(arguments, where, Path(fresh), meanwhile)
         output: int = subprocess.PIPE
         if where.reader_gone:
             reading, output = os.pipe()
@@ -181,16 +195,18 @@ def tried(arguments: Sequence[str], where: Surrounding) -> Seen:
         )
         if where.reader_gone:
             os.close(output)
+        meanwhile(process, Path(fresh))
         out, err = process.communicate(timeout=WAIT_S)
         return Seen(process.returncode, ((out or b"") + err).decode("utf-8", "replace"))
 
 
-def _in_a_terminal(arguments: Sequence[str], where: Surrounding, fresh: Path) -> Seen:
+def _in_a_terminal(arguments: Sequence[str], where: Surrounding, fresh: Path, meanwhile: Meanwhile) -> Seen:
     """All three streams are one terminal of so many columns."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, where.columns or 80, 0, 0))
     process = started(arguments, where, fresh, stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
+    meanwhile(process, fresh)
     told = b""
     until_s = time.monotonic() + WAIT_S
     while time.monotonic() < until_s and select.select([ours], [], [], WAIT_S)[0]:
@@ -217,19 +233,38 @@ def wrong(seen: Seen, expected: int, where: Surrounding) -> str:
 # ---------------------------------------------------------------- programs that go on
 
 
+def serves(fresh: Path, _places: Mapping[str, str]) -> bool:
+    """Whether the hub takes a client."""
+    with suppress(can.CanInitializationError):
+        open_bus(LOCAL_INTERFACE, str(fresh / "bus")).shutdown()
+        return True
+    return False
+
+
+def speaks(_fresh: Path, places: Mapping[str, str]) -> bool:
+    """Whether the controller is heard on the bus."""
+    with open_bus(LOCAL_INTERFACE, places["bus"]) as bus:
+        return bus.recv(1.0) is not None
+
+
+def logs(fresh: Path, _places: Mapping[str, str]) -> bool:
+    """Whether the session's log is there: it waits for a controller."""
+    return bool(list(fresh.glob("logs/*.mcap")))
+
+
 class Lasting(NamedTuple):
-    """A program that goes on until it is told to end: what it says once it is there, and its exit code then."""
+    """A program that goes on until it is told to end: how it is seen to be there, and its exit code then."""
 
     arguments: tuple[str, ...]
-    ready: str
+    there: Callable[[Path, Mapping[str, str]], bool]
     code: int
 
 
 LASTING: Final = {
-    "bus serve": Lasting(("bus", "serve", "--socket", "{fresh}/bus"), "serving on", 0),
+    "bus serve": Lasting(("bus", "serve", "--socket", "{fresh}/bus"), serves, 0),
     "sim": Lasting(
         ("sim", "--robot", "example", "--interface", "cutgate", "--channel", "{bus}", "--key", "{key}"),
-        "enabling device released",
+        speaks,
         0,
     ),
     "run": Lasting(
@@ -237,7 +272,7 @@ LASTING: Final = {
             *("run", "hip-stem", "--robot", "example", "--registration", "registration-second"),
             *("--interface", "cutgate", "--channel", "{bus}", "--key", "{key}", "--log-dir", "{fresh}/logs"),
         ),
-        "",
+        logs,
         3,
     ),
 }
@@ -247,35 +282,44 @@ ENDINGS: Final = (
 )
 
 
-def ended(what: Lasting, number: signal.Signals, places: Mapping[str, str]) -> Seen:
+def ended(
+    what: Lasting, number: signal.Signals, places: Mapping[str, str], where: Surrounding = SURROUNDINGS[0]
+) -> Seen:
     """It is started, and once it is there the signal comes."""
-    with tempfile.TemporaryDirectory() as fresh:
-        arguments = [one.format(fresh=fresh, **places) for one in what.arguments]
-        command = [str(Path(sys.executable).with_name("cutgate")), *arguments]
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=fresh
-        )
-        told = b""
-        assert process.stdout is not None  # noqa: S101 - it is a pipe
-        if what.ready:
-            while what.ready.encode() not in told and (line := process.stdout.readline()):
-                told += line
-        else:  # it waits for a controller: its log is there
-            until_s = time.monotonic() + WAIT_S
-            while not list(Path(fresh).glob("logs/*.mcap")) and time.monotonic() < until_s:
-                select.select([], [], [], 0.01)
+
+    def meanwhile(process: subprocess.Popen[bytes], fresh: Path) -> None:
+        until_there(process, what, fresh, places)
         process.send_signal(number)
-        rest, _ = process.communicate(timeout=WAIT_S)
-        return Seen(process.returncode, (told + rest).decode("utf-8", "replace"))
+
+    return tried(asked(what, places), where, meanwhile)
+
+
+def asked(what: Lasting, places: Mapping[str, str]) -> list[str]:
+    """Its arguments, but for the fresh folder."""
+    return [one.format(fresh="{fresh}", **places) for one in what.arguments]
+
+
+def until_there(
+    process: subprocess.Popen[bytes], what: Lasting, fresh: Path, places: Mapping[str, str]
+) -> None:
+    """Wait until it is there, or has ended."""
+    until_s = time.monotonic() + WAIT_S
+    while process.poll() is None and not what.there(fresh, places) and time.monotonic() < until_s:
+        select.select([], [], [], 0.01)
+
+
+def new_key(folder: Path) -> Path:
+    """A key in this folder."""
+    key = folder / "site.key"
+    command = [Path(sys.executable).with_name("cutgate"), "key", "new", key]
+    subprocess.run(command, check=True, capture_output=True)
+    return key
 
 
 @contextmanager
 def a_bus(files: Path) -> Iterator[dict[str, str]]:
     """A hub and a key for those that need them."""
-    key, bus = files / "site.key", files / "bus"
-    subprocess.run(
-        [Path(sys.executable).with_name("cutgate"), "key", "new", key], check=True, capture_output=True
-    )
+    key, bus = new_key(files), files / "bus"
     with subprocess.Popen(
         program("cutgate.firmware_sim", "bus", "serve", "--socket", str(bus), "--until-stdin-closes"),
         stdin=subprocess.PIPE,
@@ -292,41 +336,78 @@ def a_bus(files: Path) -> Iterator[dict[str, str]]:
 # ---------------------------------------------------------------- what it costs
 
 
-QUIET: Final[Mapping[str, Any]] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+METER: Final = """
+import os, signal, sys
+file, *command = sys.argv[1:]
+process = os.fork() or os.execv(command[0], command)
+signal.signal(signal.SIGTERM, lambda *_: os.kill(process, signal.SIGTERM))
+_, _, used = os.wait4(process, 0)
+with open(file, "w") as file:
+    file.write(f"{used.ru_utime + used.ru_stime} {used.ru_maxrss / 1024}")
+"""
+"""Starts a command from a small process: Linux counts the memory of whoever starts a process as that process's own."""
 
 
-def cost(arguments: Sequence[str], times: int = 3) -> tuple[float, float]:
-    """Processor seconds and peak memory, MiB, of one command and all that it waits for; the least of so many times."""
-    found = []
-    for _ in range(times):
-        with tempfile.TemporaryDirectory() as fresh:
-            found.append(used(started(arguments, SURROUNDINGS[0], Path(fresh), **QUIET)))
+def metered(
+    arguments: Sequence[str], fresh: Path, stdout: int = subprocess.DEVNULL
+) -> subprocess.Popen[bytes]:
+    """A command that is measured; what it is told to end by goes through the meter."""
+    command = [
+        *(sys.executable, "-I", "-S", "-c", METER, str(fresh / "used")),
+        str(Path(sys.executable).with_name("cutgate")),
+        *(one.format(fresh=fresh) for one in arguments),
+    ]
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=stdout, stderr=subprocess.DEVNULL, cwd=fresh
+    )
+
+
+def used(process: subprocess.Popen[bytes], fresh: Path) -> tuple[float, float]:
+    """Processor seconds and peak memory, MiB, of one command and all that it waits for, once it has ended."""
+    process.communicate(timeout=10 * WAIT_S)  # a controller on trial takes minutes
+    seconds, memory = (fresh / "used").read_text(encoding="ascii").split()
+    return float(seconds), float(memory)
+
+
+def least(found: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Of each."""
     return min(seconds for seconds, _ in found), min(memory for _, memory in found)
 
 
-def used(process: subprocess.Popen[bytes]) -> tuple[float, float]:
-    """The same of a process, once it has ended."""
-    _, status, resources = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return resources.ru_utime + resources.ru_stime, resources.ru_maxrss / 1024
+def cost(arguments: Sequence[str], times: int = 3) -> tuple[float, float]:
+    """The least of so many times."""
+    found = []
+    for _ in range(times):
+        with tempfile.TemporaryDirectory() as fresh:
+            found.append(used(metered(arguments, Path(fresh)), Path(fresh)))
+    return least(found)
+
+
+def cost_of_lasting(what: Lasting, places: Mapping[str, str], times: int = 3) -> tuple[float, float]:
+    """The same of a program that goes on: to the moment when it is there, and to its end."""
+    found = []
+    for _ in range(times):
+        with tempfile.TemporaryDirectory() as fresh:
+            process = metered(asked(what, places), Path(fresh))
+            until_there(process, what, Path(fresh), places)
+            process.terminate()
+            found.append(used(process, Path(fresh)))
+    return least(found)
 
 
 def conformance(files: Path) -> dict[str, tuple[float, float]]:
     """A controller on trial, with the bus between."""
-    on_trial = files / "trial"
+    on_trial, trying = files / "trial", files / "trying"
     on_trial.mkdir()
-    with a_bus(on_trial) as places, tempfile.TemporaryDirectory() as fresh:
+    trying.mkdir()
+    with a_bus(on_trial) as places:
         where = ["--interface", "cutgate", "--channel", places["bus"], "--key", places["key"]]
-        command = [str(Path(sys.executable).with_name("cutgate")), "sim", "--robot", "example", *where]
-        controller = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
+        controller = metered(["sim", "--robot", "example", *where], on_trial, subprocess.PIPE)
         assert controller.stdout is not None  # noqa: S101 - it is a pipe
         controller.stdout.readline()
-        arguments = ["conform", *where, "--plant-disconnected"]
-        trial = used(started(arguments, SURROUNDINGS[0], Path(fresh), **QUIET))
+        trial = used(metered(["conform", *where, "--plant-disconnected"], trying), trying)
         controller.terminate()
-        return {"conform": trial, "sim (on trial)": used(controller)}
+        return {"conform": trial, "sim (on trial)": used(controller, on_trial)}
 
 
 # ---------------------------------------------------------------- the page
@@ -337,26 +418,48 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(head)} |", "|---" * len(head) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
 
 
+Column = Callable[[], list[tuple[Seen, int]]]
+"""What came of one command in every surrounding, and what the exit code must be."""
+
+
+def of_one_shot(name: str, arguments: Sequence[str], ordinary: int) -> list[tuple[Seen, int]]:
+    """Of a command that answers and ends."""
+    codes = [ordinary if name in UNREAD else where.code(ordinary) for where in SURROUNDINGS]
+    return [(tried(arguments, where), code) for where, code in zip(SURROUNDINGS, codes, strict=True)]
+
+
+def of_lasting(what: Lasting) -> list[tuple[Seen, int]]:
+    """Of a program that goes on, until SIGTERM; it is not there for its output, so that no reader is missed."""
+    with tempfile.TemporaryDirectory() as own, a_bus(Path(own)) as places:
+        return [(ended(what, signal.SIGTERM, places, where), what.code) for where in SURROUNDINGS]
+
+
 def surroundings(files: Path, problems: list[str]) -> list[str]:
     """Every command in every surrounding."""
-    commands, rows = one_shot(files), []
-    for where in SURROUNDINGS:
+    columns: dict[str, Column] = {
+        name: partial(of_one_shot, name, *asked_for) for name, asked_for in one_shot(files).items()
+    }
+    columns |= {name: partial(of_lasting, what) for name, what in LASTING.items()}
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        begun = {name: pool.submit(column) for name, column in columns.items()}
+        found = {name: column.result() for name, column in begun.items()}
+    rows = []
+    for number, where in enumerate(SURROUNDINGS):
         row = [where.name]
-        for name, (arguments, ordinary) in commands.items():
-            seen = tried(arguments, where)
-            expected = ordinary if name in UNREAD else where.code(ordinary)
-            found = wrong(seen, expected, where)
-            if found:
-                problems.append(f"{name}, {where.name}: {found}: {seen.told[-400:]}")
-            row.append(f"{seen.code}{' WRONG' if found else ''}")
+        for name, column in found.items():
+            seen, expected = column[number]
+            bad = wrong(seen, expected, where)
+            if bad:
+                problems.append(f"{name}, {where.name}: {bad}: {seen.told[-400:]}")
+            row.append(f"{seen.code}{' WRONG' if bad else ''}")
         rows.append(row)
-    return table(("surrounding", *(f"`{name}`" for name in commands)), rows)
+    return table(("surrounding", *(f"`{name}`" for name in columns)), rows)
 
 
-def endings(files: Path, problems: list[str]) -> list[str]:
+def endings(problems: list[str]) -> list[str]:
     """Every program that goes on, and every signal that ends programs."""
     rows = []
-    with a_bus(files) as places:
+    with tempfile.TemporaryDirectory() as own, a_bus(Path(own)) as places:
         for number in ENDINGS:
             row = [number.name]
             for name, what in LASTING.items():
@@ -373,14 +476,18 @@ def costs(files: Path) -> list[str]:
     """What each command costs."""
     found = {name: cost(arguments) for name, (arguments, _) in one_shot(files).items()}
     found["demo (hub, controller, two sessions)"] = cost(["demo", "--out", "{fresh}/demo"], 1)
+    with tempfile.TemporaryDirectory() as own, a_bus(Path(own)) as places:
+        for name in ("bus serve", "run"):
+            found[f"{name} (begun and ended)"] = cost_of_lasting(LASTING[name], places)
     found |= conformance(files)
     rows = [[f"`{name}`", f"{seconds:.2f}", f"{memory:.0f}"] for name, (seconds, memory) in found.items()]
     return table(("command", "processor s", "peak MiB of one process"), rows)
 
 
 def made(files: Path) -> None:
-    """A log and a proof to work on."""
+    """A log, a key and a proof to work on."""
     session_log(files)
+    new_key(files)
     robot = ["--robot", str(EXAMPLES / "robot.toml")]
     placed = ["--registration", str(EXAMPLES / "registration-second.json")]
     command = [
@@ -396,7 +503,9 @@ INTRODUCTION: Final = """# Surroundings
 
 Every command as a process of its own, in every surrounding that somebody may start it in: its exit codes, made by
 `python -m docs.make_environments`, which fails where one is not what it must be, where a traceback is seen, or a
-sequence for terminals in a pipe. 141 means that nobody reads the output any more; it claims nothing.
+sequence for terminals in a pipe. 141 means that nobody reads the output any more, 74 that it finds no room; they claim
+nothing. `bus serve`, `sim` and `run` go on: once a client is taken, the controller is heard, the session's log is there,
+they are ended by SIGTERM; who does not read them misses nothing. `demo` starts all three.
 
 What is done to a session that cuts (unread screens, readers that go, terminals that hang up, full transmit queues and
 disks) is in [terminal.md](terminal.md) and in `tests/system`."""
@@ -404,8 +513,8 @@ disks) is in [terminal.md](terminal.md) and in `tests/system`."""
 
 COSTS: Final = (
     "On the shipped hip stem (2000 poses), a map of 400 mm steps on one core, and the log of a session of 6 poses; start-up",
-    "is in it. One run, two shared cores, the least of three. A session's processes: `bus serve`, `sim`, `run` and its",
-    "verification process; `demo` starts and waits for all of them.",
+    "is in it. One run, two shared cores, the least of three. `bus serve` and `run` are ended as soon as they are there. A",
+    "session's processes: `bus serve`, `sim`, `run` and its verification process; `demo` starts and waits for all of them.",
 )
 
 
@@ -417,7 +526,7 @@ def page(problems: list[str]) -> str:
         told = "To programs that go on until they are told to end; `run` waits for a controller."
         parts = [
             *(INTRODUCTION, "", *surroundings(files, problems)),
-            *("", "## Signals", "", told, "", *endings(files, problems)),
+            *("", "## Signals", "", told, "", *endings(problems)),
             *("", "## What it costs", "", *COSTS, "", *costs(files)),
         ]
     return "\n".join(parts) + "\n"

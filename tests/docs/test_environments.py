@@ -1,6 +1,7 @@
 """What the page of surroundings says is so: some commands are tried again in all of them, the rest by the script."""
 
 import re
+import signal
 
 import pytest
 
@@ -40,6 +41,13 @@ def test_a_command_gives_the_code_of_the_page_in_every_surrounding(files, where)
         assert not wrong(seen, expected, where), (name, seen)
 
 
+@pytest.mark.parametrize("where", SURROUNDINGS, ids=lambda where: where.name)
+def test_a_hub_serves_in_every_surrounding_and_ends_when_it_is_told_to(where):
+    what = LASTING["bus serve"]
+    seen = ended(what, signal.SIGTERM, {}, where)
+    assert not wrong(seen, what.code, where), seen
+
+
 @pytest.mark.parametrize("number", ENDINGS[:3], ids=lambda number: number.name)
 def test_a_program_that_goes_on_ends_in_order(tmp_path_factory, number):
     with a_bus(tmp_path_factory.mktemp("bus")) as places:
@@ -54,5 +62,5 @@ def test_the_page_has_every_surrounding_command_and_signal_and_nothing_wrong(fil
     rows = set(re.findall(r"^\| ([^|]*) \|", text, re.MULTILINE))
     assert {where.name for where in SURROUNDINGS} <= rows
     assert {number.name for number in ENDINGS} <= rows
-    for name in one_shot(files):
+    for name in (*one_shot(files), *LASTING):
         assert f"`{name}`" in text

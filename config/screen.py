@@ -182,6 +182,10 @@ def write_nowhere(descriptor: int) -> None:
 def ended(code: int) -> int:
     """The exit code of a program whose own is this one, once its standard output is written: or another, if it is not."""
     try:
+        sys.stderr.flush()
+    except OSError:  # messages that nobody reads change no code
+        write_nowhere(STDERR)
+    try:
         sys.stdout.flush()
     except OSError as error:
         write_nowhere(STDOUT)

@@ -103,5 +103,5 @@ class Cycle:
 
     def _stalled(self, gap_s: float, discarded: str) -> Violation:
         return Violation(
-            StopCause.LOOP_STALLED, f"the loop stood still for {gap_s * MS_PER_S:.0f} ms; {discarded}"
+            StopCause.LOOP_STALLED, f"this computer stood still for {gap_s * MS_PER_S:.0f} ms; {discarded}"
         )

@@ -20,6 +20,7 @@ def main() -> None:
         os.environ.pop(name, None)
     import signal  # noqa: PLC0415 - not before it is known where from
 
+    from cutgate.config.screen import ended  # noqa: PLC0415
     from cutgate.config.terminal import open_standard_streams  # noqa: PLC0415
 
     open_standard_streams()
@@ -37,8 +38,8 @@ def main() -> None:
     if sys.argv[1:2] and sys.argv[1] in COMMANDS:
         load(sys.argv[1])
     signal.signal(signal.SIGINT, before)
-    ended = execute()
-    sys.exit(code if ended == INTERRUPTED else ended)
+    left = execute()
+    sys.exit(ended(code if left == INTERRUPTED else left))
 
 
 if __name__ == "__main__":

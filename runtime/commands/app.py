@@ -13,7 +13,7 @@ from typer.exceptions import TyperException
 from cutgate import __version__
 from cutgate.config.exits import INTERNAL, INTERRUPTED, NOT_WRITTEN, READER_GONE, REFUSED
 from cutgate.config.refusal import InputError
-from cutgate.config.screen import printable
+from cutgate.config.screen import STDERR, printable, write_nowhere
 from cutgate.runtime.commands.screen import delivered, echo, no_room
 
 COMMANDS: Final = {
@@ -118,8 +118,7 @@ def execute(arguments: list[str] | None = None) -> int:
         delivered(str(error), err=True)
         return REFUSED
     except TyperException as error:
-        show = getattr(error, "show", None)
-        show() if show else echo(error.format_message(), err=True)
+        _shown(error)
         return REFUSED
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
@@ -128,6 +127,20 @@ def execute(arguments: list[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001 - the last line of defence: one line and a code, never a traceback
         return _failed(error)
     return code if isinstance(code, int) else 0
+
+
+def _shown(error: TyperException) -> None:
+    """What is wrong with the arguments, whether or not anybody reads it; what was typed is data."""
+    if isinstance(getattr(error, "message", None), str):
+        error.message = printable(error.message)
+    show = getattr(error, "show", None)
+    if show is None:
+        delivered(error.format_message(), err=True)
+        return
+    try:
+        show()
+    except OSError:
+        write_nowhere(STDERR)
 
 
 def _failed(error: Exception) -> int:

@@ -74,7 +74,7 @@ CUES: Final = (
 
 
 LATE: Final = frozenset({StopCause.HEARTBEAT_LOST.name, StopCause.LOOP_STALLED.name})
-STALLED: Final = "the loop stood still"
+STALLED: Final = "this computer stood still"
 """What the controller says of its own lateness."""
 TOO_BUSY: Final = (
     "runtime and controller share this machine, and one of them did not get the processor in time: run the demo again with "
@@ -156,7 +156,7 @@ class _Teller:
         self._began_s = time.monotonic()
 
     def __call__(self, who: str, text: str) -> None:
-        if STALLED in text:
+        if who == "controller" and STALLED in text:  # the runtime says it in its reason
             self.stalled.append(f"{who}: {text}")
         elapsed = f"{time.monotonic() - self._began_s:6.2f} s "
         self._print(Text.assemble((elapsed, "dim"), (f"{who:<11}", "cyan"), printable(text)), soft_wrap=True)

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cutgate.config.screen import printable
 from cutgate.runtime.commands.reach_picture import (
     KINDS,
     RATIO_MAX,
@@ -63,7 +64,7 @@ def page(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) ->
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; "
         "base-uri 'none'; form-action 'none'"
     )
-    title = html.escape(f"Where the bone could stand: {document['plan']} on {document['robot']}")
+    title = html.escape(printable(f"Where the bone could stand: {document['plan']} on {document['robot']}"))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

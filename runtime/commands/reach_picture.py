@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.config.screen import printable
 from cutgate.runtime.verification.reach import RATES, Position
 
 Floats = NDArray[np.float64]
@@ -171,7 +172,7 @@ def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs)
         bar = figure.colorbar(scale, ax=axes, shrink=0.8, extend="max" if top == RATIO_MAX else "neither")
         bar.set_label("admissible: smallest clearance, in deadbands (1 = just kept)")
     _legend(figure, drawn, document)
-    title = f"Where the bone could stand: {document['plan']} on {document['robot']}"
+    title = printable(f"Where the bone could stand: {document['plan']} on {document['robot']}")
     if len({layer.lift_mm for layer in drawn}) == 1:
         title += f"\nat lift {signed(drawn[0].lift_mm)} mm ({height(document, drawn[0].lift_mm)})"
     if len(shown) < len(drawn):

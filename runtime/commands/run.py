@@ -259,14 +259,15 @@ class Signals:
     """What a signal does: it interrupts the session, now or as soon as there is one, and wakes its loop."""
 
     wake: int
-    arrived: bool = False
+    arrived: str | None = None
+    """The signal's name; empty for Ctrl-C."""
     session: Session | None = None
 
     def interrupts(self, session: Session) -> None:
         """This is the session to interrupt; one that arrived before counts."""
         self.session = session
-        if self.arrived:
-            session.interrupt()
+        if self.arrived is not None:
+            session.interrupt(self.arrived)
 
 
 @contextmanager
@@ -279,10 +280,10 @@ def _signals(view: SessionView) -> Iterator[Signals]:
     signals = Signals(reading)
 
     def interrupt(number: int) -> None:
-        signals.arrived = True
+        signals.arrived = "" if number == signal.SIGINT else name_of(number)
         view.interrupted_by = TOLD.get(number, name_of(number))
         if signals.session is not None:
-            signals.session.interrupt()
+            signals.session.interrupt(signals.arrived)
         write_wake(writing)
 
     try:

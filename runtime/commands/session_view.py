@@ -23,7 +23,13 @@ from cutgate.runtime.commands.verdict_view import (
     headline,
     where_facts,
 )
-from cutgate.runtime.interlock.permissives import FOR_PERMIT, FOR_START, failing, no_stop_cause
+from cutgate.runtime.interlock.permissives import (
+    FOR_PERMIT,
+    FOR_START,
+    failing,
+    heartbeat_fresh,
+    no_stop_cause,
+)
 from cutgate.runtime.interlock.phases import ENDINGS, PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
@@ -96,7 +102,7 @@ class SessionView:
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
     ) -> None:
         """One step of the interlock."""
-        if self.interrupted_by and event == Said(Word.QUIT):
+        if self.interrupted_by and isinstance(event, Said) and event.word is Word.QUIT:
             self.note(f"{self.interrupted_by}: the session ends")
         for effect in effects:
             if isinstance(effect, Refused):
@@ -118,6 +124,8 @@ class SessionView:
         elif state.phase is Phase.ADMITTED:
             self.note(announced, GOOD)
             for permissive in failing(FOR_PERMIT, state, now_s):
+                if permissive.name == heartbeat_fresh(state, now_s).name:
+                    continue  # the next one makes it so, or is missed
                 self.note(f"  {permissive}", "yellow")
         elif announced:
             self.note(announced)

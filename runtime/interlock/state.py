@@ -405,7 +405,7 @@ class Gone:
 
 @dataclass(frozen=True)
 class Said:
-    """An operator word; ``what`` it is about, where it names something."""
+    """An operator word; ``what`` it is about, where it names something: a warning, or the signal that says quit."""
 
     word: Word
     what: str = ""

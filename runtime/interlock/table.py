@@ -186,18 +186,17 @@ def said(state: Interlock, event: Said, now_s: float) -> Outcome:
         case Word.WITHDRAW:
             return stop(state, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
         case Word.QUIT:
-            return quit_session(state, now_s)
+            return quit_session(state, now_s, event.what)
     return state, (Refused(event.word, f"{event.word} means nothing while {state.phase.replace('_', ' ')}"),)
 
 
-def quit_session(state: Interlock, now_s: float) -> Outcome:
-    """Leave. While the arm may move this is a stop; otherwise the session ends in order."""
+def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:
+    """Leave, by the operator's word or a signal. While the arm may move this is a stop; otherwise the session ends in order."""
+    reason = f"{signal} ended the program" if signal else "the operator quit"
     if state.phase in MOVING:
-        return stop(state, StopCause.OPERATOR_QUIT, "the operator quit", now_s)
+        return stop(state, StopCause.OPERATOR_QUIT, reason, now_s)
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
-    left = _enter(
-        state, Phase.STOPPED, now_s, cause=StopCause.OPERATOR_QUIT, reason="the operator quit", permit=None
-    )
+    left = _enter(state, Phase.STOPPED, now_s, cause=StopCause.OPERATOR_QUIT, reason=reason, permit=None)
     return left, (*_link(state), SendStop(StopCode.END, StopCause.OPERATOR_QUIT), *withheld)
 
 

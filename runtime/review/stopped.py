@@ -77,7 +77,7 @@ NEXT: Final[dict[StopCause, tuple[str, ...]]] = {
         "Look at what the reason names: free or replace the disk of the log directory, or keep others out of it.",
     ),
     C.LIMIT_EXCEEDED: ("Look at the drives; move the arm inside its limits by the controller's own means.",),
-    C.TRANSFER_FAILED: BUS,
+    C.TRANSFER_FAILED: (*BUS, "Where the reason names a setting, compare it on both sides."),
     C.PROTOCOL_VIOLATION: MAKER,
     C.AUTHENTICATION_FAILED: (
         "Give both sides the same key file; if they have it, find who else sends on this bus.",
@@ -159,13 +159,15 @@ def _safe(stopped: Stopped) -> tuple[str, ...]:
     return SAFE if stopped.phase in MOVING else SAFE[:1]
 
 
+DEPTH_LEAST_MM: Final = 0.05
+"""What is less is shown as 0.0."""
 OUT: Final = "withdraw it along its axis by the controller's own means, before anything else."
 
 
 def _withdraw(place: dict[str, Any] | None) -> tuple[str, ...]:
     """Before and after the cut the arm may be beside the bone, on a joint line: there its axis leads anywhere."""
     depth_mm = place and place["depth_mm"]
-    if not place or not depth_mm or depth_mm <= 0.0:
+    if not place or not depth_mm or depth_mm < DEPTH_LEAST_MM:
         return ()
     if place["leg"] == CUT:
         return (f"The tip is {depth_mm:.1f} mm below the entry plane: the tool is in the bone, {OUT}",)
@@ -178,6 +180,8 @@ def _withdraw(place: dict[str, Any] | None) -> tuple[str, ...]:
 def _again(stopped: Stopped) -> tuple[str, ...]:
     """A new session is needed after every stop; what it must say first depends on the controller."""
     whole = "; it cuts the path from its beginning" if stopped.phase in MOVING else ""
+    if stopped.standing is StopCause.NONE and stopped.latched:
+        return (f"Start a new session and say reset{whole}.",)
     if stopped.standing is StopCause.NONE:
         asked = "" if stopped.at_rest else "; say acknowledge, and reset, when it asks for them"
         return (f"Start a new session{whole}{asked}.",)

@@ -201,7 +201,7 @@ class Session:
         self._segments = PathHeader.of(state.job.path).count - 1
         self._cycle = Cycle(port, clock)
         self._pauses = Pauses(state.job.timing)
-        self._interrupted = False
+        self._interrupted: str | None = None
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
 
@@ -213,9 +213,13 @@ class Session:
 
     # ------------------------------------------------------------ the loop
 
-    def interrupt(self) -> None:
-        """Ctrl-C or SIGTERM: the operator quits at the next turn. Safe in a signal handler."""
-        self._interrupted = True
+    def interrupt(self, signal: str = "") -> None:
+        """Quit at the next turn. Safe in a signal handler.
+
+        Args:
+            signal: its name, for the log; empty for Ctrl-C, which is the operator's own.
+        """
+        self._interrupted = signal
 
     def run(self, wake: int) -> Interlock:
         """Turn until the session has ended; its final state.
@@ -484,9 +488,9 @@ class Session:
         self._view.guidance(found, note)
 
     def _read_words(self, ready: set[int]) -> None:
-        if self._interrupted:
-            self._interrupted = False
-            self._feed(Said(Word.QUIT))
+        if self._interrupted is not None:
+            signal, self._interrupted = self._interrupted, None
+            self._feed(Said(Word.QUIT, signal))
         words = self._words
         if words is None or words.descriptor not in ready:
             return

@@ -111,7 +111,7 @@ def test_a_loop_that_stood_still_throws_away_what_queued_meanwhile(loop, gap_s, 
 
 def test_a_stall_says_how_long_it_was(loop):
     loop.begin(0.6123)
-    assert next(loop.cycle.late()).detail == "the loop stood still for 612 ms; 0 frames discarded"
+    assert next(loop.cycle.late()).detail == "this computer stood still for 612 ms; 0 frames discarded"
 
 
 def test_outside_a_session_nothing_is_too_late():
@@ -165,7 +165,7 @@ def test_what_was_read_after_a_stall_at_the_bus_does_not_count(loop, takes_s):
         assert item.fresh
     else:
         assert item == Violation(
-            StopCause.LOOP_STALLED, "the loop stood still for 125 ms; 1 items discarded at the bus"
+            StopCause.LOOP_STALLED, "this computer stood still for 125 ms; 1 items discarded at the bus"
         )
 
 

@@ -125,8 +125,9 @@ def test_every_signal_that_would_end_or_suspend_the_runtime_stops_the_cut_in_ord
     sim, run = rig.cutting()
     run.signal(number)
     assert run.exit() == 3
-    assert number.name in run.told
+    assert f"STOPPED: {number.name} ended the program" in run.told
     stopped(rig, sim)
+    assert rig.log().of("/audit/operator")[-1]["what"] == number.name, "a signal is nobody's word"
 
 
 def test_ctrl_z_stops_the_cut_in_order_because_a_suspended_runtime_watches_nothing(rig):

@@ -96,7 +96,7 @@ def test_a_wedged_loop_stops_the_cut_within_the_time_out_and_says_so_when_it_com
     rig.at_rest(sim)  # an announcement later the loop has stood still for longer than the time-out
     mark = len(rig.bus.frames)
     run.signal(signal.SIGCONT)
-    run.line("STOP sent: the loop stood still")
+    run.line("STOP sent: this computer stood still")
     assert run.exit() == 3
     assert rig.log().of("/audit/decision")[-1]["first_out"] == "LOOP_STALLED"
     assert rig.log().report.status is Status.OK

@@ -210,6 +210,12 @@ def test_messages_that_find_no_room_change_no_code(tmp_path):
         for arguments, code in (
             (["key", "new", str(tmp_path / "key")], 0),
             (["verify", "absent.json", "--robot", "example"], 2),
+            (["verify", "--nope"], 2),
+            (["sim", "--nope"], 2),
+            (["bus", "serve", "--nope"], 2),
+            (["nope"], 2),
+            ([], 2),
+            (["key"], 2),
         ):
             done = subprocess.run(program("cutgate.runtime.cli", *arguments), stderr=full, check=False)
             assert done.returncode == code

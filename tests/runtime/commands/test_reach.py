@@ -250,6 +250,13 @@ def test_the_page_allows_its_own_script_and_style_by_their_hashes_and_nothing_el
     assert not re.search(r"https?:|src=|href=|@import|url\(|style=| on[a-z]+=", text)
 
 
+def test_what_a_file_says_turns_no_reading_direction_and_is_no_control_character(mapped):
+    document, *rest = mapped
+    text = page(document | {"plan": "stem \u202eELBISSIMDA\u202c\x1b[2J\r"}, *rest)
+    assert not set("\u202e\u202c\x1b\r") & set(text)
+    assert r"stem \u202eELBISSIMDA\u202c\x1b[2J\r" in text
+
+
 def test_what_a_file_says_is_no_markup_of_the_page(mapped):
     text = page(*mapped)
     assert "p<script>" not in text

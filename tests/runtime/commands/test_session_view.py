@@ -26,6 +26,13 @@ def test_what_an_admitted_session_waits_for_is_named(capfd):
     assert "move the arm back" in told
 
 
+def test_a_heartbeat_that_is_about_to_come_is_not_looked_for(capfd):
+    before, after = in_phase(Phase.VERIFYING), in_phase(Phase.ADMITTED, heartbeat_fresh=False)
+    with SessionView(quiet_output=True) as view:
+        view.step(before, VerdictReady(VERDICT), after, (), NOW)
+    assert "heartbeat" not in capfd.readouterr().err
+
+
 def test_an_approach_is_told_in_a_line_with_what_decided_it():
     good = approach_line(verify(cut(), Start(MIDDLE, 10_000))).plain
     assert good.startswith("approach and retract ADMISSIBLE, entry ")

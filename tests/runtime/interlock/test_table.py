@@ -350,12 +350,15 @@ def test_a_withdrawn_registration_stays_withdrawn(phase):
 
 
 @each_phase
-def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase):
-    after, effects = step(in_phase(phase), Said(Word.QUIT), NOW)
+@pytest.mark.parametrize(
+    ("signal", "reason"), [("", "the operator quit"), ("SIGHUP", "SIGHUP ended the program")]
+)
+def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase, signal, reason):
+    after, effects = step(in_phase(phase), Said(Word.QUIT, signal), NOW)
     if phase is Phase.STOPPING:
         assert [type(effect) for effect in effects] == [Refused]
         return
-    assert (after.cause, after.reason, after.permit) == (StopCause.OPERATOR_QUIT, "the operator quit", None)
+    assert (after.cause, after.reason, after.permit) == (StopCause.OPERATOR_QUIT, reason, None)
     if phase in MOVING:
         assert after.phase is Phase.STOPPING
         assert stops(effects) == [StopCause.OPERATOR_QUIT]

@@ -66,6 +66,7 @@ def test_a_stop_nobody_confirmed_says_first_how_to_make_sure_of_it():
     ("standing", "latched", "asks"),
     [
         (StopCause.NONE, False, "Start a new session; it cuts the path from its beginning."),
+        (StopCause.NONE, True, "Start a new session and say reset; it cuts"),
         (StopCause.BONE_MOVED, False, "Start a new session and say acknowledge; it cuts"),
         (StopCause.AUDIT_FAILED, True, "Start a new session and say acknowledge, then reset; it cuts"),
     ],

@@ -228,7 +228,11 @@ def reached(pair: Pair) -> tuple[Any, ...]:
     )
 
 
-@pytest.mark.parametrize("pair", [(), tuple(Side)], ids=["classic", "FD"], indirect=True)
+@pytest.mark.parametrize(
+    "pair",
+    [pytest.param((), id="classic"), pytest.param(tuple(Side), id="FD", marks=pytest.mark.slow)],
+    indirect=True,
+)
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.name)
 @pytest.mark.parametrize("side", Side)
 @pytest.mark.parametrize("phase", PHASES)

@@ -121,6 +121,7 @@ def test_every_named_module_and_test_file_is_there():
 # ---------------------------------------------------------------- the run
 
 
+@pytest.mark.slow
 def test_a_sample_is_spread_and_always_the_same_until_a_module_changes(monkeypatch):
     found = {module: all_mutants(module) for module in OWN_TESTS}
     first = sample(found, 40)

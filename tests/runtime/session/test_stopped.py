@@ -73,7 +73,7 @@ def test_a_stopped_cut_is_told_alike_by_session_and_log(pair, act):
 
 def test_what_a_stalled_session_was_sent_meanwhile_is_told_although_it_is_not_acted_on(pair):
     """Else a person looks for the tool where it was before the stall."""
-    moving(pair, 0.05)
+    moving(pair, 0.3)
     before, _ = pair.session.last_seen
     pair.runtime_turns = False
     pair.run(0.2)
@@ -85,7 +85,7 @@ def test_what_a_stalled_session_was_sent_meanwhile_is_told_although_it_is_not_ac
     assert after > before
     stands = pair.process._arm_state
     assert after[0] == stands.segment
-    assert 0 <= stands.fraction - after[1] / FRACTION_MAX < 0.01, "it moved on for a heartbeat at most"
+    assert 0 <= stands.fraction - after[1] / FRACTION_MAX < 0.03, "it moved on for a heartbeat at most"
     pair.close()
     assert from_the_log(pair) == told
 

@@ -205,6 +205,7 @@ def test_other_limits_are_told_with_both_values(changes, told):
     one = p.limits_approved(state, NOW)
     assert not one.holds
     assert told in one.text
+    assert ("more" in one.text) is (one.text.count("approved: ") == 5 and len(changes) > 1)
     assert p.limits_approved(READY, NOW).text == "equal"
     assert p.limits_approved(altered(READY, "collected.limits", None), NOW).text == "not received"
 

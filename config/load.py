@@ -225,10 +225,8 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
         raise InputError(
             path, "", None, f"not valid TOML: {_shortened(str(error))}", "correct the file"
         ) from None
-    except (
-        RecursionError,
-        ValueError,
-    ) as error:  # nesting without end; more digits than Python makes a number of
+    except (RecursionError, ValueError) as error:
+        # Nesting without end, or more digits than Python makes a number of.
         if many := _MANY_DIGITS.search(text):
             raise _no_number(path, text, many.start(), many.group(), _DOUBLE) from None
         raise InputError(

@@ -83,11 +83,9 @@ class Cycle:
         """
         items = self._port.read(self.now_s)
         gap_s = self._clock() - self.now_s
-        return (
-            items
-            if self._in_time(gap_s)
-            else [self._stalled(gap_s, f"{len(items)} items discarded at the bus")]
-        )
+        if not self._in_time(gap_s):
+            return [self._stalled(gap_s, f"{len(items)} items discarded at the bus")]
+        return items
 
     def heartbeat_due(self) -> bool:
         """Whether this cycle makes a heartbeat: one is due, or takes the place of one that has not left. Ask once."""

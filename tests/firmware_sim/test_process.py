@@ -386,6 +386,13 @@ def _opened(controller):
     return replace(controller, state=ControllerState.OPEN, session=session)
 
 
+def in_session(one):
+    """The bench, with a session open; nothing else of it has happened."""
+    one.process.controller = _opened(one.process.controller)
+    one.process.port.endpoint.use_session(1)
+    return one
+
+
 def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
     one = bench(faults=(FaultSpec(FaultName.FLIP_PATH_BIT, ControllerState.INHIBITED),))
     one.process.turn()
@@ -394,9 +401,7 @@ def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
 
 
 def test_a_path_of_many_blocks_is_checked_once_it_is_whole(bench):
-    one = bench()
-    one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.use_session(1)
+    one = in_session(bench())
     *blocks, last = records.split(pocket(poses=500, length_mm=1200.0).body())
     assert blocks
     for block in blocks:
@@ -420,9 +425,7 @@ def test_what_is_measured_is_where_the_arm_stands(bench):
 
 def test_a_stop_ends_the_check_of_a_path(bench, monkeypatch):
     monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
-    one = bench()
-    one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.use_session(1)
+    one = in_session(bench())
     one.process._block(records.split(PATH.body())[0])
     one.process._feed(Fault(StopCause.OPERATOR_STOP))
     checked = []
@@ -433,9 +436,7 @@ def test_a_stop_ends_the_check_of_a_path(bench, monkeypatch):
 
 def test_a_path_begun_before_a_stop_is_not_completed_after_it(bench):
     """What lies between may have changed what the controller holds; a path is of one session, from its first block."""
-    one = bench()
-    one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.use_session(1)
+    one = in_session(bench())
     *blocks, last = records.split(pocket(poses=500, length_mm=1200.0).body())
     for block in blocks:
         one.process._block(block)
@@ -460,9 +461,7 @@ def test_where_the_arm_stands_is_measured_anew_for_a_start(bench):
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
     monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
-    one = bench()
-    one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.use_session(1)
+    one = in_session(bench())
     one.process._block(records.split(PATH.body())[0])
     assert one.process._wait_s() == 0.0
     for _ in range(len(PATH) + 1):

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     AllowInfNan,
     BaseModel,
     ConfigDict,
@@ -209,6 +210,18 @@ def _constant(name: str) -> Any:
     return Field(default=default, ge=constant.low, le=constant.high, description=constant.meaning)
 
 
+def _on_the_wire(value: float, info: ValidationInfo) -> float:
+    """A tolerance that OPEN carries in thousandths: one that is finer would be another on the other side."""
+    if info.context != RECORDED and round(value * 1000) / 1000 != value:
+        raise broken(
+            "a whole number of thousandths, as the bus carries it", "leave out the digits after them"
+        )
+    return value
+
+
+Exchanged = Annotated[Real, AfterValidator(_on_the_wire)]
+
+
 class Bus(Strictly):
     """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program.
 
@@ -258,14 +271,14 @@ class Start(Strictly):
     """The start's lifetime and how near to the bound start joints the arm must stand."""
 
     start_lifetime_ms: Integer = _constant("start_lifetime_ms")
-    start_tolerance_mm: Real = _constant("start_tolerance_mm")
-    start_tolerance_deg: Real = _constant("start_tolerance_deg")
+    start_tolerance_mm: Exchanged = _constant("start_tolerance_mm")
+    start_tolerance_deg: Exchanged = _constant("start_tolerance_deg")
 
 
 class Approach(Strictly):
     """The way from where the arm stands to the path's first pose, and back from its last."""
 
-    approach_clearance_mm: Real = _constant("approach_clearance_mm")
+    approach_clearance_mm: Exchanged = _constant("approach_clearance_mm")
     approach_speed_percent: Integer = _constant("approach_speed_percent")
 
 

@@ -1,14 +1,14 @@
-"""The approved values of ``robot.toml`` as the records a controller reports.
+"""What the files of a site say as the records of the wire: what a controller must report, and what it is asked for.
 
-Quantised as the wire does: limits inward, residuals outward, everything else to the nearest 1e-6 of its unit.
+The approved values of ``robot.toml`` are quantised as the wire does: limits inward, residuals outward, everything else to the nearest 1e-6 of its unit.
 The controller's own records must equal these.
 """
 
 import math
 from collections.abc import Sequence
 
-from cutgate.config.model import Robot
-from cutgate.protocol.records import Calibration, Limits, Tool
+from cutgate.config.model import Robot, Site
+from cutgate.protocol.records import Calibration, Limits, Timing, Tool
 
 
 def limits_record(robot: Robot) -> Limits:
@@ -53,6 +53,20 @@ def tool_record(robot: Robot, tool_length_mm: float | None = None) -> Tool:
         cutgate.protocol.records.RecordError: not finite or too large for the wire.
     """
     return Tool.quantised(length_mm=robot.tool.length_mm if tool_length_mm is None else tool_length_mm)
+
+
+def timing_record(site: Site) -> Timing:
+    """What OPEN asks for; ``config.model`` lets no tolerance through that is finer than the wire."""
+    return Timing(
+        heartbeat_ms=site.timing.heartbeat_ms,
+        timeout_ms=site.timing.timeout_ms,
+        permit_lifetime_s=site.permit.permit_lifetime_s,
+        start_lifetime_ms=site.start.start_lifetime_ms,
+        start_tolerance_um=round(site.start.start_tolerance_mm * 1000),
+        start_tolerance_mdeg=round(site.start.start_tolerance_deg * 1000),
+        approach_clearance_um=round(site.approach.approach_clearance_mm * 1000),
+        approach_speed_percent=site.approach.approach_speed_percent,
+    )
 
 
 def _in_degrees(values: Sequence[float]) -> list[float]:

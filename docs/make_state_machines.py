@@ -473,17 +473,22 @@ def shared_transitions(edges: Iterable[Edge], states: Iterable[str], events: Any
 
 
 def _seconds(deadline: Deadline) -> str:
-    """The field of ``Timing`` that a deadline reads, and its default."""
+    """The setting that a deadline reads, and its default."""
     read: list[str] = []
 
     class Probe:
-        def __getattr__(self, name: str) -> float:
+        def __getattr__(self, name: str) -> "Probe":
             read.append(name)
+            return self
+
+        def __float__(self) -> float:
+            return 0.0
+
+        def __rmul__(self, factor: float) -> float:
             return 0.0
 
     deadline.seconds(Probe())  # type: ignore[arg-type]
-    (name,) = read
-    return f"`{name}`, {deadline.seconds(builders.TIMING):g} s"
+    return f"`{read[-1]}`, {deadline.seconds(builders.JOB):g} s"
 
 
 def phases() -> str:

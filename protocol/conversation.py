@@ -70,7 +70,10 @@ class Announce(Record):
 
 @dataclass(frozen=True)
 class Timing(Block):
-    """The constants both sides must agree on; the controller refuses values outside its own bounds."""
+    """The constants both sides must agree on; the controller refuses values outside its own bounds.
+
+    Kept by both sides as it stands on the wire, and read in the units that each name says.
+    """
 
     heartbeat_ms: U16
     timeout_ms: U16
@@ -80,6 +83,36 @@ class Timing(Block):
     start_tolerance_mdeg: U16
     approach_clearance_um: U32
     approach_speed_percent: U16
+
+    @property
+    def heartbeat_s(self) -> float:
+        """Period of both sides' heartbeats."""
+        return self.heartbeat_ms / 1000
+
+    @property
+    def timeout_s(self) -> float:
+        """Without a fresh heartbeat for so long the gate closes."""
+        return self.timeout_ms / 1000
+
+    @property
+    def start_lifetime_s(self) -> float:
+        """From the start's nonce to START."""
+        return self.start_lifetime_ms / 1000
+
+    @property
+    def start_tolerance_mm(self) -> float:
+        """Wrist centre off the bound start joints."""
+        return self.start_tolerance_um / 1000
+
+    @property
+    def start_tolerance_deg(self) -> float:
+        """Rotary joints off the bound start joints."""
+        return self.start_tolerance_mdeg / 1000
+
+    @property
+    def approach_clearance_mm(self) -> float:
+        """Entry and exit pose beyond everything that is cut."""
+        return self.approach_clearance_um / 1000
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import os
 import select
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -16,7 +17,7 @@ from cutgate.config.constants import CONSTANTS
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot, load_site
 from cutgate.config.model import Site
-from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.records import calibration_record, limits_record, timing_record, tool_record
 from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, SENT_BY, ControllerHeartbeat
@@ -114,15 +115,10 @@ def _approved(robot: Path | None) -> Approved | None:
 
 def _timing(site: Site) -> records.Timing:
     """The site's timing, with both lifetimes at their lower bounds: the suite waits for them to end."""
-    return records.Timing(
-        heartbeat_ms=site.timing.heartbeat_ms,
-        timeout_ms=site.timing.timeout_ms,
+    return replace(
+        timing_record(site),
         permit_lifetime_s=round(CONSTANTS["permit_lifetime_s"].low),
         start_lifetime_ms=round(CONSTANTS["start_lifetime_ms"].low),
-        start_tolerance_um=round(site.start.start_tolerance_mm * 1000),
-        start_tolerance_mdeg=round(site.start.start_tolerance_deg * 1000),
-        approach_clearance_um=round(site.approach.approach_clearance_mm * 1000),
-        approach_speed_percent=site.approach.approach_speed_percent,
     )
 
 

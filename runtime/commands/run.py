@@ -172,13 +172,13 @@ def _session(
     fd: bool,
 ) -> tuple[Session, Paths]:
     """Run one session; the log is closed and the worker ended whatever happens."""
-    timing = state.job.timing
+    timing, deadlines = state.job.timing, state.job.deadlines
     journal = Journal(log, bus_name.partition("/")[2].rpartition("/")[2] or "can0")
     endpoint = Endpoint(
         Side.RUNTIME,
-        heartbeat_s=timing.heartbeat_ms / 1000,
-        timeout_s=timing.timeout_ms / 1000,
-        transfer_timeout_s=timing.reply_timeout_s,
+        heartbeat_s=timing.heartbeat_s,
+        timeout_s=timing.timeout_s,
+        transfer_timeout_s=deadlines.reply_timeout_s,
         fd=fd,
     )
     try:

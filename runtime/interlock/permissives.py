@@ -369,7 +369,7 @@ def start_offset(
 
 def measured_now(state: Interlock, now_s: float) -> tuple[int, ...] | None:
     """The measured joints, unless they may be older than the heartbeat's time-out, whenever they came."""
-    young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_ms / 1000
+    young = 0.0 <= now_s - state.measured_s <= state.job.timing.timeout_s
     return state.joints_u if young else None
 
 
@@ -377,7 +377,7 @@ def joints_age(state: Interlock, now_s: float) -> Permissive:
     return _at_most(
         "age of the measured joints",
         None if state.joints_u is None else now_s - state.measured_s,
-        state.job.timing.timeout_ms / 1000,
+        state.job.timing.timeout_s,
         "s",
         "check bus and controller: its joints are missing, or come late",
     )

@@ -10,7 +10,7 @@ from typing import Final
 from cutgate.config.exits import OK, STOPPED
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
 from cutgate.runtime.interlock.permissives import AT_START, COLLECTED, FOR_PERMIT, FOR_START, Evaluate
-from cutgate.runtime.interlock.state import Phase, Timing
+from cutgate.runtime.interlock.state import Job, Phase
 
 NOT_ADMITTED: Final = 1
 """``run``: exit code of a session that ended in order, with nothing enabled."""
@@ -21,12 +21,12 @@ class Deadline:
     """How long a phase may last, and what it means if it lasts longer.
 
     Attributes:
-        seconds: of the session's timing.
+        seconds: of the job's timing and deadlines.
         cause: NOT_ADMITTED refuses, NONE ends the wait for a confirmation, any other stops.
         missed: what has not come, in words.
     """
 
-    seconds: Callable[[Timing], float]
+    seconds: Callable[[Job], float]
     cause: StopCause
     missed: str
 
@@ -82,35 +82,43 @@ def _on(*states: ControllerState) -> frozenset[ControllerState]:
 
 PHASES: Final[dict[Phase, PhaseRow]] = {
     P.WAITING: PhaseRow(
-        Deadline(lambda t: t.announce_wait_s, S.NOT_ADMITTED, "no controller announced itself"),
+        Deadline(lambda job: job.deadlines.announce_wait_s, S.NOT_ADMITTED, "no controller announced itself"),
         expected=_on(),
     ),
     P.OPENING: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.NOT_ADMITTED, "the controller did not open the session"),
+        Deadline(
+            lambda job: job.deadlines.reply_timeout_s,
+            S.NOT_ADMITTED,
+            "the controller did not open the session",
+        ),
         announced="controller found, opening a session",
     ),
     P.HELD: PhaseRow(
         Deadline(
-            lambda t: t.operator_wait_s,
+            lambda job: job.deadlines.operator_wait_s,
             S.NOT_ADMITTED,
             "the controller's stop was not acknowledged and reset",
         ),
         announced="the controller carries a stop or a latched fault",
     ),
     P.NONCE_RESET: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the reset"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the reset"),
     ),
     P.AUTHORISING_RESET: PhaseRow(
-        Deadline(lambda t: t.commit_deadline_s, S.AUDIT_FAILED, "the reset's record did not reach the disk"),
+        Deadline(
+            lambda job: job.deadlines.commit_deadline_s,
+            S.AUDIT_FAILED,
+            "the reset's record did not reach the disk",
+        ),
         authorising=True,
     ),
     P.RESETTING: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the reset"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the reset"),
         signed=True,
     ),
     P.COLLECTING: PhaseRow(
         Deadline(
-            lambda t: t.reply_timeout_s,
+            lambda job: job.deadlines.reply_timeout_s,
             S.TRANSFER_FAILED,
             "limits, calibration and tool did not arrive",
         ),
@@ -120,7 +128,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.UPLOADING: PhaseRow(
         Deadline(
-            lambda t: t.transfer_timeout_s,
+            lambda job: job.deadlines.transfer_timeout_s,
             S.TRANSFER_FAILED,
             "the path was not stored, or no measured joints came",
         ),
@@ -128,14 +136,14 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="limits, calibration and tool equal the approved; uploading the path",
     ),
     P.VERIFYING: PhaseRow(
-        Deadline(lambda t: t.verify_timeout_s, S.NOT_ADMITTED, "no verdict"),
+        Deadline(lambda job: job.deadlines.verify_timeout_s, S.NOT_ADMITTED, "no verdict"),
         expected=_on(C.OPEN, C.LOADED),
         permissives=FOR_PERMIT,
         announced="path stored by the controller; verifying it",
     ),
     P.ADMITTED: PhaseRow(
         Deadline(
-            lambda t: t.operator_wait_s,
+            lambda job: job.deadlines.operator_wait_s,
             S.NOT_ADMITTED,
             "the permissives for the permit did not all hold",
         ),
@@ -144,40 +152,50 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="admitted; waiting for the permissives of the permit",
     ),
     P.NONCE_PERMIT: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the permit"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the permit"),
         expected=_on(C.LOADED),
         permissives=FOR_PERMIT,
         announced="every permissive for the permit holds",
     ),
     P.AUTHORISING_PERMIT: PhaseRow(
-        Deadline(lambda t: t.commit_deadline_s, S.AUDIT_FAILED, "the permit's record did not reach the disk"),
+        Deadline(
+            lambda job: job.deadlines.commit_deadline_s,
+            S.AUDIT_FAILED,
+            "the permit's record did not reach the disk",
+        ),
         expected=_on(C.LOADED),
         permissives=FOR_PERMIT,
         announced="permit authorised, its record is being made durable",
         authorising=True,
     ),
     P.PERMITTING: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the permit"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the permit"),
         expected=_on(C.LOADED, C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         announced="record durable, permit sent",
         signed=True,
     ),
     P.PERMITTED: PhaseRow(
-        Deadline(lambda t: float(t.permit_lifetime_s), S.PERMIT_EXPIRED, "the operator did not start"),
+        Deadline(
+            lambda job: float(job.timing.permit_lifetime_s), S.PERMIT_EXPIRED, "the operator did not start"
+        ),
         expected=_on(C.LOADED, C.PERMITTED),  # a heartbeat may have left before the permit arrived
         heartbeat=RuntimeCode.READY,
         permissives=FOR_START,
         announced="permitted: cutting mode is on. Release the enabling device, hold it, then say start",
     ),
     P.NONCE_START: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the start"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the start"),
         expected=_on(C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         permissives=FOR_START,
     ),
     P.AUTHORISING_START: PhaseRow(
-        Deadline(lambda t: t.commit_deadline_s, S.AUDIT_FAILED, "the start's record did not reach the disk"),
+        Deadline(
+            lambda job: job.deadlines.commit_deadline_s,
+            S.AUDIT_FAILED,
+            "the start's record did not reach the disk",
+        ),
         expected=_on(C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         permissives=FOR_START,
@@ -185,7 +203,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         authorising=True,
     ),
     P.STARTING: PhaseRow(
-        Deadline(lambda t: t.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the start"),
+        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the start"),
         expected=_on(C.PERMITTED, C.CUTTING, C.DONE),
         heartbeat=RuntimeCode.CUT,
         announced="record durable, start sent",
@@ -200,7 +218,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.FINISHING: PhaseRow(
         Deadline(
-            lambda t: 2 * t.timeout_ms / 1000,  # as long as the tracking monitor waits for a sample
+            lambda job: 2 * job.timing.timeout_s,  # as long as the tracking monitor waits for a sample
             S.TRACKING_DEVIATION,
             "no measured joints after the end was reported",
         ),
@@ -210,7 +228,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         moving=True,
     ),
     P.STOPPING: PhaseRow(
-        Deadline(lambda t: t.stop_confirm_s, S.NONE, "no confirmation of the stop"),
+        Deadline(lambda job: job.deadlines.stop_confirm_s, S.NONE, "no confirmation of the stop"),
         announced="STOP sent",
     ),
     P.DONE: PhaseRow(ending=Ending("completed", "CUT COMPLETED", OK)),

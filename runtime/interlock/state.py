@@ -13,7 +13,12 @@ from cutgate.protocol.states import (
     StopCause,
     StopCode,
 )
-from cutgate.runtime.interlock.tracking import Deviation, ReferenceTrajectory, TrackingMonitor
+from cutgate.runtime.interlock.tracking import (
+    Deviation,
+    ReferenceTrajectory,
+    TrackingMonitor,
+    TrackingTolerance,
+)
 
 
 class Phase(StrEnum):
@@ -72,19 +77,9 @@ class DeviceCycle(Enum):
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Deadlines and tolerances of one session, from the site's configuration."""
+class Deadlines:
+    """How long this side waits for whom, from the site's configuration; the controller need not know."""
 
-    heartbeat_ms: int
-    timeout_ms: int
-    permit_lifetime_s: int
-    start_lifetime_ms: int
-    start_tolerance_mm: float
-    start_tolerance_deg: float
-    approach_clearance_mm: float
-    approach_speed_percent: int
-    tracking_tolerance_mm: float
-    tracking_tolerance_deg: float
     announce_wait_s: float
     reply_timeout_s: float
     transfer_timeout_s: float
@@ -108,7 +103,10 @@ class Job:
     """SHA-256 digests."""
     verifier: str
     branch: records.Branch
-    timing: Timing
+    timing: records.Timing
+    """What both sides keep, as OPEN asks for it."""
+    deadlines: Deadlines
+    tracking: TrackingTolerance
     serial: str | None = None
     registration_age_s: float = 0.0
     """At the first event; it grows from there."""

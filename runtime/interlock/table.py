@@ -224,7 +224,6 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
 
 
 def _open(job: Job, session: Session) -> records.Open:
-    timing = job.timing
     return records.Open(
         protocol_version=records.PROTOCOL_VERSION,
         boot_nonce=session.boot_nonce,
@@ -232,16 +231,7 @@ def _open(job: Job, session: Session) -> records.Open:
         registration_digest=job.registration,
         configuration_digest=job.configuration,
         verifier_version=job.verifier,
-        timing=records.Timing(
-            heartbeat_ms=timing.heartbeat_ms,
-            timeout_ms=timing.timeout_ms,
-            permit_lifetime_s=timing.permit_lifetime_s,
-            start_lifetime_ms=timing.start_lifetime_ms,
-            start_tolerance_um=round(timing.start_tolerance_mm * 1000),
-            start_tolerance_mdeg=round(timing.start_tolerance_deg * 1000),
-            approach_clearance_um=round(timing.approach_clearance_mm * 1000),
-            approach_speed_percent=timing.approach_speed_percent,
-        ),
+        timing=job.timing,
     )
 
 
@@ -267,7 +257,7 @@ def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome
     assert state.session is not None  # noqa: S101 - OPENING has a session
     if event.announce.boot_nonce != state.session.boot_nonce:
         return announced(state, event, now_s)
-    if not now_s - state.since_s >= state.job.timing.reply_timeout_s / 2:
+    if not now_s - state.since_s >= state.job.deadlines.reply_timeout_s / 2:
         return state, ()
     return state, (Send(_open(state.job, state.session)),)
 
@@ -543,7 +533,7 @@ def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
     assert state.nonce is not None and state.session is not None  # noqa: S101, PT018 - AUTHORISING_START has both
     assert state.verdict is not None and state.verdict.trajectory is not None  # noqa: S101, PT018 - permissives
     scale, trajectory = state.session.time_scale, state.verdict.trajectory
-    monitor = TrackingMonitor.begin(trajectory, state.job.timing, scale, now_s)
+    monitor = TrackingMonitor.begin(trajectory, state.job.timing, state.job.tracking, scale, now_s)
     return _enter(state, Phase.STARTING, now_s, tracking=monitor), (Send(_start(state, state.nonce)),)
 
 
@@ -703,7 +693,7 @@ def tick(state: Interlock, _event: Tick, now_s: float) -> Outcome:
     deadline = PHASES[state.phase].deadline
     if deadline is None:
         return state, ()
-    bound_s, cause = deadline.seconds(state.job.timing), deadline.cause
+    bound_s, cause = deadline.seconds(state.job), deadline.cause
     if 0.0 <= now_s - state.since_s <= bound_s:
         return state, ()
     reason = f"{deadline.missed} within {bound_s:g} s"
@@ -731,7 +721,7 @@ def _withhold(
     """Why nothing may leave although a record is durable: another record, too late, or a permissive. Else None."""
     if event.token != state.token:
         return _drop_token(state, event)
-    if not 0.0 <= now_s - state.since_s <= state.job.timing.commit_deadline_s:
+    if not 0.0 <= now_s - state.since_s <= state.job.deadlines.commit_deadline_s:
         return tick(state, Tick(), now_s)
     if not all_hold(which, state, now_s):
         return _enter(state, back, now_s, nonce=None), (Withheld(state.token),)

@@ -19,16 +19,14 @@ has gained one time-out on the trajectory.
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
+from cutgate.protocol.records import Timing
 from cutgate.runtime.interlock.permissive import Permissive
-
-if TYPE_CHECKING:
-    from cutgate.runtime.interlock.state import Timing
 
 Floats = NDArray[np.float64]
 
@@ -104,6 +102,14 @@ class ReferenceTrajectory:
 
 
 @dataclass(frozen=True)
+class TrackingTolerance:
+    """How far the moving arm may be off the reference trajectory, from the site's configuration."""
+
+    wrist_mm: float
+    joint_deg: float
+
+
+@dataclass(frozen=True)
 class Bounds:
     """What is tolerated.
 
@@ -123,15 +129,17 @@ class Bounds:
     rate: float
 
     @classmethod
-    def of(cls, timing: "Timing", scale: float, links_mm: tuple[float, float]) -> "Bounds":
+    def of(
+        cls, timing: Timing, tolerance: TrackingTolerance, scale: float, links_mm: tuple[float, float]
+    ) -> "Bounds":
         """The site's tolerances, and what joints frames and the trajectory are rounded by."""
         turned_mm = 2.0 * CHORD_RAD * (links_mm[0] + 2.0 * links_mm[1])
         return cls(
-            near_mm=timing.tracking_tolerance_mm + math.hypot(turned_mm, 2.0 * CHORD_MM),
-            near_rad=math.radians(timing.tracking_tolerance_deg) + 2.0 * CHORD_RAD,
+            near_mm=tolerance.wrist_mm + math.hypot(turned_mm, 2.0 * CHORD_MM),
+            near_rad=math.radians(tolerance.joint_deg) + 2.0 * CHORD_RAD,
             start_mm=timing.start_tolerance_mm,
             start_rad=math.radians(timing.start_tolerance_deg),
-            latency_s=timing.timeout_ms / 1000,
+            latency_s=timing.timeout_s,
             rate=CLOCKS * scale,
         )
 
@@ -177,10 +185,15 @@ class TrackingMonitor:
 
     @classmethod
     def begin(
-        cls, trajectory: ReferenceTrajectory, timing: "Timing", scale: float, now_s: float
+        cls,
+        trajectory: ReferenceTrajectory,
+        timing: Timing,
+        tolerance: TrackingTolerance,
+        scale: float,
+        now_s: float,
     ) -> "TrackingMonitor":
         """The start leaves now; the arm stands at the start joints."""
-        bounds = Bounds.of(timing, scale, trajectory.links_mm)
+        bounds = Bounds.of(timing, tolerance, scale, trajectory.links_mm)
         seen, lead_s = Seen(0.0, now_s), -bounds.rate * (now_s - bounds.latency_s)
         return cls(trajectory, bounds, seen, seen, now_s, lead_s)
 

@@ -92,7 +92,7 @@ class Check:
             tool=held.tool,
             robot=self._robot,
             start_joints_u=start_joints_u,
-            clearance_um=_clearance_um(self._job),
+            clearance_um=timing.approach_clearance_um,
             start_tolerance_mm=timing.start_tolerance_mm,
             start_tolerance_deg=timing.start_tolerance_deg,
             speed_percent=timing.approach_speed_percent,
@@ -135,13 +135,9 @@ def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
     if not verdict.admissible:
         return _Ground(verdict, found, document, None, None, None)
     proof = checked_proof(problem, verdict)
-    lines = approach.straight_lines(problem, _clearance_um(job))
+    lines = approach.straight_lines(problem, job.timing.approach_clearance_um)
     bound = approach.bound(lines, job.timing.approach_speed_percent)
     return _Ground(verdict, found, document, proof, lines, course.between(problem, bound) if bound else None)
-
-
-def _clearance_um(job: Job) -> int:
-    return round(job.timing.approach_clearance_mm * 1000)
 
 
 def checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes:
@@ -166,7 +162,7 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
         timing = job.timing
         start = approach.Start.of(
             start_joints_u,
-            clearance_um=_clearance_um(job),
+            clearance_um=timing.approach_clearance_um,
             tolerance_mm=timing.start_tolerance_mm,
             tolerance_deg=timing.start_tolerance_deg,
         )

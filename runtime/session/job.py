@@ -7,10 +7,11 @@ from pathlib import Path
 from cutgate import __version__
 from cutgate.config.load import BYTES_PER_MB, Loaded, load_robot, load_site
 from cutgate.config.model import Robot, Site
-from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.records import calibration_record, limits_record, timing_record, tool_record
 from cutgate.protocol import records
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_digest
-from cutgate.runtime.interlock.state import Job, Timing
+from cutgate.runtime.interlock.state import Deadlines, Job
+from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified
@@ -110,7 +111,11 @@ def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST, key_finge
         configuration=configuration(files),
         verifier=VERIFIER,
         branch=records.Branch(path.elbow, path.q0_turns, path.roll_turns),
-        timing=_timing(settings),
+        timing=timing_record(settings),
+        deadlines=_deadlines(settings),
+        tracking=TrackingTolerance(
+            settings.tracking.tracking_tolerance_mm, settings.tracking.tracking_tolerance_deg
+        ),
         serial=settings.controller.serial,
         registration_age_s=age_s,
         registration_max_age_s=settings.registration_max_age_s,
@@ -135,19 +140,9 @@ def configuration(files: Files) -> bytes:
     return configuration_digest(files.robot.sha256, site, allow_simulated=files.allow_simulated)
 
 
-def _timing(site: Site) -> Timing:
+def _deadlines(site: Site) -> Deadlines:
     timing = site.timing
-    return Timing(
-        heartbeat_ms=timing.heartbeat_ms,
-        timeout_ms=timing.timeout_ms,
-        permit_lifetime_s=site.permit.permit_lifetime_s,
-        start_lifetime_ms=site.start.start_lifetime_ms,
-        start_tolerance_mm=site.start.start_tolerance_mm,
-        start_tolerance_deg=site.start.start_tolerance_deg,
-        approach_clearance_mm=site.approach.approach_clearance_mm,
-        approach_speed_percent=site.approach.approach_speed_percent,
-        tracking_tolerance_mm=site.tracking.tracking_tolerance_mm,
-        tracking_tolerance_deg=site.tracking.tracking_tolerance_deg,
+    return Deadlines(
         announce_wait_s=float(timing.announce_wait_s),
         reply_timeout_s=timing.reply_timeout_ms / 1000,
         transfer_timeout_s=float(timing.transfer_timeout_s),

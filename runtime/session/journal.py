@@ -33,6 +33,7 @@ from cutgate.runtime.interlock.state import (
     HeartbeatLost,
     HeartbeatReceived,
     Interlock,
+    Job,
     JointsMeasured,
     LogChanged,
     NonceReceived,
@@ -48,7 +49,6 @@ from cutgate.runtime.interlock.state import (
     SendStop,
     SessionOpened,
     Tick,
-    Timing,
     VerdictReady,
     Withheld,
 )
@@ -306,15 +306,17 @@ class Journal:
         """The verdict on approach and retract, and what a permit binds of them."""
         self.log.write(audit.Approach.of(document, start_joints_u=start_joints_u, bound=bound, reason=reason))
 
-    def reserve(self, seconds: float, timing: Timing) -> int:
+    def reserve(self, seconds: float, job: Job) -> int:
         """Ask for twice the space that a session takes from its verdict on; the bytes that it takes once.
 
         Args:
             seconds: of the arm's way, on the clock.
-            timing: the session's.
+            job: the session's.
         """
-        seconds += waiting_s(timing)
-        needed = space(seconds, timing, chunk_period_s=self.log.hand_over_after_s, interface=self._interface)
+        seconds += waiting_s(job)
+        needed = space(
+            seconds, job.timing, chunk_period_s=self.log.hand_over_after_s, interface=self._interface
+        )
         self.log.reserve(2 * needed.log, 2 * needed.frames)
         return needed.total
 

@@ -68,7 +68,6 @@ from cutgate.runtime.interlock.state import (
     SessionOpened,
     Stored,
     Tick,
-    Timing,
     UseSession,
     VerdictReady,
     Verify,
@@ -132,9 +131,9 @@ class View(Protocol):
 class Pauses:
     """How long the loop stood still lately: the answer to which side was late."""
 
-    def __init__(self, timing: Timing) -> None:
-        self._long_s = PAUSE_HEARTBEATS * timing.heartbeat_ms / 1000
-        self._lately_s = PAUSE_TIMEOUTS * timing.timeout_ms / 1000
+    def __init__(self, timing: records.Timing) -> None:
+        self._long_s = PAUSE_HEARTBEATS * timing.heartbeat_s
+        self._lately_s = PAUSE_TIMEOUTS * timing.timeout_s
         self._pauses: deque[tuple[float, float]] = deque(maxlen=PAUSES_KEPT)
 
     def turn(self, gap_s: float, now_s: float) -> None:
@@ -242,7 +241,7 @@ class Session:
         if self._words is not None and self._words.descriptor is not None:
             self._poller.register(self._words.descriptor, select.POLLIN)
         job = self.state.job
-        needed = self._journal.reserve(estimated_s(job), job.timing)
+        needed = self._journal.reserve(estimated_s(job), job)
         self.state = replace(self.state, log=LogHealth(writable=True, needed_bytes=needed))
         _ = self.state.job.path_digest
 
@@ -433,7 +432,7 @@ class Session:
         trajectory, session, log = own.verdict.trajectory, self.state.session, self.state.log
         if trajectory is None or session is None:
             return
-        needed = self._journal.reserve(trajectory.end_s / session.time_scale, self.state.job.timing)
+        needed = self._journal.reserve(trajectory.end_s / session.time_scale, self.state.job)
         reserved = log.reserved_bytes if needed <= log.needed_bytes else 0
         self._feed(LogChanged(replace(log, reserved_bytes=reserved, needed_bytes=needed)))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cutgate.protocol import candump, records
 from cutgate.runtime.audit.records import CanFrame, Time
-from cutgate.runtime.interlock.state import Job, Timing
+from cutgate.runtime.interlock.state import Job
 from cutgate.runtime.kinematics.arm import TURN
 from cutgate.runtime.kinematics.pose import turn_angles
 
@@ -58,14 +58,15 @@ def estimated_s(job: Job) -> float:
     return cut_s + 2.0 * (line_s + way_mm / path.feed_mm_s)
 
 
-def waiting_s(timing: Timing) -> float:
+def waiting_s(job: Job) -> float:
     """The longest time from the verdict to START, and from the end of the trajectory to the session's."""
-    until_start_s = timing.operator_wait_s + timing.permit_lifetime_s
-    answers_s = 4 * timing.reply_timeout_s + 2 * timing.commit_deadline_s
-    return until_start_s + answers_s + timing.stop_confirm_s + 2 * timing.timeout_ms / 1000
+    waits = job.deadlines
+    until_start_s = waits.operator_wait_s + job.timing.permit_lifetime_s
+    answers_s = 4 * waits.reply_timeout_s + 2 * waits.commit_deadline_s
+    return until_start_s + answers_s + waits.stop_confirm_s + 2 * job.timing.timeout_s
 
 
-def space(seconds: float, timing: Timing, *, chunk_period_s: float, interface: str) -> Space:
+def space(seconds: float, timing: records.Timing, *, chunk_period_s: float, interface: str) -> Space:
     """What so many seconds take.
 
     Args:

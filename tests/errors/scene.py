@@ -87,7 +87,7 @@ class Scene:
     def __init__(self, pair: Pair, message: Message) -> None:
         self.pair, self.message = pair, message
         pair.power_up(time_scale=SLOW)
-        pair.begin(replace(pair.job, timing=replace(pair.job.timing, **SHORT)))
+        pair.begin(replace(pair.job, deadlines=replace(pair.job.deadlines, **SHORT)))
         self.began_s: float | None = None
         self.stopped_s: float | None = None
         self.due: list[tuple[float, Callable[[], None]]] = []

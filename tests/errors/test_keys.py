@@ -332,7 +332,8 @@ def timed(pair: Pair, **timing: Any) -> Pair:
 
 def test_a_permit_whose_nonce_has_outlived_its_lifetime_is_refused(pair):
     """The disk takes its time; the runtime would wait for it."""
-    timed(pair, permit_lifetime_s=10, commit_deadline_s=30.0)
+    pair.job = replace(pair.job, deadlines=replace(pair.job.deadlines, commit_deadline_s=30.0))
+    timed(pair, permit_lifetime_s=10)
     pair.to(Phase.COLLECTING).disk.answers = False
     pair.to(Phase.AUTHORISING_PERMIT)
     pair.session._checkpoint_deadline_s = 30.0

@@ -22,7 +22,7 @@ from tests.exploration.world import JOB, VERDICT
 from tests.firmware_sim.controllers import START_JOINTS
 
 NOW = 1000.0
-MONITOR = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, 1.0, NOW)
+MONITOR = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, JOB.tracking, 1.0, NOW)
 
 
 def cause_class(cause: StopCause) -> StopCause:

@@ -333,7 +333,7 @@ def test_a_runtime_that_is_made_to_forget_one_thing_more_does_something_else(mon
 
 def test_a_monitor_that_is_made_to_have_begun_earlier_does_something_else(monkeypatch):
     places()
-    earlier = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, 1.0, NOW - 10.0)
+    earlier = TrackingMonitor.begin(VERDICT.trajectory, JOB.timing, JOB.tracking, 1.0, NOW - 10.0)
     monkeypatch.setattr(canonical, "MONITOR", earlier)
     assert runtime_differs() is not None
 

@@ -24,6 +24,7 @@ from cutgate.protocol.records import (
     RecordError,
     Reply,
     Side,
+    Timing,
     pack,
     unpack,
 )
@@ -145,3 +146,10 @@ def test_largest_block_fits_one_transfer():
 
 def test_acknowledge_names_its_cause():
     assert Acknowledge(StopCause.BONE_MOVED).body() == b"\x0e"
+
+
+def test_the_agreed_timing_is_read_in_the_units_of_each_name():
+    timing = Timing(20, 150, 120, 2500, 505, 250, 10_250, 25)
+    assert (timing.heartbeat_s, timing.timeout_s, timing.start_lifetime_s) == (0.02, 0.15, 2.5)
+    assert (timing.start_tolerance_mm, timing.start_tolerance_deg) == (0.505, 0.25)
+    assert timing.approach_clearance_mm == 10.25

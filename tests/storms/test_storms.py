@@ -39,7 +39,7 @@ class Play:
 
     def __init__(self, pair, seed, only):
         self.pair, self.weather, self.witness = pair, Weather(pair, seed, only), Witness(pair)
-        self.job = replace(pair.job, timing=replace(pair.job.timing, **SHORT))
+        self.job = replace(pair.job, deadlines=replace(pair.job.deadlines, **SHORT))
         self.witness.controller_powered()
         self.process = pair.process
         self.registrations = 1

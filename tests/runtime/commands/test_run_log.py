@@ -19,7 +19,7 @@ from cutgate.runtime.session import withdrawn
 from cutgate.runtime.verification.asked import BEST
 from tests.runtime.audit.build import LOG_ID, OPENED, PATIENCE_S, small_log
 from tests.runtime.audit.test_directory import Later
-from tests.runtime.interlock.builders import TIMING
+from tests.runtime.interlock.builders import DEADLINES, TIMING
 
 
 class Screen(list):
@@ -145,7 +145,9 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
         raise OSError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(command.Worker, "start", none_left)
-    state = SimpleNamespace(job=SimpleNamespace(timing=TIMING, path=b"", fd=False), phase=Phase.WAITING)
+    state = SimpleNamespace(
+        job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING
+    )
     with pytest.raises(OSError, match="temporarily unavailable"):
         command._session(None, None, state, b"", None, "a/b", log, None, None, fd=False)
     found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())

@@ -26,6 +26,7 @@ from cutgate.runtime.interlock.state import (
     Collected,
     Commit,
     ControllerView,
+    Deadlines,
     DeviceCycle,
     Effect,
     Event,
@@ -53,12 +54,11 @@ from cutgate.runtime.interlock.state import (
     SessionOpened,
     Stored,
     Tick,
-    Timing,
     Verdict,
     VerdictReady,
     Word,
 )
-from cutgate.runtime.interlock.tracking import ReferenceTrajectory, Seen, TrackingMonitor
+from cutgate.runtime.interlock.tracking import ReferenceTrajectory, Seen, TrackingMonitor, TrackingTolerance
 
 NOW = 1000.0
 EPOCH = 3
@@ -67,17 +67,17 @@ REQUEST = 6
 BOOT_NONCE, RUNTIME_NONCE = bytes(range(16)), bytes(range(16, 32))
 NONCE = bytes(range(32, 48))
 
-TIMING = Timing(
+TIMING = records.Timing(
     heartbeat_ms=20,
     timeout_ms=100,
     permit_lifetime_s=120,
     start_lifetime_ms=2000,
-    start_tolerance_mm=0.5,
-    start_tolerance_deg=0.2,
-    approach_clearance_mm=10.0,
+    start_tolerance_um=500,
+    start_tolerance_mdeg=200,
+    approach_clearance_um=10_000,
     approach_speed_percent=25,
-    tracking_tolerance_mm=0.5,
-    tracking_tolerance_deg=0.25,
+)
+DEADLINES = Deadlines(
     announce_wait_s=30.0,
     reply_timeout_s=2.0,
     transfer_timeout_s=20.0,
@@ -86,6 +86,7 @@ TIMING = Timing(
     commit_deadline_s=1.0,
     stop_confirm_s=1.5,
 )
+TRACKING = TrackingTolerance(wrist_mm=0.5, joint_deg=0.25)
 
 LIMITS = records.Limits.quantised(
     q_min_deg=(-80, 0, 50, -170, 0), q_max_deg=(80, 145, 450, 170, 110), speed_deg_s=(57, 57, 200, 114, 114)
@@ -112,6 +113,8 @@ JOB = Job(
     verifier="cutgate test",
     branch=records.Branch("right", 0, 0),
     timing=TIMING,
+    deadlines=DEADLINES,
+    tracking=TRACKING,
     serial="SIM-1",
     registration_age_s=100.0,
     registration_max_age_s=3600.0,
@@ -263,7 +266,7 @@ ANNOUNCE = records.Announce(
 
 def monitor(began_s: float = NOW, seen_s: float | None = None) -> TrackingMonitor:
     """Begun then; the last sample and progress came when the arm stood at its start, at ``seen_s``."""
-    begun = TrackingMonitor.begin(TRAJECTORY, TIMING, 1.0, began_s)
+    begun = TrackingMonitor.begin(TRAJECTORY, TIMING, TRACKING, 1.0, began_s)
     seen = Seen(0.0, began_s if seen_s is None else seen_s)
     return replace(begun, sampled=seen, progressed=seen, heard_s=seen.at_s)
 

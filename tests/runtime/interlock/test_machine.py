@@ -56,6 +56,7 @@ from tests.runtime.interlock.builders import (
     BEYOND,
     BOOT_NONCE,
     CALIBRATION,
+    DEADLINES,
     FRESH,
     HALF_WAY,
     LIMITS,
@@ -158,7 +159,7 @@ class AnySession(RuleBasedStateMachine):
         for record in enabled(effects):
             assert isinstance(event, RecordDurable)
             assert event.token == self.pending
-            assert 0.0 <= self.now_s - self.committed_at_s <= TIMING.commit_deadline_s
+            assert 0.0 <= self.now_s - self.committed_at_s <= DEADLINES.commit_deadline_s
             assert record == self.committed[event.token]
             assert record.nonce == self.state.nonce
             assert self.alive
@@ -166,7 +167,7 @@ class AnySession(RuleBasedStateMachine):
             if not isinstance(record, records.Reset):
                 assert not self.withdrawn
                 assert self.joints_u == VERDICT.start_joints_u
-                assert 0.0 <= self.now_s - self.measured_s <= TIMING.timeout_ms / 1000
+                assert 0.0 <= self.now_s - self.measured_s <= TIMING.timeout_s
             if isinstance(record, records.Start):
                 assert self.pressed
                 self.started = True

@@ -476,6 +476,6 @@ def test_a_path_that_the_controller_refuses_is_cured_by_what_it_was_refused_for(
 
 def test_a_clearance_of_nothing_is_not_to_be_lowered():
     for clearance_mm, lowered in ((10.0, True), (0.5, True), (0.0, False)):
-        there = {"job__timing__approach_clearance_mm": clearance_mm}
+        there = {"job__timing__approach_clearance_um": round(clearance_mm * 1000)}
         said = remedy(p.approach_admissible, verdict__approach=None, **there)
         assert ("lower approach_clearance_mm" in said) is lowered

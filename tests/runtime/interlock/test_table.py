@@ -61,6 +61,7 @@ from tests.runtime.interlock.builders import (
     ANNOUNCE,
     BEYOND,
     BOOT_NONCE,
+    DEADLINES,
     ELSEWHERE,
     EPOCH,
     FRESH,
@@ -82,6 +83,7 @@ from tests.runtime.interlock.builders import (
     TIMING,
     TOKEN,
     TOOL,
+    TRACKING,
     TRAJECTORY,
     VERDICT,
     Run,
@@ -206,7 +208,7 @@ def test_a_record_that_is_durable_too_late_enables_nothing(phase, now_s):
 
 @each_authorising
 def test_a_record_that_is_durable_just_in_time_enables(phase):
-    state = in_phase(phase, since_s=NOW - TIMING.commit_deadline_s)
+    state = in_phase(phase, since_s=NOW - DEADLINES.commit_deadline_s)
     assert enabled(step(state, PENDING, NOW)[1])
 
 
@@ -507,7 +509,7 @@ def off_start(joint, by_u):
 
 def test_the_end_is_shown_by_a_sample_within_two_time_outs():
     state = in_phase(Phase.FINISHING, since_s=0.0, tracking=patient(0.0))
-    limit_s = 2 * TIMING.timeout_ms / 1000
+    limit_s = 2 * TIMING.timeout_s
     assert step(state, Tick(), limit_s) == (state, ())
     late, effects = step(state, Tick(), limit_s + 1e-6)
     assert stops(effects) == [StopCause.TRACKING_DEVIATION]
@@ -630,7 +632,7 @@ def test_the_start_begins_the_monitor_of_the_very_trajectory_that_was_permitted(
     state = altered(in_phase(Phase.AUTHORISING_START, verdict=verdict), "session.time_scale", scale)
     state = altered(state, "job.simulation_allowed_by", "site.toml")
     after, _ = step(state, PENDING, NOW)
-    assert after.tracking == TrackingMonitor.begin(other, TIMING, scale, NOW)
+    assert after.tracking == TrackingMonitor.begin(other, TIMING, TRACKING, scale, NOW)
     assert after.tracking.trajectory is other
     refused, _ = step(after, reply(records.Start, Refusal.NOT_AT_START), NOW)
     assert (refused.phase, refused.tracking) == (Phase.PERMITTED, None)
@@ -715,7 +717,7 @@ def test_the_reply_with_its_reason_is_awaited_after_the_stop_that_overtook_it(ph
 @pytest.mark.parametrize("phase", REFUSED_CODE, ids=str)
 def test_a_reply_that_never_comes_is_not_awaited_for_longer_than_a_confirmation(phase):
     run = Run(in_phase(phase), NOW).feed(AUTHENTICATION, LATCHED_BEAT)
-    assert run.feed(Tick(), after_s=JOB.timing.stop_confirm_s + 0.01).phase is Phase.STOPPED
+    assert run.feed(Tick(), after_s=JOB.deadlines.stop_confirm_s + 0.01).phase is Phase.STOPPED
     assert "MAC_INVALID" not in run.state.reason
 
 
@@ -770,7 +772,7 @@ def test_every_phase_that_waits_has_a_deadline(phase):
         assert step(state, Tick(), 1e9) == (state, ())
         return
     deadline = PHASES[phase].deadline
-    bound_s, cause = deadline.seconds(TIMING), deadline.cause
+    bound_s, cause = deadline.seconds(JOB), deadline.cause
     for inside in (0.0, bound_s):
         assert step(state, Tick(), inside) == (state, ())
     for outside in (math.nextafter(bound_s, math.inf), -0.1, math.nan):
@@ -977,17 +979,6 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
     )
 
 
-def test_tolerances_leave_in_millionths():
-    wide = replace(TIMING, start_tolerance_mm=2.25, start_tolerance_deg=1.75, approach_clearance_mm=12.5)
-    run = Run(altered(FRESH, "job.timing", wide)).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
-    timing = run.effects[1].record.timing
-    assert (timing.start_tolerance_um, timing.start_tolerance_mdeg, timing.approach_clearance_um) == (
-        2250,
-        1750,
-        12_500,
-    )
-
-
 def test_a_simulated_controller_s_time_scale_is_the_session_s():
     faster = replace(ANNOUNCE, plant_speed_permille=60_000)
     assert Run(FRESH).feed(Announced(faster, RUNTIME_NONCE)).state.session.time_scale == 60.0
@@ -1001,7 +992,7 @@ def test_an_open_that_was_lost_is_sent_again_at_the_next_announcement():
     assert (run.state, run.effects) == (opening, ()), "it may have crossed our OPEN"
     run.feed(Announced(ANNOUNCE, b"another nonce..."), after_s=0.2)
     assert (run.state, run.effects) == (opening, (first,)), "the same session, the same deadline"
-    half = replace(opening, since_s=NOW - TIMING.reply_timeout_s / 2)
+    half = replace(opening, since_s=NOW - DEADLINES.reply_timeout_s / 2)
     assert step(half, Announced(ANNOUNCE, b"another nonce..."), NOW) == (half, (first,))
 
 
@@ -1227,7 +1218,7 @@ def test_what_is_verified_begins_where_the_arm_stands_now(old):
         run.feed(measured(ELSEWHERE)).feed(Tick(), after_s=old)
     run.feed(PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
     assert (run.phase, run.effects) == (Phase.UPLOADING, ())
-    late = Run(run.state, run.now_s).feed(Tick(), after_s=TIMING.transfer_timeout_s)
+    late = Run(run.state, run.now_s).feed(Tick(), after_s=DEADLINES.transfer_timeout_s)
     assert "no measured joints" in late.state.reason
     run.feed(STANDING)
     assert (run.phase, run.effects) == (Phase.VERIFYING, (Verify(run.state.token, START_JOINTS),))

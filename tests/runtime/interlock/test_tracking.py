@@ -16,13 +16,13 @@ from cutgate.runtime.interlock.tracking import (
     TrackingMonitor,
     _nearest,
 )
-from tests.runtime.interlock.builders import TIMING
+from tests.runtime.interlock.builders import TIMING, TRACKING
 
 LINKS = (450.0, 400.0)
 RESOLUTION = np.radians([ROTATION_DEG] * 5)
 RESOLUTION[2] = SLIDE_MM
-LATENCY_S = TIMING.timeout_ms / 1000
-PERIOD_S = TIMING.heartbeat_ms / 1000
+LATENCY_S = TIMING.timeout_s
+PERIOD_S = TIMING.heartbeat_s
 
 
 def trajectory_from(seed: int, segments: int = 7) -> ReferenceTrajectory:
@@ -111,7 +111,7 @@ def test_a_sound_arm_never_deviates(seed, scale, data):
     }
     proved_s, losses = data.draw(st.sampled_from([0.0, 0.04])), data.draw(st.sampled_from([0.0, 0.3]))
     now_s, at_s = 100.0, 0.0
-    monitor = TrackingMonitor.begin(trajectory, TIMING, scale, now_s)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, scale, now_s)
     frames, last_s = [], dict.fromkeys(late_s, 0.0)
     while at_s < trajectory.end_s:
         now_s += PERIOD_S
@@ -145,7 +145,7 @@ def test_joints_off_every_place_they_can_be_at_are_seen_at_once_and_joints_on_on
 ):
     trajectory = trajectory_from(seed)
     at_s, now_s = part * trajectory.end_s, 100.0
-    monitor = TrackingMonitor.begin(trajectory, TIMING, 1.0, now_s)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, now_s)
     while now_s < 100.0 + at_s:  # the arm went there at full speed
         now_s += PERIOD_S
         monitor, why = sample(monitor, trajectory.joints_at(min(now_s - 100.0, at_s)), now_s)
@@ -170,7 +170,7 @@ def test_joints_off_every_place_they_can_be_at_are_seen_at_once_and_joints_on_on
 def test_each_joint_is_held_to_its_bound_and_not_to_less(joint, side):
     """An arm that may not yet have moved, on a trajectory along another joint."""
     trajectory = replace_line(along=2 if joint != 2 else 4)
-    monitor = TrackingMonitor.begin(trajectory, TIMING, 1.0, 10.0)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, 10.0)
     monitor = replace(monitor, bounds=replace(monitor.bounds, start_mm=0.0, start_rad=0.0))
     lever_mm = {0: LINKS[0] + LINKS[1], 1: LINKS[1], 2: 1.0}.get(joint)
     bound = monitor.bounds.near_rad if lever_mm is None else monitor.bounds.near_mm / lever_mm
@@ -193,12 +193,12 @@ def test_a_joint_that_is_no_number_deviates(joint, value):
     joints = trajectory.joints[0].copy()
     joints[joint] = value
     with np.errstate(invalid="ignore"):
-        assert sample(TrackingMonitor.begin(trajectory, TIMING, 1.0, 10.0), joints, 10.0)[1]
+        assert sample(TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, 10.0), joints, 10.0)[1]
 
 
 @pytest.mark.parametrize("now_s", [math.nan, -math.inf])
 def test_a_time_that_is_no_time_deviates(now_s):
-    monitor = TrackingMonitor.begin(trajectory_from(1), TIMING, 1.0, 10.0)
+    monitor = TrackingMonitor.begin(trajectory_from(1), TIMING, TRACKING, 1.0, 10.0)
     assert monitor.overdue(now_s, None) or now_s < 0
     assert monitor.finished(now_s)
     assert report(monitor, 1, 1, now_s)[1]
@@ -210,7 +210,7 @@ def test_an_arm_that_is_too_fast_is_seen_once_it_has_gained_the_latency(kind, ga
     """However small each step is; nothing accumulates but what was gained."""
     trajectory = trajectory_from(3, segments=40)
     start_s = trajectory.time_of(0, 0.0)
-    monitor = TrackingMonitor.begin(trajectory, TIMING, 1.0, -start_s)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, -start_s)
     monitor, why = report(monitor, *place_of(trajectory, start_s), 0.0)
     monitor, why = sample(monitor, trajectory.joints_at(start_s), 0.0)
     assert why == ""
@@ -229,7 +229,7 @@ def test_an_arm_that_is_too_fast_is_seen_once_it_has_gained_the_latency(kind, ga
 
 
 def test_progress_never_goes_back_by_a_single_count():
-    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, 60.0, 0.0)
+    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, TRACKING, 60.0, 0.0)
     monitor, why = report(monitor, 1, 100, 0.2)
     assert why == ""
     assert report(monitor, 1, 100, 0.2)[1] == ""
@@ -239,13 +239,13 @@ def test_progress_never_goes_back_by_a_single_count():
 
 @pytest.mark.parametrize("segment", [-1, 7, 1 << 24])
 def test_a_segment_that_the_path_does_not_have_deviates(segment):
-    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, 60.0, 0.0)
+    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, TRACKING, 60.0, 0.0)
     assert "the path has segments 0 to 6" in report(monitor, segment, 0, 9.0)[1]
 
 
 def test_joints_behind_the_progress_and_progress_behind_the_joints_are_seen():
     trajectory = replace_line(along=3)
-    monitor = TrackingMonitor.begin(trajectory, TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, 0.0)
     cut, _ = report(monitor, 0, FRACTION_MAX // 2, 2.5)
     assert "off the verified path" in sample(cut, trajectory.joints_at(1.0), 2.5)[1]
     at_cut, why = sample(monitor, trajectory.joints_at(2.8), 2.8)
@@ -254,13 +254,13 @@ def test_joints_behind_the_progress_and_progress_behind_the_joints_are_seen():
 
 
 def test_the_end_is_not_believed_before_it_can_be_reached():
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     assert "the controller reports the end" in reason(monitor.finished(3.8))
     assert monitor.finished(3.95) is None
 
 
 def test_silence_is_seen_after_two_time_outs_and_names_what_is_missing():
-    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, 1.0, 10.0)
+    monitor = TrackingMonitor.begin(trajectory_from(2), TIMING, TRACKING, 1.0, 10.0)
     assert monitor.overdue(10.2, None) is None
     assert "no measured joints for 201 ms near the approach, at most 200 ms" in reason(
         monitor.overdue(10.201, None)
@@ -272,7 +272,7 @@ def test_silence_is_seen_after_two_time_outs_and_names_what_is_missing():
 
 def test_a_sample_is_judged_by_when_it_was_measured_not_by_when_it_came():
     """The arm was there a second ago; since then the progress has gone on."""
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     monitor, why = report(monitor, 0, FRACTION_MAX // 2, 2.5)
     assert why == ""
     there = monitor.trajectory.joints_at(1.6)
@@ -284,7 +284,7 @@ def test_a_sample_is_judged_by_when_it_was_measured_not_by_when_it_came():
 @pytest.mark.parametrize(("age_s", "counts"), [(0.0, True), (0.2, True), (0.2001, False), (math.inf, False)])
 def test_a_sample_older_than_two_time_outs_does_not_break_the_silence(age_s, counts):
     """It is judged all the same: what is off the path at any time stops at once."""
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     there = monitor.trajectory.joints[0]
     monitor, why = sample(monitor, there, 1.0, measured_s=1.0 - age_s)
     assert why == ""
@@ -294,7 +294,7 @@ def test_a_sample_older_than_two_time_outs_does_not_break_the_silence(age_s, cou
 
 def test_joints_that_come_later_and_later_are_stopped_once_they_are_two_time_outs_old():
     """Each a little later than the one before, all on the path, nothing ever silent."""
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     found, now_s, late_s = None, 0.0, 0.0
     while found is None:
         now_s, late_s = now_s + PERIOD_S, late_s + 0.005
@@ -308,7 +308,7 @@ def test_joints_that_come_later_and_later_are_stopped_once_they_are_two_time_out
 
 
 def test_a_clock_that_goes_back_is_no_place_for_any_joints():
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     monitor, why = sample(monitor, monitor.trajectory.joints_at(2.8), 2.8)
     assert why == ""
     why = sample(monitor, monitor.trajectory.joints_at(2.8), 1.0)[1]
@@ -326,7 +326,7 @@ def rules(deviation) -> list[tuple[str, float | str | None, str]]:
 
 
 def test_joints_off_the_path_are_named_with_both_values_and_both_bounds():
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     joints = monitor.trajectory.joints_at(2.5)
     joints[[2, 4]] += [0.5, math.radians(1.0)]
     _, found = monitor.sample(joints, 2.5, 2.5)
@@ -350,7 +350,7 @@ def test_joints_off_the_path_are_named_with_both_values_and_both_bounds():
 
 
 def test_every_other_deviation_names_its_value_and_bound():
-    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=3), TIMING, TRACKING, 1.0, 0.0)
     cut, _ = monitor.report(0, FRACTION_MAX // 2, 2.5)
     ahead, _ = monitor.sample(monitor.trajectory.joints_at(2.8), 2.8, 2.8)
     found = [
@@ -418,7 +418,7 @@ def test_a_segment_without_a_duration_has_a_name_and_a_place():
 
 def test_what_has_been_seen_is_equal_if_it_is_the_same_and_on_the_same_trajectory():
     one, other = trajectory_from(1), trajectory_from(1)
-    begun = [TrackingMonitor.begin(on, TIMING, 1.0, 5.0) for on in (one, one, other)]
+    begun = [TrackingMonitor.begin(on, TIMING, TRACKING, 1.0, 5.0) for on in (one, one, other)]
     assert begun[0] == begun[1] != begun[2]
     assert hash(begun[0]) == hash(begun[1])
     assert replace(begun[0], sampled=Seen(1.0, 5.0)) != begun[0]
@@ -442,7 +442,7 @@ def along_the_slide(segments: int = 2) -> ReferenceTrajectory:
 
 
 def test_what_joints_frames_and_the_trajectory_are_rounded_by_is_tolerated_and_no_more():
-    bounds = Bounds.of(TIMING, 1.0, LINKS)
+    bounds = Bounds.of(TIMING, TRACKING, 1.0, LINKS)
     turned_mm = math.radians(ROTATION_DEG) * (LINKS[0] + 2.0 * LINKS[1])
     assert bounds.near_mm == pytest.approx(0.5 + math.hypot(turned_mm, SLIDE_MM), rel=1e-12)
     assert bounds.near_rad == pytest.approx(math.radians(0.25 + ROTATION_DEG), rel=1e-12)
@@ -452,7 +452,7 @@ def test_what_joints_frames_and_the_trajectory_are_rounded_by_is_tolerated_and_n
 
 @pytest.mark.parametrize("joint", [0, 1, 3, 4])
 def test_each_turning_joint_has_its_own_bound_however_wide_that_of_the_wrist_is(joint):
-    monitor = TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 10.0)
+    monitor = TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 10.0)
     monitor = at_any_tolerance(monitor, near_mm=1e6, near_rad=0.125)
     joints = monitor.trajectory.joints[0].copy()
     joints[joint] += 0.126
@@ -460,7 +460,9 @@ def test_each_turning_joint_has_its_own_bound_however_wide_that_of_the_wrist_is(
 
 
 def test_what_is_just_within_its_tolerance_is_on_the_path_and_tells_where_the_arm_is():
-    monitor = at_any_tolerance(TrackingMonitor.begin(replace_line(along=4), TIMING, 1.0, 10.0), near_mm=0.5)
+    monitor = at_any_tolerance(
+        TrackingMonitor.begin(replace_line(along=4), TIMING, TRACKING, 1.0, 10.0), near_mm=0.5
+    )
     joints = monitor.trajectory.joints[0].copy()
     joints[2] += 0.5
     after, why = sample(monitor, joints, 10.0)
@@ -472,7 +474,7 @@ def test_what_is_just_within_its_tolerance_is_on_the_path_and_tells_where_the_ar
 
 
 def test_more_is_tolerated_on_the_way_to_the_entry_and_from_there_on_no_more():
-    monitor = TrackingMonitor.begin(replace_line(along=4), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(replace_line(along=4), TIMING, TRACKING, 1.0, 0.0)
     more = {2: monitor.bounds.near_mm + 0.9 * monitor.bounds.start_mm}
     more[3] = monitor.bounds.near_rad + 0.9 * monitor.bounds.start_rad
     for joint, by in more.items():
@@ -486,7 +488,9 @@ def test_more_is_tolerated_on_the_way_to_the_entry_and_from_there_on_no_more():
 def test_no_place_is_beyond_what_can_have_been_reached_nor_before_what_was():
     """On the line, but further on it or further back than the arm can be: at either end of the part that is tried."""
     trajectory = along_the_slide()
-    bounds = at_any_tolerance(TrackingMonitor.begin(trajectory, TIMING, 1.0, 0.0), near_mm=0.25).bounds
+    bounds = at_any_tolerance(
+        TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, 0.0), near_mm=0.25
+    ).bounds
     for at_s, off in ((3.0, 0.0), (3.5, 1.0), (2.5, 0.0), (2.0, 1.0), (4.5, 5.0)):
         found = _nearest(trajectory, bounds, trajectory.joints_at(at_s), (2.25, 3.25))
         assert (found.off, found.off_mm) == pytest.approx((off, off), abs=1e-9)
@@ -504,7 +508,9 @@ def test_no_place_is_beyond_what_can_have_been_reached_nor_before_what_was():
 def test_a_sample_tells_between_which_places_the_arm_is(at_s, between_s, earliest_s, latest_s):
     """As far as the tolerance reaches along the path; over a knot by one tolerance at most."""
     trajectory = along_the_slide()
-    bounds = at_any_tolerance(TrackingMonitor.begin(trajectory, TIMING, 1.0, 0.0), near_mm=0.25).bounds
+    bounds = at_any_tolerance(
+        TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, 0.0), near_mm=0.25
+    ).bounds
     found = _nearest(trajectory, bounds, trajectory.joints_at(at_s), between_s)
     assert (found.earliest_s, found.latest_s) == pytest.approx((earliest_s, latest_s), abs=1e-9)
     assert found.earliest_s <= at_s <= found.latest_s
@@ -514,7 +520,9 @@ def test_a_sample_tells_between_which_places_the_arm_is(at_s, between_s, earlies
 def test_an_arm_that_stood_and_then_is_too_fast_is_seen_as_soon_as_one_that_never_stood(kind):
     """What it might have gained while it stood is no credit: every frame says where it was at the latest."""
     trajectory = along_the_slide(segments=60)
-    monitor = at_any_tolerance(TrackingMonitor.begin(trajectory, TIMING, 1.0, -2.0), near_mm=0.03125)
+    monitor = at_any_tolerance(
+        TrackingMonitor.begin(trajectory, TIMING, TRACKING, 1.0, -2.0), near_mm=0.03125
+    )
     now_s, place_s, why = 0.0, 2.0, ""
     while not why:
         now_s += PERIOD_S
@@ -528,7 +536,7 @@ def test_an_arm_that_stood_and_then_is_too_fast_is_seen_as_soon_as_one_that_neve
 
 
 def test_a_place_that_can_just_be_reached_is_believed_to_the_last_bit():
-    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 0.0))
+    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 0.0))
     monitor = replace(monitor, lead_s=-1.0)
     assert monitor.reach_s(4.0) == 3.0
     assert report(monitor, 1, 0, 4.0)[1] == ""
@@ -542,14 +550,16 @@ def test_a_place_that_can_just_be_reached_is_believed_to_the_last_bit():
 
 def test_progress_is_as_exact_as_its_counts_are():
     """The arm was half a count before or behind what was said, and a frame may be one time-out old."""
-    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 0.0))
+    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 0.0))
     after, _ = monitor.report(1, 1000, 4.0)
     assert after.progressed.earliest_s == pytest.approx(3.0 + 999.5 / FRACTION_MAX, abs=1e-9)
     assert after.reach_s(4.0) == pytest.approx(3.0 + 1000.5 / FRACTION_MAX + 0.1, abs=1e-9)
 
 
 def test_silence_is_none_up_to_the_last_bit_and_its_bound_is_named_in_whole_milliseconds():
-    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 10.0), latency_s=0.5)
+    monitor = at_any_tolerance(
+        TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 10.0), latency_s=0.5
+    )
     assert monitor.overdue(11.0, None) is None
     found = monitor.overdue(math.nextafter(11.0, 12.0), None)
     assert found.reason == "no measured joints for 1000 ms near the approach, at most 1000 ms"
@@ -561,7 +571,9 @@ def test_silence_is_none_up_to_the_last_bit_and_its_bound_is_named_in_whole_mill
 
 
 def test_a_clock_that_goes_back_is_named_with_its_bound():
-    monitor = at_any_tolerance(TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 0.0), latency_s=1.0)
+    monitor = at_any_tolerance(
+        TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 0.0), latency_s=1.0
+    )
     seen = replace(monitor, sampled=Seen(3.0, 4.0))
     _, found = seen.sample(monitor.trajectory.joints[0], 0.0, 0.0)
     assert rules(found) == [
@@ -598,7 +610,7 @@ def test_a_leg_that_takes_no_time_has_its_joints_from_before():
 
 
 def test_what_was_seen_and_said_stays_as_it_was():
-    monitor = TrackingMonitor.begin(along_the_slide(), TIMING, 1.0, 0.0)
+    monitor = TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 0.0)
     deviation = monitor.finished(0.0)
     for thing, field in (
         (monitor, "lead_s"),

@@ -412,12 +412,12 @@ class Pair:
         self.controller_turns = True
 
     def _endpoint(self, side: Side) -> Endpoint:
-        timing = self.job.timing
+        timing, deadlines = self.job.timing, self.job.deadlines
         return Endpoint(
             side,
-            heartbeat_s=timing.heartbeat_ms / 1000,
-            timeout_s=timing.timeout_ms / 1000,
-            transfer_timeout_s=timing.reply_timeout_s,
+            heartbeat_s=timing.heartbeat_s,
+            timeout_s=timing.timeout_s,
+            transfer_timeout_s=deadlines.reply_timeout_s,
             fd=side in self.fd,
         )
 

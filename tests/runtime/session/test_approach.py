@@ -190,7 +190,7 @@ def test_an_altered_approach_is_refused_by_the_controller(pair, field, value, re
 
 
 def test_clearance_and_speed_are_the_sites(pair):
-    timing = replace(pair.job.timing, approach_clearance_mm=20.5, approach_speed_percent=50)
+    timing = replace(pair.job.timing, approach_clearance_um=20_500, approach_speed_percent=50)
     pair.begin(replace(pair.job, timing=timing)).to(Phase.PERMITTED)
     bound = pair.controller.permit.approach
     assert (bound.entry_um, bound.exit_um, bound.speed_percent) == (21_170, 20_500, 50)
@@ -199,7 +199,7 @@ def test_clearance_and_speed_are_the_sites(pair):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"approach_clearance_mm": 200.1}, {"approach_speed_percent": 101}],
+    [{"approach_clearance_um": 200_100}, {"approach_speed_percent": 101}],
 )
 def test_settings_outside_the_controllers_bounds_are_refused(pair, changes):
     pair.begin(replace(pair.job, timing=replace(pair.job.timing, **changes)))

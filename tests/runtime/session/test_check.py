@@ -77,9 +77,9 @@ def test_the_verification_process_is_asked_for_what_the_controller_holds_as_the_
     job, robot = job_and_robot(tmp_path_factory)
     timing = replace(
         job.timing,
-        approach_clearance_mm=12.3456,
-        start_tolerance_mm=0.7,
-        start_tolerance_deg=0.3,
+        approach_clearance_um=12_346,
+        start_tolerance_um=700,
+        start_tolerance_mdeg=300,
         approach_speed_percent=31,
     )
     asked = Check(replace(job, timing=timing), robot).request(8, LOW, Collected(b"these", b"and", b"those"))
@@ -128,7 +128,7 @@ def test_an_approach_that_is_not_admissible_binds_nothing_and_has_no_trajectory(
 def test_an_entry_that_leaves_the_travel_binds_nothing_wherever_the_arm_stands(tmp_path_factory):
     """240 mm beyond the bone the slide has ended."""
     job, robot = job_and_robot(tmp_path_factory)
-    far = replace(job, timing=replace(job.timing, approach_clearance_mm=240.0))
+    far = replace(job, timing=replace(job.timing, approach_clearance_um=240_000))
     answer = finished(Check(far, robot).steps(5, STANDS))
     assert answer.verdict.admissible
     assert (answer.verdict.approach, answer.verdict.trajectory) == (None, None)
@@ -137,7 +137,7 @@ def test_an_entry_that_leaves_the_travel_binds_nothing_wherever_the_arm_stands(t
 
 def test_the_start_tolerance_and_the_clearance_are_the_sites(tmp_path_factory):
     job, robot = job_and_robot(tmp_path_factory)
-    timing = replace(job.timing, start_tolerance_mm=1.5, approach_clearance_mm=20.0)
+    timing = replace(job.timing, start_tolerance_um=1500, approach_clearance_um=20_000)
     answer = finished(Check(replace(job, timing=timing), robot).steps(5, STANDS))
     assert answer.approach.legs[0].boundaries["bottom"].deadband == 6.5
     assert (answer.approach.entry_um, answer.approach.exit_um) == (20_670, 20_000)

@@ -110,8 +110,8 @@ def leaping(pair):
 
 
 def test_the_loop_ends_when_the_session_does(pair):
-    timing = replace(pair.job.timing, announce_wait_s=1.0)
-    leaping(pair).begin(replace(pair.job, timing=timing))
+    deadlines = replace(pair.job.deadlines, announce_wait_s=1.0)
+    leaping(pair).begin(replace(pair.job, deadlines=deadlines))
     reading, writing = os.pipe()
     state = pair.session.run(reading)
     os.close(reading)

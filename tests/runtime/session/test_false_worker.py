@@ -194,7 +194,7 @@ def test_what_is_no_answer_permits_nothing_and_is_told(pair, admissible, name):
 
 
 def test_half_an_answer_is_waited_for_no_longer_than_for_any(pair, admissible):
-    pair.begin(replace(pair.job, timing=replace(pair.job.timing, verify_timeout_s=0.3)))
+    pair.begin(replace(pair.job, deadlines=replace(pair.job.deadlines, verify_timeout_s=0.3)))
     pair.prover.answer = lambda request: [framed(body_of(lies(request, admissible)))[:-1]]
     refused(pair, "no verdict within 0.3 s", Phase.REFUSED)
 
@@ -228,7 +228,7 @@ def test_a_process_that_dies_before_its_verdict_stops_the_session(pair, at):
 
 
 def test_a_process_that_does_not_answer_while_this_side_has_long_found_it_admissible_permits_nothing(pair):
-    pair.begin(replace(pair.job, timing=replace(pair.job.timing, verify_timeout_s=0.3)))
+    pair.begin(replace(pair.job, deadlines=replace(pair.job.deadlines, verify_timeout_s=0.3)))
     pair.prover.answer = lambda _request: None
     refused(pair, "no verdict within 0.3 s", Phase.REFUSED)
 

@@ -99,9 +99,9 @@ def test_the_sites_settings_become_deadlines(files, tmp_path):
         '[log]\ncommit_deadline_ms = 600\n[controller]\nserial = "A-1"\n',
     )
     job = make_job(replace(files, site=chosen), now=NOW)
-    timing = job.timing
+    timing, waits = job.timing, job.deadlines
     assert (timing.heartbeat_ms, timing.timeout_ms) == (30, 150)
-    assert (timing.reply_timeout_s, timing.stop_confirm_s, timing.commit_deadline_s) == (0.7, 0.4, 0.6)
+    assert (waits.reply_timeout_s, waits.stop_confirm_s, waits.commit_deadline_s) == (0.7, 0.4, 0.6)
     assert job.serial == "A-1"
     assert files.settings.controller.serial is None
 

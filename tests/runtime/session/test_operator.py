@@ -129,7 +129,7 @@ def test_a_broken_worker_stops_and_latches(pair):
 
 
 def test_an_answer_that_comes_too_late_ends_without_a_permit(pair):
-    pair.begin(replace(pair.job, timing=replace(pair.job.timing, verify_timeout_s=0.3)))
+    pair.begin(replace(pair.job, deadlines=replace(pair.job.deadlines, verify_timeout_s=0.3)))
     pair.prover.answer = lambda _request: None
     assert pair.end() is Phase.REFUSED
     assert "no verdict within 0.3 s" in pair.state.reason
@@ -276,7 +276,7 @@ def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubt
 
 
 def test_a_warning_nobody_confirms_ends_the_session_and_is_named(doubtful):
-    doubtful.begin(replace(doubtful.job, timing=replace(doubtful.job.timing, operator_wait_s=1.0)))
+    doubtful.begin(replace(doubtful.job, deadlines=replace(doubtful.job.deadlines, operator_wait_s=1.0)))
     assert doubtful.end() is Phase.REFUSED
     assert "say confirm CUT_TINY" in doubtful.state.reason
 

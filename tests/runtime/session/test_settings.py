@@ -162,7 +162,7 @@ def followed(joint: int, by: float) -> Look:
     """Whether an arm that is so many mm or deg off where it begins may go on."""
 
     def look(trial: Trial) -> bool:
-        monitor = TrackingMonitor.begin(TRAJECTORY, trial.job.timing, 1.0, NOW)
+        monitor = TrackingMonitor.begin(TRAJECTORY, trial.job.timing, trial.job.tracking, 1.0, NOW)
         joints = records.joints_to_memory(off_start(joint, by))
         return monitor.sample(joints, NOW, NOW)[1] is None
 

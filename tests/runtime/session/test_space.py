@@ -71,7 +71,7 @@ def test_the_reservation_follows_the_verified_trajectory_on_the_clock_of_the_pla
     verdict = pair.state.verdict
     assert verdict is not None
     assert verdict.trajectory is not None
-    seconds = 100 * verdict.trajectory.end_s + waiting_s(pair.job.timing)
+    seconds = 100 * verdict.trajectory.end_s + waiting_s(pair.job)
     told = space(seconds, pair.job.timing, chunk_period_s=pair.log.hand_over_after_s, interface="vcan0")
     assert asked["known"] == told.total > asked["estimate"]
     assert pair.state.log.reserved_bytes >= 2 * told.total

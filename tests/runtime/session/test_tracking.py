@@ -17,6 +17,7 @@ from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.interlock.tracking import TrackingTolerance
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import lose, nth, of
 
@@ -190,9 +191,8 @@ def test_an_end_elsewhere_than_at_the_start_is_none_for_the_controller_itself(pa
 
 def test_a_drift_so_late_that_done_is_reported_is_no_completed_cut(pair):
     """Within tolerance of the path all the way, by a site's wide one; the controller does not see it at all."""
-    wide = replace(pair.job.timing, tracking_tolerance_mm=5.0, tracking_tolerance_deg=2.0)
     pair.power_up(time_scale=1.0)
-    pair.begin(replace(pair.job, timing=wide))
+    pair.begin(replace(pair.job, tracking=TrackingTolerance(wrist_mm=5.0, joint_deg=2.0)))
     on(pair, Leg.RETRACT, 0.8)
     pair.process._happen(FaultName.DRIFT)
     assert pair.end() is Phase.STOPPED
@@ -308,9 +308,8 @@ def test_without_a_reference_trajectory_nothing_is_permitted(pair):
 
 
 def test_the_sites_tolerances_are_used(pair):
-    timing = replace(pair.job.timing, tracking_tolerance_mm=4.0, tracking_tolerance_deg=1.5)
     pair.power_up(time_scale=1.0)
-    pair.begin(replace(pair.job, timing=timing))
+    pair.begin(replace(pair.job, tracking=TrackingTolerance(wrist_mm=4.0, joint_deg=1.5)))
     on(pair, Leg.CUT)
     pair.process._happen(FaultName.DRIFT)
     assert "at most 4.118 mm and 1.505 deg" in stopped_by_the_monitor(pair)

@@ -318,6 +318,7 @@ class AuditLog:
         verdict: str | None = None,
         outcome: str | None = None,
         clean: bool,
+        bus: records.BusCounts | None = None,
         timeout_s: float = CONSTANTS["checkpoint_deadline_ms"].default / 1000,
     ) -> Paths:
         """Write the close record, end the file and wait for the disk, at most ``timeout_s``.
@@ -329,7 +330,7 @@ class AuditLog:
             raise RuntimeError("this log is closed already")
         self.events()
         if not self._stopped:
-            self._finish(final_state, verdict, outcome, clean=clean)
+            self._finish(final_state, verdict, outcome, bus, clean=clean)
         ended = self._committer.join(timeout_s)
         found = self.events()
         self._closed = True
@@ -340,7 +341,15 @@ class AuditLog:
         reason = "" if closed else self._failure or f"the disk did not answer within {timeout_s:g} s"
         return Paths(self.path, self.candump_path, closed, reason)
 
-    def _finish(self, final_state: str, verdict: str | None, outcome: str | None, *, clean: bool) -> None:
+    def _finish(
+        self,
+        final_state: str,
+        verdict: str | None,
+        outcome: str | None,
+        bus: records.BusCounts | None,
+        *,
+        clean: bool,
+    ) -> None:
         self.write(
             records.Close(
                 final_state=final_state,
@@ -350,6 +359,7 @@ class AuditLog:
                 message_count=self._writer.count + 1,
                 candump_sha256=self._frames_hash.hexdigest(),
                 candump_bytes=self._frames_bytes,
+                bus=bus,
             )
         )
         self._writer.finish()

@@ -8,11 +8,13 @@ the log fills these in (``chain.py``, ``log.py``).
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, ClassVar, Final, Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict
 
 from cutgate.protocol import records as wire
+from cutgate.protocol.link import Statistics
 
 NANOSECONDS: Final = 1_000_000_000
 
@@ -436,6 +438,22 @@ class Attachment(AuditRecord):
     size: int
 
 
+class BusCounts(Entry):
+    """What this side's link has counted of the controller's single frames (``cutgate.protocol.link.Statistics``)."""
+
+    accepted: int
+    losses: int
+    repetitions: int
+    crc_failures: int
+    outside_session: int
+    stale_heartbeats: int
+
+    @classmethod
+    def of(cls, statistics: Statistics) -> Self:
+        """As the link counts them."""
+        return cls(**asdict(statistics))
+
+
 class Close(AuditRecord):
     """The last record; ``prev`` is the chain's head over everything before it."""
 
@@ -450,6 +468,8 @@ class Close(AuditRecord):
     """All messages of the file, this one included."""
     candump_sha256: str
     candump_bytes: int
+    bus: BusCounts | None = None
+    """Absent where no session was held, and in logs of 0.1."""
 
 
 class CanFrame(Record):

@@ -209,7 +209,7 @@ def _session(
         if session.state.registration_withdrawn and not state.registration_withdrawn:
             _withdraw(log, state.job.registration, view)
         verdict = session.answer.document["verdict"] if session.answer else None
-        paths = journal.close(session.state, verdict, clean=clean)
+        paths = journal.close(session.state, verdict, endpoint.link.statistics, clean=clean)
     return session, paths
 
 

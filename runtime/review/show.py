@@ -105,6 +105,7 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
             f"{_text(option, 'name')} {_text(option, 'value')}" for option in _entries(opened, "simulation")
         ),
         "ended": _ending(closed) if closed else "no close record",
+        "bus": _bus(closed or {}),
     }
     _pairs(console, rows)
 
@@ -126,6 +127,18 @@ def _ending(closed: Mapping[str, Any]) -> str:
     parts = [_text(closed, "final_state"), _text(closed, "outcome")]
     clean = "" if closed.get("clean") is True else "NOT in order"
     return ", ".join(filter(None, [*parts, f"after {closed['offset_s']:.3f} s", clean]))
+
+
+def _bus(closed: Mapping[str, Any]) -> str:
+    """What of the controller's frames did not come, came twice or came damaged; nothing where all was well."""
+    counts = closed.get("bus")
+    if not isinstance(counts, Mapping):
+        return ""
+    names = {"losses": "lost", "repetitions": "repeated", "crc_failures": "damaged"}
+    found = {told: _text(counts, key) for key, told in names.items() if counts.get(key, 0) != 0}
+    return ", ".join(f"{count} {told}" for told, count in found.items()) + " frames of the controller" * bool(
+        found
+    )
 
 
 def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:

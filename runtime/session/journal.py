@@ -10,6 +10,7 @@ from cutgate.protocol import candump, records
 from cutgate.protocol.differences import differences
 from cutgate.protocol.endpoint import RecordReceived
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
+from cutgate.protocol.link import Statistics
 from cutgate.protocol.port import Passed
 from cutgate.protocol.states import Purpose, Refusal, StopCause
 from cutgate.runtime.audit import names
@@ -320,16 +321,21 @@ class Journal:
         self.log.reserve(2 * needed.log, 2 * needed.frames)
         return needed.total
 
-    def close(self, state: Interlock, verdict: str | None, *, clean: bool) -> Paths:
+    def close(self, state: Interlock, verdict: str | None, counted: Statistics, *, clean: bool) -> Paths:
         """End the log with the session's last state; waits for the disk for a bounded time.
 
         Args:
             state: the interlock's last state.
             verdict: the verdict in one word, None if there was none.
+            counted: by the link, of the controller's frames.
             clean: the session ended as the table ordered, not by an error of the program.
         """
         return self.log.close(
-            final_state=state.phase, verdict=verdict, outcome=plain(state.reason) or state.phase, clean=clean
+            final_state=state.phase,
+            verdict=verdict,
+            outcome=plain(state.reason) or state.phase,
+            clean=clean,
+            bus=audit.BusCounts.of(counted),
         )
 
     def processes(self, worker_pid: int) -> None:

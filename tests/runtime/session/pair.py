@@ -566,7 +566,9 @@ class Pair:
         """Close the session's log as the command does."""
         assert self.session is not None
         verdict = self.session.answer.document["verdict"] if self.session.answer else None
-        self.paths = self.journal.close(self.state, verdict, clean=clean)
+        self.paths = self.journal.close(
+            self.state, verdict, self.session._port.endpoint.link.statistics, clean=clean
+        )
         return self.paths
 
     def read(self) -> Log:

@@ -1,7 +1,11 @@
 """What may happen to frames on the bus, one row after the other: tolerated and counted, or stopped."""
 
+from dataclasses import asdict
+from io import StringIO
+
 import can
 import pytest
+from rich.console import Console
 
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
@@ -17,6 +21,8 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
 from cutgate.runtime.interlock.state import Commit, Phase
+from cutgate.runtime.review.show import print_story
+from cutgate.runtime.review.story import story
 from tests.runtime.session.pair import KEY, Stranger
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
 
@@ -93,6 +99,25 @@ def test_a_repeated_frame_is_discarded_and_cutting_goes_on(cutting, kind):
     cutting.wire.rules.append(nth(of(kind), range(1), double))
     assert goes_on(cutting)
     assert hears(cutting, kind).statistics.repetitions == 1
+
+
+def test_the_log_tells_what_was_lost_repeated_and_damaged(cutting):
+    of_controller = of(ControllerHeartbeat)
+    cutting.wire.rules.append(nth(of_controller, [0], lose))
+    cutting.wire.rules.append(nth(of_controller, [4], double))
+    cutting.wire.rules.append(nth(of_controller, [8], flip))
+    assert goes_on(cutting)
+    assert cutting.say("stop").end() is Phase.STOPPED
+    cutting.close()
+    counted = hears(cutting, ControllerHeartbeat).statistics
+    (closed,) = cutting.read().of("/audit/close")
+    assert closed["bus"] == asdict(counted)
+    assert (counted.losses, counted.repetitions, counted.crc_failures) == (1 + 1, 1, 1), (
+        "a damaged one is lost too"
+    )
+    shown = Console(file=StringIO(), width=120)
+    print_story(shown, story(cutting.read(), cutting.paths.log, None))
+    assert "2 lost, 1 repeated, 1 damaged frames of the controller" in shown.file.getvalue()
 
 
 # ---------------------------------------------------------------- delay

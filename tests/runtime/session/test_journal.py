@@ -6,6 +6,7 @@ from typing import get_args
 import pytest
 
 from cutgate.protocol import records
+from cutgate.protocol.link import Statistics
 from cutgate.protocol.port import Passed
 from cutgate.protocol.states import FaultCode, Refusal, StopCause, StopCode
 from cutgate.runtime.audit.inspect import read_log
@@ -195,7 +196,7 @@ def test_replies_to_signed_records_are_facts_of_their_own(log):
 
 def test_a_log_that_is_closed_names_its_end(log):
     state = in_phase(Phase.STOPPED, reason=BAD)
-    paths = log.journal.close(state, "admissible", clean=True)
+    paths = log.journal.close(state, "admissible", Statistics(accepted=7), clean=True)
     assert paths.closed
     (closed,) = read_log(paths.log.read_bytes()).of("/audit/close")
     assert (closed["final_state"], closed["verdict"], closed["outcome"]) == ("stopped", "admissible", SHOWN)

@@ -65,6 +65,12 @@ def handled(numbers: frozenset[int], act: Callable[[int], None], wake: int | Non
             signal.signal(number, handler or signal.SIG_DFL)  # None: it was not Python's
 
 
+def wake_pipe() -> tuple[int, int]:
+    """A non-blocking pipe for signal handlers: (read end, write end)."""
+    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    return reading, writing
+
+
 def wake(descriptor: int) -> None:
     """Make the other end of a non-blocking pipe readable. One that is full is readable already."""
     with contextlib.suppress(BlockingIOError):

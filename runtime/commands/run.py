@@ -21,7 +21,7 @@ from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.config.ours import user
 from cutgate.config.screen import printable
-from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of
+from cutgate.config.signals import ENDING, SUSPENDING, handled, name_of, wake_pipe
 from cutgate.config.signals import wake as write_wake
 from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
@@ -48,7 +48,7 @@ from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.job import VERIFIER, Files, make_job, read_files, utc_now
 from cutgate.runtime.session.journal import Journal, plain
-from cutgate.runtime.session.loop import Session, wake_pipe
+from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.asked import AskedTurns
 from cutgate.runtime.verification.document import document_text

@@ -1,17 +1,16 @@
 """The session's loop: bus, clock, disk, worker and terminal wired to the interlock. It decides nothing.
 
-One turn: look at the clocks, read the bus, the disk, the worker and the terminal, feed the table, send the
-heartbeat, flush. The heartbeat is the last act of a turn in which the table was evaluated; nothing else sends it.
+One cycle: look at the clocks, read the bus, the disk, the worker and the terminal, feed the table, send the
+heartbeat, flush. The heartbeat is the last act of a cycle in which the table was evaluated; nothing else sends it.
 """
 
 import os
 import select
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Protocol, assert_never
+from typing import assert_never
 
 import can
 
@@ -36,10 +35,7 @@ from cutgate.runtime.audit.commit import Durable, Reserved
 from cutgate.runtime.audit.commit import Failed as LogFailed
 from cutgate.runtime.interlock.phases import ENDED, PHASES, STOPPING
 from cutgate.runtime.interlock.state import (
-    Announced,
-    BlockStored,
     Commit,
-    ControllerView,
     Dropped,
     Effect,
     Event,
@@ -52,21 +48,15 @@ from cutgate.runtime.interlock.state import (
     JointsMeasured,
     LogChanged,
     LogHealth,
-    NonceReceived,
     OpenLink,
-    ParameterReceived,
-    PathStored,
     Phase,
     ProgressReported,
     RecordDurable,
     Refused,
-    ReplyReceived,
     Said,
     Send,
     SendBlock,
     SendStop,
-    SessionOpened,
-    Stored,
     Tick,
     UseSession,
     VerdictReady,
@@ -76,75 +66,21 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.table import step
 from cutgate.runtime.interlock.tracking import Deviation
-from cutgate.runtime.session.check import Answer, Check, disagreement, with_guidance
+from cutgate.runtime.session import events
+from cutgate.runtime.session.check import Answer, Check, with_guidance
 from cutgate.runtime.session.journal import Journal
-from cutgate.runtime.session.messages import Broken, Claim, Guided
+from cutgate.runtime.session.messages import Guided
+from cutgate.runtime.session.pauses import Pauses
 from cutgate.runtime.session.space import estimated_s
+from cutgate.runtime.session.verifying import NotVerified, Verifying
+from cutgate.runtime.session.view import View
 from cutgate.runtime.session.worker import Worker
-from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.guidance import Guidance
 
-EVENTS: dict[type[records.Record], Callable[[Any], Event]] = {
-    records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
-    records.Limits: ParameterReceived,
-    records.Calibration: ParameterReceived,
-    records.Tool: ParameterReceived,
-    records.BlockStored: lambda r: BlockStored(r.index),
-    records.PathStored: lambda r: PathStored(Stored(r.digest, r.refusal, r.pose)),
-    records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
-    records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause, r.detail != 0),
-}
-"""What each record from the controller means to the table."""
-
 CHECK_HEARTBEATS = 1 / 8
-"""So long does this side's own check hold up a turn; its steps are far shorter."""
-PAUSE_HEARTBEATS = 2
-"""A turn that comes later than this after the one before is late."""
-PAUSE_TIMEOUTS = 2
-"""So long it may be what the other side's time-out is about."""
-PAUSES_KEPT = 64
+"""So long does this side's own check hold up a cycle; its steps are far shorter."""
 GUIDANCE_S = 5.0
 """So long is a move of the bone waited for, after the session; 2 s of processor time are given to its search."""
-
-
-class View(Protocol):
-    """Shows the session to a person as it goes."""
-
-    def step(
-        self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
-    ) -> None:
-        """One step of the interlock."""
-
-    def verdict(self, answer: Answer) -> None:
-        """The verdict, as soon as it counts."""
-
-    def guidance(self, found: Guidance | None, note: str) -> None:
-        """Where to move the bone; else why nothing is said of it."""
-
-    def progress(self, segment: int, segments: int) -> None:
-        """The controller is on this segment."""
-
-    def note(self, text: str) -> None:
-        """One line."""
-
-
-class Pauses:
-    """How long the loop stood still lately: the answer to which side was late."""
-
-    def __init__(self, timing: records.Timing) -> None:
-        self._long_s = PAUSE_HEARTBEATS * timing.heartbeat_s
-        self._lately_s = PAUSE_TIMEOUTS * timing.timeout_s
-        self._pauses: deque[tuple[float, float]] = deque(maxlen=PAUSES_KEPT)
-
-    def turn(self, gap_s: float, now_s: float) -> None:
-        """A turn begins, so long after the one before."""
-        if not gap_s <= self._long_s:
-            self._pauses.append((now_s, gap_s))
-
-    def longest_ms(self, now_s: float) -> int:
-        """The longest of late; 0 if the loop kept its time."""
-        lately = [gap_s for at_s, gap_s in self._pauses if now_s - at_s <= self._lately_s]
-        return round(max(lately, default=0.0) * 1000)
 
 
 class Session:
@@ -182,11 +118,7 @@ class Session:
         self.answer: Answer | None = None
         self.stopped_in: Phase | None = None
         """Where the session stood when it was stopped."""
-        self._check = check
-        self._steps: Steps[Answer] | None = None
-        self._own: Answer | None = None
-        self._claim: Claim | None = None
-        self._listening = True
+        self._verifying = Verifying(check, worker)
         self._key = key
         self._port = port
         self._journal = journal
@@ -203,6 +135,7 @@ class Session:
         self._interrupted: str | None = None
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
+        self._polls_worker = True
 
     @property
     def last_seen(self) -> tuple[tuple[int, int] | None, tuple[int, ...] | None]:
@@ -254,8 +187,10 @@ class Session:
             raise
 
     def _wait(self, wake: int) -> set[int]:
-        busy = self._steps is not None or self._checked
-        wait_s = 0.0 if busy else self._cycle.wait_s()
+        if self._polls_worker and not self._verifying.listening:
+            self._polls_worker = False
+            self._poller.unregister(self._worker.fileno())
+        wait_s = 0.0 if self._verifying.busy else self._cycle.wait_s()
         ready = {descriptor for descriptor, _ in self._poller.poll(wait_s * 1000.0)}
         if wake in ready:
             os.read(wake, 4096)
@@ -276,17 +211,17 @@ class Session:
     def _turn(self, ready: set[int]) -> None:
         cycle = self._cycle
         cycle.begin()
-        self._pauses.turn(cycle.gap_s, cycle.now_s)
+        self._pauses.cycle(cycle.gap_s, cycle.now_s)
         try:
             self._look_at_clocks()
             for item in cycle.read():
                 self._item(item)
             self._read_disk(cycle.now_s)
-            self._read_worker(ready)
+            self._verdict(ready)
             self._read_words(ready)
             self._heartbeat()
             self._port.flush()
-            self._go_on_checking()
+            self._go_on_verifying()
             if self._bus_error is not None:
                 raise self._bus_error
         except can.CanError as error:
@@ -346,7 +281,7 @@ class Session:
             case Accepted(frame=ControllerHeartbeat() as beat, fresh=fresh):
                 # Before it is answered, the controller would refuse what is enabled on it.
                 young = fresh and self._port.endpoint.link.answered
-                self._feed(HeartbeatReceived(_view_of(beat), young))
+                self._feed(HeartbeatReceived(events.view_of(beat), young))
             case Accepted(sample=JointSample() as sample):
                 self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
@@ -360,13 +295,7 @@ class Session:
                 self._view.note(item.detail)
             case RecordReceived():
                 self._journal.record_received(item)
-                self._feed(self._event_of(item.record))
-
-    def _event_of(self, record: records.Record) -> Event:
-        """What a controller's record means to the table."""
-        if isinstance(record, records.Announce):
-            return Announced(record, self._random(16))
-        return EVENTS[type(record)](record)
+                self._feed(events.of_record(item.record, self._random))
 
     def _read_disk(self, now_s: float) -> None:
         log = self._journal.log
@@ -385,47 +314,28 @@ class Session:
                         LogChanged(replace(self.state.log, writable=True, reserved_bytes=reservation.size))
                     )
 
-    def _read_worker(self, ready: set[int]) -> None:
+    def _verdict(self, ready: set[int]) -> None:
         """What the verification process says; and the verdict, once it is known on both sides."""
-        if self._listening and self._worker.fileno() in ready:
-            match self._worker.poll():
-                case Claim() as claim:
-                    self._claim = claim
-                    self._listen_no_more()
-                case Broken(reason=reason):
-                    self._not_verified(reason)
-                case Guided():
-                    self._not_verified("the verification process says what it was not asked")
-        if self._checked:
-            self._judge()
+        if self._verifying.listening and self._worker.fileno() in ready:
+            self._found(self._verifying.hear())
+        self._found(self._verifying.agreed())
 
-    def _listen_no_more(self) -> None:
-        """All that is asked of the verification process is here: whatever becomes of it now, it stops no cut."""
-        if self._listening:
-            self._listening = False
-            self._poller.unregister(self._worker.fileno())
+    def _found(self, found: Answer | NotVerified | None) -> None:
+        match found:
+            case Answer():
+                self._keep(found)
+                self._feed(VerdictReady(found.verdict))
+            case NotVerified(reason=reason):
+                self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
 
-    def _not_verified(self, reason: str) -> None:
-        self._listen_no_more()
-        self._feed(Failed(StopCause.INTERNAL_ERROR, f"verification failed: {reason}"))
-
-    @property
-    def _checked(self) -> bool:
-        """Whether both sides have said what they found, and nothing has come of it yet."""
-        return self._own is not None and self._claim is not None
-
-    def _go_on_checking(self) -> None:
-        """Some steps of this side's own check: a small part of a heartbeat, when the turn's work is done."""
+    def _go_on_verifying(self) -> None:
+        """Some steps of this side's own check: a small part of a heartbeat, when the cycle's work is done."""
         until_s = self._clock() + CHECK_HEARTBEATS * self._port.endpoint.link.heartbeat_s
-        while self._steps is not None and self._clock() < until_s:
-            try:
-                next(self._steps)
-            except StopIteration as end:
-                self._steps, self._own = None, end.value
-                self._reserve(end.value)
-            except ValueError as error:
-                self._steps = None
-                self._not_verified(f"{type(error).__name__}: {error}")
+        match self._verifying.go_on(self._clock, until_s):
+            case Answer() as own:
+                self._reserve(own)
+            case otherwise:
+                self._found(otherwise)
 
     def _reserve(self, own: Answer) -> None:
         """Space for what an admissible verdict brings from now on; if it is more than was asked for, it is waited for."""
@@ -435,17 +345,6 @@ class Session:
         needed = self._journal.reserve(trajectory.end_s / session.time_scale, self.state.job)
         reserved = log.reserved_bytes if needed <= log.needed_bytes else 0
         self._feed(LogChanged(replace(log, reserved_bytes=reserved, needed_bytes=needed)))
-
-    def _judge(self) -> None:
-        """The verdict is this side's own; it counts only if the verification process says the same."""
-        own, claim, self._own, self._claim = self._own, self._claim, None, None
-        assert own is not None and claim is not None  # noqa: S101, PT018 - as _checked says
-        otherwise = disagreement(claim, own.verdict)
-        if otherwise:
-            self._not_verified(otherwise)
-            return
-        self._keep(own)
-        self._feed(VerdictReady(own.verdict))
 
     def _keep(self, answer: Answer) -> None:
         """The verdict: recorded and shown."""
@@ -474,14 +373,11 @@ class Session:
             return
         self._view.note("looking for the smallest move of the bone")
         found: Guidance | None = None
-        note = f"not found within {timeout_s:g} s, or not waited for"
-        match self._worker.wait(wake, timeout_s):
-            case Guided(request=answer.verdict.request, guidance=said):
+        match self._verifying.guided(wake, timeout_s, answer.verdict.request):
+            case Guided(guidance=said):
                 found, note = None if said is None else said.value, "nothing is known that could be said"
-            case Broken(reason=reason):
-                note = reason
-            case Claim() | Guided():
-                note = "the verification process says what it was not asked"
+            case NotVerified(reason=note):
+                pass
         self.answer = with_guidance(answer, found, note)
         self._journal.guidance(self.answer.document)
         self._view.guidance(found, note)
@@ -495,7 +391,7 @@ class Session:
             return
         descriptor = words.descriptor
         for word in words.read():
-            said = spoken(word)
+            said = events.of_operator(word)
             if said is not None:
                 self._feed(said)
             else:
@@ -582,8 +478,7 @@ class Session:
         )
         for name, data in attached:
             self._journal.log.attach(name, "application/octet-stream", data)
-        self._worker.submit(self._check.request(wanted.request, wanted.start_joints_u, held))
-        self._steps = self._check.steps(wanted.request, wanted.start_joints_u)
+        self._verifying.begin(wanted, held)
 
     def _heartbeat(self) -> None:
         """What leaves was made in this turn."""
@@ -591,28 +486,3 @@ class Session:
         if self._cycle.heartbeat_due() and endpoint.link.is_open:
             beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.cause)
             endpoint.send_frame(beat, self._cycle.now_s)
-
-
-def spoken(text: Word | str) -> Said | None:
-    """What the operator said; only a confirmation names something besides, and None is no word here."""
-    if isinstance(text, Word):
-        return Said(text)
-    word, *what = text.split(maxsplit=1)
-    return Said(Word.CONFIRM, "".join(what).upper()) if word == Word.CONFIRM else None
-
-
-def _view_of(beat: ControllerHeartbeat) -> ControllerView:
-    return ControllerView(
-        state=beat.state,
-        cause=beat.cause,
-        epoch=beat.epoch,
-        device_pressed=beat.device_pressed,
-        emergency_stop_clear=beat.emergency_stop_ok,
-        cutting_mode=beat.cutting_mode,
-    )
-
-
-def wake_pipe() -> tuple[int, int]:
-    """A non-blocking pipe for signal handlers: (read end, write end)."""
-    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    return reading, writing

@@ -17,7 +17,10 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/interlock/permissives.py": ("tests/runtime/interlock/test_permissives.py",),
     "runtime/interlock/tracking.py": ("tests/runtime/interlock/test_tracking.py",),
     "runtime/session/check.py": ("tests/runtime/session/test_check.py",),
+    "runtime/session/events.py": ("tests/runtime/session/test_events.py",),
     "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
+    "runtime/session/pauses.py": ("tests/runtime/session/test_pauses.py",),
+    "runtime/session/verifying.py": ("tests/runtime/session/test_verifying.py",),
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",

@@ -20,6 +20,7 @@ from unittest import mock
 import can
 
 from cutgate.config.model import Robot
+from cutgate.config.signals import wake_pipe
 from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim import process as controller_side
@@ -51,7 +52,7 @@ from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.job import VERIFIER, make_job, read_files
 from cutgate.runtime.session.job import Files as InputFiles
 from cutgate.runtime.session.journal import Journal
-from cutgate.runtime.session.loop import Session, wake_pipe
+from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, framed
 from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified
@@ -455,8 +456,10 @@ class Pair:
     def verdict_altered(self, altered: Callable[[Verdict], Verdict]) -> "Pair":
         """The runtime's own verification and the verification process both go wrong, and in the same way."""
         assert self.session is not None
-        check = Altered(self.session._check, lambda own: replace(own, verdict=altered(own.verdict)))
-        self.session._check = check
+        check = Altered(
+            self.session._verifying._check, lambda own: replace(own, verdict=altered(own.verdict))
+        )
+        self.session._verifying._check = check
         self.prover.answer = lambda request: [
             claim_of(finished(check.steps(request.number, request.start_joints_u)).verdict)
         ]

@@ -252,7 +252,7 @@ STEP_S = 0.001
 def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
     """Steps of a millisecond each, a hundred of them: at most a quarter of a heartbeat in one turn, and at once again."""
     pair.begin()
-    check, a_turn = pair.session._check, []
+    check, a_turn = pair.session._verifying._check, []
 
     class Slow(type(check)):
         def __init__(self):
@@ -268,12 +268,12 @@ def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
                 yield
             return (yield from check.steps(request, start_joints_u))
 
-    pair.session._check = Slow()
+    pair.session._verifying._check = Slow()
     heartbeat_s = pair.job.timing.heartbeat_ms / 1000
     while pair.phase is not Phase.ADMITTED and pair.phase is not Phase.NONCE_PERMIT:
         a_turn.append(0)
         pair.turn()
-        if pair.session._steps is not None:  # nobody waits for a heartbeat before it goes on
+        if pair.session._verifying._steps is not None:  # nobody waits for a heartbeat before it goes on
             before_s = pair.clock()
             pair.session._wait(pair.wake[0])
             assert pair.clock() == before_s
@@ -286,7 +286,7 @@ def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
 
 def test_without_a_verdict_of_its_own_the_session_stops_and_says_why(pair):
     pair.begin()
-    check = pair.session._check
+    check = pair.session._verifying._check
 
     class Failing:
         request = check.request
@@ -295,7 +295,7 @@ def test_without_a_verdict_of_its_own_the_session_stops_and_says_why(pair):
             yield
             raise ValueError("the verified path bends too much to be followed on segment 3")
 
-    pair.session._check = Failing()
+    pair.session._verifying._check = Failing()
     refused(pair, "verification failed: ValueError: the verified path bends too much")
 
 

@@ -124,6 +124,9 @@ def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(pair, monkeypatch
             waits_ms.append(wait_ms)
             return []
 
+        def unregister(self, _descriptor):
+            """The verification process has said all it is asked."""
+
     pair.to(Phase.PERMITTED)
     waits_ms: list[float] = []
     monkeypatch.setattr(pair.session, "_poller", Poller())

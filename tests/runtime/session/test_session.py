@@ -10,7 +10,6 @@ from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, Sto
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
-from cutgate.runtime.session.loop import EVENTS
 from tests.runtime.session.pair import TURN_S
 from tests.runtime.session.wire import RUNTIME
 
@@ -112,11 +111,6 @@ def test_a_word_of_stop_ends_every_phase_without_motion(pair, phase):
     pair.run(0.2)
     assert pair.controller.state is ControllerState.INHIBITED
     assert not pair.controller.cutting_mode
-
-
-def test_every_record_of_the_controller_means_something_to_the_table():
-    sent = {kind for kind in records.RECORDS.values() if kind.SENDER is records.Side.CONTROLLER}
-    assert set(EVENTS) == sent - {records.Announce}
 
 
 def test_the_progress_is_shown_and_never_beyond_the_path(pair):

@@ -1,0 +1,68 @@
+"""What arrives, as events of the interlock: records and heartbeats of the controller, words of the operator. Pure."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from cutgate.protocol import records
+from cutgate.protocol.frames import ControllerHeartbeat
+from cutgate.runtime.interlock.state import (
+    Announced,
+    BlockStored,
+    ControllerView,
+    Event,
+    NonceReceived,
+    ParameterReceived,
+    PathStored,
+    ReplyReceived,
+    Said,
+    SessionOpened,
+    Stored,
+    Word,
+)
+
+OF_RECORD: Final[Mapping[type[records.Record], Callable[[Any], Event]]] = MappingProxyType(
+    {
+        records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
+        records.Limits: ParameterReceived,
+        records.Calibration: ParameterReceived,
+        records.Tool: ParameterReceived,
+        records.BlockStored: lambda r: BlockStored(r.index),
+        records.PathStored: lambda r: PathStored(Stored(r.digest, r.refusal, r.pose)),
+        records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
+        records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause, r.detail != 0),
+    }
+)
+"""What each record from the controller means to the table."""
+
+
+def of_record(record: records.Record, random: Callable[[int], bytes]) -> Event:
+    """What a controller's record means to the table.
+
+    Args:
+        record: one that only a controller sends; the endpoint lets no other through.
+        random: the operating system's generator, for this side's nonce.
+    """
+    if isinstance(record, records.Announce):
+        return Announced(record, random(16))
+    return OF_RECORD[type(record)](record)
+
+
+def view_of(beat: ControllerHeartbeat) -> ControllerView:
+    """What a heartbeat tells of the controller."""
+    return ControllerView(
+        state=beat.state,
+        cause=beat.cause,
+        epoch=beat.epoch,
+        device_pressed=beat.device_pressed,
+        emergency_stop_clear=beat.emergency_stop_ok,
+        cutting_mode=beat.cutting_mode,
+    )
+
+
+def of_operator(text: Word | str) -> Said | None:
+    """What the operator said; only a confirmation names something besides, and None is no word here."""
+    if isinstance(text, Word):
+        return Said(text)
+    word, *what = text.split(maxsplit=1)
+    return Said(Word.CONFIRM, "".join(what).upper()) if word == Word.CONFIRM else None

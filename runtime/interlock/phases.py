@@ -51,6 +51,7 @@ class PhaseRow:
     """One phase.
 
     Attributes:
+        situation: what is so, to be read after "while"; for a command that does not apply; empty where none is answered.
         deadline: None where it lasts as long as heartbeats do, or is an end.
         expected: what the controller may report, anything else stops; None where the phase's own handler judges that.
         heartbeat: what this side's heartbeat says.
@@ -62,6 +63,7 @@ class PhaseRow:
         ending: what came of the session, None while it lasts.
     """
 
+    situation: str = ""
     deadline: Deadline | None = None
     expected: frozenset[ControllerState] | None = None
     heartbeat: RuntimeCode = RuntimeCode.INHIBIT
@@ -82,10 +84,12 @@ def _on(*states: ControllerState) -> frozenset[ControllerState]:
 
 PHASES: Final[dict[Phase, PhaseRow]] = {
     P.WAITING: PhaseRow(
+        "no controller has announced itself",
         Deadline(lambda job: job.deadlines.announce_wait_s, S.NOT_ADMITTED, "no controller announced itself"),
         expected=_on(),
     ),
     P.OPENING: PhaseRow(
+        "the session is being opened",
         Deadline(
             lambda job: job.deadlines.reply_timeout_s,
             S.NOT_ADMITTED,
@@ -94,6 +98,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="controller found, opening a session",
     ),
     P.HELD: PhaseRow(
+        "the controller carries a stop or a latched fault",
         Deadline(
             lambda job: job.deadlines.operator_wait_s,
             S.NOT_ADMITTED,
@@ -102,9 +107,11 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="the controller carries a stop or a latched fault",
     ),
     P.NONCE_RESET: PhaseRow(
+        "the reset is being prepared",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the reset"),
     ),
     P.AUTHORISING_RESET: PhaseRow(
+        "the reset is being recorded",
         Deadline(
             lambda job: job.deadlines.commit_deadline_s,
             S.AUDIT_FAILED,
@@ -113,10 +120,12 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         authorising=True,
     ),
     P.RESETTING: PhaseRow(
+        "the answer to the reset is awaited",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the reset"),
         signed=True,
     ),
     P.COLLECTING: PhaseRow(
+        "limits, calibration and tool are being collected",
         Deadline(
             lambda job: job.deadlines.reply_timeout_s,
             S.TRANSFER_FAILED,
@@ -127,6 +136,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="collecting limits, calibration and tool",
     ),
     P.UPLOADING: PhaseRow(
+        "the path is being uploaded",
         Deadline(
             lambda job: job.deadlines.transfer_timeout_s,
             S.TRANSFER_FAILED,
@@ -136,12 +146,14 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="limits, calibration and tool equal the approved; uploading the path",
     ),
     P.VERIFYING: PhaseRow(
+        "the path is being verified",
         Deadline(lambda job: job.deadlines.verify_timeout_s, S.NOT_ADMITTED, "no verdict"),
         expected=_on(C.OPEN, C.LOADED),
         permissives=FOR_PERMIT,
         announced="path stored by the controller; verifying it",
     ),
     P.ADMITTED: PhaseRow(
+        "the permissives for the permit are awaited",
         Deadline(
             lambda job: job.deadlines.operator_wait_s,
             S.NOT_ADMITTED,
@@ -152,12 +164,14 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="admitted; waiting for the permissives of the permit",
     ),
     P.NONCE_PERMIT: PhaseRow(
+        "the permit is being prepared",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the permit"),
         expected=_on(C.LOADED),
         permissives=FOR_PERMIT,
         announced="every permissive for the permit holds",
     ),
     P.AUTHORISING_PERMIT: PhaseRow(
+        "the permit is being recorded",
         Deadline(
             lambda job: job.deadlines.commit_deadline_s,
             S.AUDIT_FAILED,
@@ -169,6 +183,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         authorising=True,
     ),
     P.PERMITTING: PhaseRow(
+        "the answer to the permit is awaited",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the permit"),
         expected=_on(C.LOADED, C.PERMITTED),
         heartbeat=RuntimeCode.READY,
@@ -176,6 +191,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         signed=True,
     ),
     P.PERMITTED: PhaseRow(
+        "the start is awaited",
         Deadline(
             lambda job: float(job.timing.permit_lifetime_s), S.PERMIT_EXPIRED, "the operator did not start"
         ),
@@ -185,12 +201,14 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         announced="permitted: cutting mode is on. Release the enabling device, hold it, then say start",
     ),
     P.NONCE_START: PhaseRow(
+        "the start is being prepared",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no nonce for the start"),
         expected=_on(C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         permissives=FOR_START,
     ),
     P.AUTHORISING_START: PhaseRow(
+        "the start is being recorded",
         Deadline(
             lambda job: job.deadlines.commit_deadline_s,
             S.AUDIT_FAILED,
@@ -203,6 +221,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         authorising=True,
     ),
     P.STARTING: PhaseRow(
+        "the answer to the start is awaited",
         Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the start"),
         expected=_on(C.PERMITTED, C.CUTTING, C.DONE),
         heartbeat=RuntimeCode.CUT,
@@ -211,12 +230,14 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         signed=True,
     ),
     P.CUTTING: PhaseRow(
+        "the arm moves",
         expected=_on(C.PERMITTED, C.CUTTING, C.DONE),
         heartbeat=RuntimeCode.CUT,
         announced="moving: approach, then cutting",
         moving=True,
     ),
     P.FINISHING: PhaseRow(
+        "the end of the path is being confirmed",
         Deadline(
             lambda job: 2 * job.timing.timeout_s,  # as long as the tracking monitor waits for a sample
             S.TRACKING_DEVIATION,
@@ -228,7 +249,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         moving=True,
     ),
     P.STOPPING: PhaseRow(
-        Deadline(lambda job: job.deadlines.stop_confirm_s, S.NONE, "no confirmation of the stop"),
+        deadline=Deadline(lambda job: job.deadlines.stop_confirm_s, S.NONE, "no confirmation of the stop"),
         announced="STOP sent",
     ),
     P.DONE: PhaseRow(ending=Ending("completed", "CUT COMPLETED", OK)),

@@ -187,7 +187,7 @@ def said(state: Interlock, event: Said, now_s: float) -> Outcome:
             return stop(state, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
         case Word.QUIT:
             return quit_session(state, now_s, event.what)
-    return state, (Refused(event.word, f"{event.word} means nothing while {state.phase.replace('_', ' ')}"),)
+    return state, (Refused(event.word, f"{event.word} does not apply while {PHASES[state.phase].situation}"),)
 
 
 def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:

@@ -1445,3 +1445,28 @@ def test_tokens_are_never_used_twice():
     third = run.until(Phase.AUTHORISING_START).state.token
     assert first < second < third
     assert isinstance(run.effects[0], Commit)
+
+
+SILENT = ENDED | {Phase.STOPPING}
+"""After the end, and while it is confirmed, no command is answered."""
+
+
+@pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in SILENT], ids=str)
+def test_a_command_that_does_not_apply_is_refused_with_what_is_so(phase):
+    applies = {
+        Phase.HELD: {Word.ACKNOWLEDGE, Word.RESET},
+        Phase.ADMITTED: {Word.CONFIRM},
+        Phase.PERMITTED: {Word.START},
+    }
+    patiently = {"tracking": patient(0.0)} if phase in MOVING else {}
+    state = in_phase(phase, **patiently)
+    for word in {Word.ACKNOWLEDGE, Word.RESET, Word.CONFIRM, Word.START} - applies.get(phase, set()):
+        after, effects = step(state, Said(word, "BOX_SMALL"), NOW)
+        told = f"{word} does not apply while {PHASES[phase].situation}"
+        assert (after.phase, effects) == (phase, (Refused(word, told),)), phase
+
+
+def test_each_phase_that_answers_commands_has_a_situation_of_its_own():
+    situations = [PHASES[phase].situation for phase in Phase if phase not in SILENT]
+    assert len(set(situations)) == len(situations)
+    assert {PHASES[phase].situation for phase in SILENT} == {""}

@@ -39,10 +39,10 @@ from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
 from cutgate.runtime.verification import approach, certificate
-from cutgate.runtime.verification.document import Digests, verdict_document
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.report.document import Digests, verdict_document
 from cutgate.runtime.verification.verdict import Verdict
 
 TOLERANCE: Final = 1e-9

@@ -28,7 +28,7 @@ from cutgate.runtime.conform.cases import Case
 from cutgate.runtime.conform.report import ABOUT, document, summary
 from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
 from cutgate.runtime.conform.table import cases
-from cutgate.runtime.verification.document import document_text
+from cutgate.runtime.verification.report.document import document_text
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 3
 LISTEN_S: Final = 0.6

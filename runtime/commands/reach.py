@@ -30,13 +30,15 @@ from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
-from cutgate.runtime.verification import certified, reach
-from cutgate.runtime.verification.document import document_text
-from cutgate.runtime.verification.geometry import canonical
-from cutgate.runtime.verification.guidance import Quantise, Vector
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.advice import Vector
+from cutgate.runtime.verification.bounds.geometry import canonical
+from cutgate.runtime.verification.placing import reach
+from cutgate.runtime.verification.placing.guidance import Quantise
+from cutgate.runtime.verification.placing.reach import Grid, Position
 from cutgate.runtime.verification.problem import Floats, Problem
-from cutgate.runtime.verification.reach import Grid, Position
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.report.document import document_text
 from cutgate.runtime.verification.verdict import Boundary
 
 POSITIONS_MAX: Final = 400_000

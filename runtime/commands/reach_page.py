@@ -27,7 +27,7 @@ from cutgate.runtime.commands.reach_picture import (
     ratio_top,
     signed,
 )
-from cutgate.runtime.verification.reach import RATES, Position
+from cutgate.runtime.verification.placing.reach import RATES, Position
 
 CIVIDIS: Final = (
     "#00224e", "#083370", "#35456c", "#4f576c", "#666970", "#7d7c78",

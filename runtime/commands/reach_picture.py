@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.config.screen import printable
-from cutgate.runtime.verification.reach import RATES, Position
+from cutgate.runtime.verification.placing.reach import RATES, Position
 
 Floats = NDArray[np.float64]
 Arcs = Sequence[tuple[str, Floats]]

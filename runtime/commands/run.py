@@ -51,7 +51,7 @@ from cutgate.runtime.session.journal import Journal, plain
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.asked import AskedTurns
-from cutgate.runtime.verification.document import document_text
+from cutgate.runtime.verification.report.document import document_text
 
 OPERATOR_MAX: Final = 64
 BRANCH: Final = "joint branch"

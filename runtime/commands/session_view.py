@@ -46,8 +46,8 @@ from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
 from cutgate.runtime.session.loop import Session
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import Approach, summary
-from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.plausibility import cautions_of_move
 
 SCHEMA: Final = "cutgate.run/1"

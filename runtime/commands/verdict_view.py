@@ -10,11 +10,10 @@ from rich.text import Text
 
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
-from cutgate.runtime.verification.document import Digests
-from cutgate.runtime.verification.guidance import Guidance, Move
-from cutgate.runtime.verification.other_elbow import OtherElbow
+from cutgate.runtime.verification.advice import Guidance, Move, OtherElbow
 from cutgate.runtime.verification.plausibility import Caution
-from cutgate.runtime.verification.summary import summary, worst
+from cutgate.runtime.verification.report.document import Digests
+from cutgate.runtime.verification.report.summary import summary, worst
 from cutgate.runtime.verification.verdict import Verdict
 
 MEANING: Final = {

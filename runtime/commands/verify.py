@@ -25,11 +25,11 @@ from cutgate.runtime.commands.verdict_view import (
 from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.certificate import certify
-from cutgate.runtime.verification.document import Digests, document_text, verdict_document
-from cutgate.runtime.verification.guidance import Guidance, guide
-from cutgate.runtime.verification.other_elbow import other_elbow
+from cutgate.runtime.verification.placing.guidance import guide
+from cutgate.runtime.verification.placing.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import (
     Caution,
     Placed,
@@ -41,6 +41,7 @@ from cutgate.runtime.verification.plausibility import (
 )
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.report.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.verdict import Verdict
 
 ADMISSIBLE, INADMISSIBLE = 0, 1

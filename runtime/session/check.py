@@ -20,14 +20,14 @@ from cutgate.runtime.session import course
 from cutgate.runtime.session.messages import Bound, Claim, Request
 from cutgate.runtime.verification import approach, certificate, certified
 from cutgate.runtime.verification import verdict as verdicts
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import Steps
-from cutgate.runtime.verification.document import Digests, guidance_entries, verdict_document
-from cutgate.runtime.verification.guidance import Guidance
-from cutgate.runtime.verification.other_elbow import other_elbow
+from cutgate.runtime.verification.placing.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import Caution, Placed, cautions, cautions_of_move, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
-from cutgate.runtime.verification.summary import summary
+from cutgate.runtime.verification.report.document import Digests, guidance_entries, verdict_document
+from cutgate.runtime.verification.report.summary import summary
 
 WORD: Final = {True: "ADMISSIBLE", False: "INADMISSIBLE"}
 

@@ -17,7 +17,7 @@ from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Floats, Refe
 from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
 from cutgate.runtime.verification.approach import Steps
-from cutgate.runtime.verification.geometry import VERTICAL
+from cutgate.runtime.verification.bounds.geometry import VERTICAL
 from cutgate.runtime.verification.problem import Problem
 
 Ints = NDArray[np.int64]

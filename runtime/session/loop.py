@@ -75,7 +75,7 @@ from cutgate.runtime.session.space import estimated_s
 from cutgate.runtime.session.verifying import NotVerified, Verifying
 from cutgate.runtime.session.view import View
 from cutgate.runtime.session.worker import Worker
-from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.advice import Guidance
 
 CHECK_HEARTBEATS = 1 / 8
 """So long does this side's own check hold up a cycle; its steps are far shorter."""

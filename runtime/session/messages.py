@@ -22,7 +22,7 @@ from pydantic import (
 from cutgate.config.model import Robot
 from cutgate.config.screen import printable
 from cutgate.protocol import records
-from cutgate.runtime.verification import guidance as guiding
+from cutgate.runtime.verification import advice as guiding
 from cutgate.runtime.verification.approach import Start
 
 LENGTH_BYTES: Final = 4

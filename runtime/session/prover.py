@@ -24,7 +24,7 @@ from cutgate.runtime.session.messages import (
     shown,
 )
 from cutgate.runtime.verification import approach, certified
-from cutgate.runtime.verification.guidance import Quantise, guide
+from cutgate.runtime.verification.placing.guidance import Quantise, guide
 from cutgate.runtime.verification.problem import Floats
 from cutgate.runtime.verification.recorded import problem_from_records
 

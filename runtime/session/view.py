@@ -4,7 +4,7 @@ from typing import Protocol
 
 from cutgate.runtime.interlock.state import Effect, Event, Interlock
 from cutgate.runtime.session.check import Answer
-from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.advice import Guidance
 
 
 class View(Protocol):

@@ -34,11 +34,18 @@ from cutgate.protocol.parameters import ROTATION_DEG_STANDS
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
 from cutgate.runtime.kinematics.arm import TURN, turns
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds.chain import build
+from cutgate.runtime.verification.bounds.enclosures import HALF_TURN
+from cutgate.runtime.verification.bounds.geometry import (
+    EPSILON,
+    MIRRORED,
+    ROUNDINGS,
+    VERTICAL,
+    Geometry,
+    canonical,
+)
 from cutgate.runtime.verification.branch import goes
-from cutgate.runtime.verification.chain import build
 from cutgate.runtime.verification.defects import defects
-from cutgate.runtime.verification.enclosures import HALF_TURN
-from cutgate.runtime.verification.geometry import EPSILON, MIRRORED, ROUNDINGS, VERTICAL, Geometry, canonical
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.standing import standing
 from cutgate.runtime.verification.verdict import Boundary

@@ -8,7 +8,7 @@ from typing import Final
 from cutgate.config.load import InputError
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.reasons import unfit
+from cutgate.runtime.verification.report.reasons import unfit
 
 OPTION: Final = {"q0": "--q0-turns", "q3": "--roll-turns"}
 """How the turns of a joint are asked for."""

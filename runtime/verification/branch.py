@@ -9,7 +9,7 @@ import numpy as np
 
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.runtime.kinematics.arm import TURN, turns
-from cutgate.runtime.verification.geometry import Geometry
+from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Winding
 
 GOES_RAD = math.radians(ROTATION_DEG_GOES)

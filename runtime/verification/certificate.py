@@ -18,13 +18,10 @@ from numpy.typing import NDArray
 
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.runtime.kinematics.arm import turns
-from cutgate.runtime.verification.bisection import Aim, survey
-from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, confined, goes
-from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
-from cutgate.runtime.verification.chain import BLOCK, Chain, build, cut
-from cutgate.runtime.verification.closed_form import Extremes, extremes
-from cutgate.runtime.verification.defects import defects
-from cutgate.runtime.verification.enclosures import (
+from cutgate.runtime.verification.bounds.bisection import Aim, survey
+from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, build, cut
+from cutgate.runtime.verification.bounds.closed_form import Extremes, extremes
+from cutgate.runtime.verification.bounds.enclosures import (
     ACCELERATION,
     COLUMNS,
     Q0_MAX,
@@ -35,7 +32,10 @@ from cutgate.runtime.verification.enclosures import (
     Scope,
     lower_bounds,
 )
-from cutgate.runtime.verification.geometry import MIRRORED, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, confined, goes
+from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
+from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, BOUNDARIES, Verdict

@@ -21,20 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import turns
-from cutgate.runtime.verification.bisection import Aim, Survey, survey
-from cutgate.runtime.verification.branch import (
-    GOES_RAD,
-    Candidate,
-    candidates,
-    choose,
-    confined,
-    winding,
-)
-from cutgate.runtime.verification.chain import Chain, build
-from cutgate.runtime.verification.closed_form import Extremes, extremes
-from cutgate.runtime.verification.defects import defects
-from cutgate.runtime.verification.effort import Effort
-from cutgate.runtime.verification.enclosures import (
+from cutgate.runtime.verification.bounds.bisection import Aim, Survey, survey
+from cutgate.runtime.verification.bounds.chain import Chain, build
+from cutgate.runtime.verification.bounds.closed_form import Extremes, extremes
+from cutgate.runtime.verification.bounds.enclosures import (
     ACCELERATION,
     COLUMNS,
     HALF_TURN,
@@ -47,7 +37,17 @@ from cutgate.runtime.verification.enclosures import (
     SPEED,
     Scope,
 )
-from cutgate.runtime.verification.geometry import MIRRORED, Geometry, Segments, canonical
+from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Segments, canonical
+from cutgate.runtime.verification.branch import (
+    GOES_RAD,
+    Candidate,
+    candidates,
+    choose,
+    confined,
+    winding,
+)
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import (
     Enclosed,
@@ -59,7 +59,7 @@ from cutgate.runtime.verification.quantities import (
     slide_and_pitch,
     wrist_length,
 )
-from cutgate.runtime.verification.reasons import held_beyond, sentences, unfit
+from cutgate.runtime.verification.report.reasons import held_beyond, sentences, unfit
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,

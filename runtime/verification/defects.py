@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cutgate.runtime.kinematics.pose import turn_angles
-from cutgate.runtime.verification.geometry import LARGEST_TURN
+from cutgate.runtime.verification.bounds.geometry import LARGEST_TURN
 from cutgate.runtime.verification.problem import Problem
 
 UNIT_TOLERANCE = 1e-6

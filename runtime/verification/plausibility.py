@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
 

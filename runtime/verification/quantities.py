@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.verification.closed_form import Extreme, Extremes
-from cutgate.runtime.verification.enclosures import ACCELERATION, SPEED
-from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Segments, errors
+from cutgate.runtime.verification.bounds.closed_form import Extreme, Extremes
+from cutgate.runtime.verification.bounds.enclosures import ACCELERATION, SPEED
+from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Segments, errors
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,

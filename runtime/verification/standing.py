@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
 from cutgate.runtime.kinematics.arm import elbow_angle
+from cutgate.runtime.verification.bounds.enclosures import HALF_TURN
+from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.branch import goes
-from cutgate.runtime.verification.enclosures import HALF_TURN
-from cutgate.runtime.verification.geometry import Geometry
 from cutgate.runtime.workspace.planar import distance_to_arc
 
 Floats = NDArray[np.float64]

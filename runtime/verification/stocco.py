@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import turns
+from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES, Geometry, Segments, canonical
+from cutgate.runtime.verification.bounds.points import Points, at
 from cutgate.runtime.verification.defects import defects
-from cutgate.runtime.verification.geometry import MIRRORED_SIDES, Geometry, Segments, canonical
-from cutgate.runtime.verification.points import Points, at
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
-from cutgate.runtime.verification.reasons import sentences
+from cutgate.runtime.verification.report.reasons import sentences
 from cutgate.runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import SIDES

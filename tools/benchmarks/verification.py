@@ -12,7 +12,8 @@ from pages import Rows, document, show
 from paths import TABLE_1, TABLE_2, finer, hip_stem, level_pocket, prepared, zigzag
 from rivals import AlongThePath, bisection, dense, optimal_cover
 
-from cutgate.runtime.verification import certificate, certified, guidance, stocco
+from cutgate.runtime.verification import certificate, certified, stocco
+from cutgate.runtime.verification.placing import guidance
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Verdict
 

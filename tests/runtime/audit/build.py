@@ -28,9 +28,9 @@ from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import prepare, with_branch
 from cutgate.runtime.verification import approach, certificate, certified
-from cutgate.runtime.verification.document import Digests, verdict_document
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.report.document import Digests, verdict_document
 
 VERIFIER = "cutgate test"
 OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))

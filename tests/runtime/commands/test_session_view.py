@@ -9,8 +9,8 @@ from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
 from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import Start, verify
-from cutgate.runtime.verification.guidance import Guidance
 from tests.runtime.interlock.builders import NOW, READY, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.test_approach import MIDDLE, cut
 

@@ -14,8 +14,8 @@ import pytest
 from cutgate.runtime.commands import app as cli
 from cutgate.runtime.commands import screen
 from cutgate.runtime.commands import verify as command
-from cutgate.runtime.verification import guidance
-from cutgate.runtime.verification.guidance import guide
+from cutgate.runtime.verification.placing import guidance
+from cutgate.runtime.verification.placing.guidance import guide
 from tests.runtime.commands.contract import VerifyDocument
 from tests.tool_paths import tool_path
 

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from cutgate.runtime.commands import screen
 from cutgate.runtime.commands.verdict_view import boundaries_table, print_end, print_verdict, speed_table
-from cutgate.runtime.verification.guidance import Guidance, Move
-from tests.runtime.verification.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
+from cutgate.runtime.verification.advice import Guidance, Move
+from tests.runtime.verification.report.test_document import DIGESTS, GOOD, GUIDANCE, VERDICT
 
 
 def printed(verdict=VERDICT, guidance=None) -> str:

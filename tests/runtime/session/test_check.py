@@ -13,8 +13,8 @@ from cutgate.runtime.session.check import Check, disagreement, with_guidance
 from cutgate.runtime.session.messages import Request
 from cutgate.runtime.session.prover import answers
 from cutgate.runtime.verification import approach, certificate, certified, plausibility
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import Start, finished
-from cutgate.runtime.verification.guidance import Guidance
 from cutgate.runtime.verification.recorded import problem_from_records
 from tests.runtime.session.pair import (
     ADMISSIBLE_MM,

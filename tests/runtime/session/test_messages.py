@@ -29,7 +29,7 @@ from cutgate.runtime.session.messages import (
     shown,
 )
 from cutgate.runtime.session.prover import answers
-from cutgate.runtime.verification.guidance import Move as FoundMove
+from cutgate.runtime.verification.advice import Move as FoundMove
 from tests.runtime.session.pair import INADMISSIBLE_MM, request_of
 
 DIGEST = "ab" * 32

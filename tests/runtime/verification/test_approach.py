@@ -16,7 +16,7 @@ from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.protocol import records
 from cutgate.runtime.verification import approach, certified
 from cutgate.runtime.verification.approach import Start
-from cutgate.runtime.verification.geometry import canonical
+from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from cutgate.runtime.verification.standing import standing
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import bisection, certificate, certified
+from cutgate.runtime.verification import certificate, certified
+from cutgate.runtime.verification.bounds import bisection
 from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
 from cutgate.runtime.verification.problem import Deadband
 from tests.oracle.dense import COLUMNS, Dense

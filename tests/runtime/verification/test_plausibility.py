@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified, plausibility
-from cutgate.runtime.verification.guidance import Guidance
+from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.plausibility import (
     Placed,
     cautions,

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds.chain import build
+from cutgate.runtime.verification.bounds.geometry import canonical
+from cutgate.runtime.verification.bounds.motion import _widening
+from cutgate.runtime.verification.bounds.points import roll_widening
 from cutgate.runtime.verification.certificate import certify, recheck
-from cutgate.runtime.verification.chain import build
-from cutgate.runtime.verification.geometry import canonical
-from cutgate.runtime.verification.motion import _widening
-from cutgate.runtime.verification.points import roll_widening
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, wrist_path

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds.chain import build
+from cutgate.runtime.verification.bounds.closed_form import PITCH_PAD, extremes
+from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.certificate import certify, recheck
-from cutgate.runtime.verification.chain import build
-from cutgate.runtime.verification.closed_form import PITCH_PAD, extremes
-from cutgate.runtime.verification.geometry import canonical
 from cutgate.runtime.verification.problem import Arm, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 from tests.seeds import seeds

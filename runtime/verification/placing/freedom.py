@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
-from cutgate.runtime.verification.chain import BLOCK, sagitta, sweep
-from cutgate.runtime.verification.closed_form import extremes
+from cutgate.runtime.verification.bounds.chain import BLOCK, sagitta, sweep
+from cutgate.runtime.verification.bounds.closed_form import extremes
+from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.bounds.points import Points, at_poses, join, roll_widening
 from cutgate.runtime.verification.effort import CALL, Effort
-from cutgate.runtime.verification.geometry import VERTICAL, Geometry, Ints, Segments, canonical
-from cutgate.runtime.verification.points import Points, at_poses, join, roll_widening
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.workspace.distance import side_distances, signed_distance
 from cutgate.runtime.workspace.planar import distance_to_arc

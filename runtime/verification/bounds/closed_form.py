@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
-from cutgate.runtime.verification.points import Points, at
+from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.points import Points, at
 
 Floats = NDArray[np.float64]
 

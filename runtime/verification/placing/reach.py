@@ -16,16 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.geometry import MIRRORED_SIDES
-from cutgate.runtime.verification.guidance import (
-    Quantise,
-    Vector,
-    guide,
-    moved,
-    pivot_of,
-    unchanged_by_moves,
-)
-from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.advice import Vector
+from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES
+from cutgate.runtime.verification.placing.freedom import Placing, Reserve
+from cutgate.runtime.verification.placing.guidance import Quantise, guide, moved, pivot_of, unchanged_by_moves
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
 from cutgate.runtime.workspace.planar import SIDES

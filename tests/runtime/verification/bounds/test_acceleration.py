@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import acceleration, certified, chain, enclosures, motion
-from cutgate.runtime.verification.geometry import canonical
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds import acceleration, chain, enclosures, motion
+from cutgate.runtime.verification.bounds.geometry import canonical
 from tests.oracle.dense import Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
 

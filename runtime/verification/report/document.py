@@ -5,8 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cutgate.runtime.verification.guidance import Guidance, Move
-from cutgate.runtime.verification.other_elbow import OtherElbow
+from cutgate.runtime.verification.advice import Guidance, Move, OtherElbow
 from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Verdict
 
 SCHEMA: Final = "cutgate.verdict/1"

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import elbow_angle, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
-from cutgate.runtime.verification.chain import Intervals
-from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
-from cutgate.runtime.verification.motion import Angles, Motion
+from cutgate.runtime.verification.bounds.chain import Intervals
+from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.motion import Angles, Motion
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification.document import Digests, document_text, verdict_document
-from cutgate.runtime.verification.guidance import Guidance, Move
+from cutgate.runtime.verification.advice import Guidance, Move
+from cutgate.runtime.verification.report.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.verdict import Boundary, Branch, Evaluations, SpeedLine, Verdict
 from tests.runtime.commands.contract import VerdictDocument
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.points import Points, at, at_poses, join
 from cutgate.runtime.verification.effort import Effort
-from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
-from cutgate.runtime.verification.points import Points, at, at_poses, join
 
 Floats = NDArray[np.float64]
 

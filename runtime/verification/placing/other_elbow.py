@@ -7,47 +7,21 @@ configuration may need is not known here. The work is counted and bounded; where
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from dataclasses import replace
+from typing import Final, Literal
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.advice import OtherElbow
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.effort import Effort, EffortSpentError
 from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.summary import summary
+from cutgate.runtime.verification.report.summary import summary
 from cutgate.runtime.verification.verdict import Verdict
 
 WORK: Final = 4_000_000
 """Bound on the work, in points looked at (`Effort`): half a second or so."""
 
 OTHER: Final[dict[str, Literal["right", "left"]]] = {"right": "left", "left": "right"}
-
-
-@dataclass(frozen=True, slots=True)
-class OtherElbow:
-    """The answer.
-
-    Attributes:
-        elbow: the configuration asked about.
-        q1_deg: the limits it was taken to have, those of this one mirrored.
-        admissible: None where it is not proved.
-        text: the same in a sentence.
-    """
-
-    elbow: Literal["right", "left"]
-    q1_deg: tuple[float, float]
-    admissible: bool | None
-    text: str
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "elbow": self.elbow,
-            "q1_deg": list(self.q1_deg),
-            "admissible": self.admissible,
-            "text": self.text,
-        }
 
 
 def other_elbow(problem: Problem, verdict: Verdict, work: float = WORK) -> OtherElbow | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import TURN, elbow_angle, heading_offset, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
-from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
 from cutgate.runtime.workspace.planar import distance_to_arc
 
 Floats = NDArray[np.float64]

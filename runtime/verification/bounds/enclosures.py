@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.verification.acceleration import bounded_accelerations
-from cutgate.runtime.verification.chain import Intervals
-from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
-from cutgate.runtime.verification.motion import Angles, Motion, angles_of, motion_of
-from cutgate.runtime.verification.points import Points
+from cutgate.runtime.verification.bounds.acceleration import bounded_accelerations
+from cutgate.runtime.verification.bounds.chain import Intervals
+from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from cutgate.runtime.verification.bounds.motion import Angles, Motion, angles_of, motion_of
+from cutgate.runtime.verification.bounds.points import Points
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import segment_to_arc
 

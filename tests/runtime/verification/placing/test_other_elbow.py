@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified, stocco
-from cutgate.runtime.verification.other_elbow import WORK, other_elbow
+from cutgate.runtime.verification.placing.other_elbow import WORK, other_elbow
 from tests.runtime.verification.cases import DEG, axis, mirrored, problem, random_problem
 
 

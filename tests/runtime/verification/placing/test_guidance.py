@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from cutgate.protocol.path import Path
-from cutgate.runtime.verification import certified, guidance
-from cutgate.runtime.verification.guidance import guide
-from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.placing import guidance
+from cutgate.runtime.verification.placing.freedom import Placing, Reserve
+from cutgate.runtime.verification.placing.guidance import guide
+from cutgate.runtime.verification.placing.search import smallest_translation
 from cutgate.runtime.verification.problem import Arm
-from cutgate.runtime.verification.search import smallest_translation
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 
 LEAN = axis(60 * DEG, 0.2)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification.effort import EffortSpentError
-from cutgate.runtime.verification.placing import Placing
+from cutgate.runtime.verification.placing.freedom import Placing
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

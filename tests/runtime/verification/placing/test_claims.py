@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import certified, guidance
-from cutgate.runtime.verification.document import guidance_document
-from cutgate.runtime.verification.guidance import guide
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.placing import guidance
+from cutgate.runtime.verification.placing.guidance import guide
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.report.document import guidance_document
 from tests.runtime.verification.cases import DEG, problem, random_problem
 from tests.seeds import seeds
 

@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import bisection, certified, chain, guidance, placing
-from cutgate.runtime.verification.document import Digests, verdict_document
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds import bisection, chain
 from cutgate.runtime.verification.effort import Effort, EffortSpentError
-from cutgate.runtime.verification.guidance import WORK, guide
+from cutgate.runtime.verification.placing import freedom as placing
+from cutgate.runtime.verification.placing import guidance
+from cutgate.runtime.verification.placing.guidance import WORK, guide
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.report.document import Digests, verdict_document
 from tests.runtime.commands.contract import VerdictDocument
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 from tests.seeds import seeds

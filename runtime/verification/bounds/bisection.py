@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.verification.acceleration import joint_accelerations
-from cutgate.runtime.verification.chain import BLOCK, Chain, Intervals, halve, merge
-from cutgate.runtime.verification.effort import Effort
-from cutgate.runtime.verification.enclosures import (
+from cutgate.runtime.verification.bounds.acceleration import joint_accelerations
+from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, Intervals, halve, merge
+from cutgate.runtime.verification.bounds.enclosures import (
     ACCELERATION,
     COLUMNS,
     LEFT,
@@ -24,8 +23,9 @@ from cutgate.runtime.verification.enclosures import (
     attained,
     lower_bounds,
 )
-from cutgate.runtime.verification.geometry import Geometry, Ints, Segments
-from cutgate.runtime.verification.points import Points
+from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.points import Points
+from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.workspace.distance import signed_sides
 
 Floats = NDArray[np.float64]

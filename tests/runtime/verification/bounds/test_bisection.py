@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import bisection, certified, chain
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.bounds import bisection, chain
 from cutgate.runtime.verification.problem import Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, random_problem, wrist_path
 from tests.runtime.verification.judge import RULES, judged

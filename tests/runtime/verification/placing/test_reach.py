@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.commands.reach import Work, survey
-from cutgate.runtime.verification import certified, reach
-from cutgate.runtime.verification.guidance import guide, pivot_of
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.placing import reach
+from cutgate.runtime.verification.placing.guidance import guide, pivot_of
 from cutgate.runtime.verification.problem import Calibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
-from tests.runtime.verification.test_guidance import LEAN, THIN, registered
-from tests.runtime.verification.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes
+from tests.runtime.verification.placing.test_guidance import LEAN, THIN, registered
+from tests.runtime.verification.placing.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes
 
 CASES = {
     "right elbow": strokes(600.0, 0.0),

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.arm import elbow_sine
-from cutgate.runtime.verification.chain import Intervals, distance_from_column, sagitta
-from cutgate.runtime.verification.geometry import EPSILON, ROUNDINGS, Geometry, Segments
-from cutgate.runtime.verification.points import roll_widening
+from cutgate.runtime.verification.bounds.chain import Intervals, distance_from_column, sagitta
+from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
+from cutgate.runtime.verification.bounds.points import roll_widening
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
-from cutgate.runtime.verification.geometry import VERTICAL
+from cutgate.runtime.verification.bounds.geometry import VERTICAL
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, SpeedLine, Winding
 

@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.verification import certified, search
+from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.effort import Effort
-from cutgate.runtime.verification.guidance import moved
-from cutgate.runtime.verification.placing import Placing, Reserve
+from cutgate.runtime.verification.placing import search
+from cutgate.runtime.verification.placing.freedom import Placing, Reserve
+from cutgate.runtime.verification.placing.guidance import moved
+from cutgate.runtime.verification.placing.search import FINEST_MM, TOLERANCE_MM, smallest_translation
 from cutgate.runtime.verification.problem import Arm, Calibration
-from cutgate.runtime.verification.search import FINEST_MM, TOLERANCE_MM, smallest_translation
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
-from tests.runtime.verification.placements import admitted, grid
+from tests.runtime.verification.placing.placements import admitted, grid
 
 RESERVE = Reserve(0.2, 0.1 * DEG)
 FAST = np.full(5, 1e9)

@@ -15,24 +15,24 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.advice import Guidance, Move, Vector
+from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
+from cutgate.runtime.verification.bounds.points import Points, at
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.effort import Effort, EffortSpentError
-from cutgate.runtime.verification.geometry import Geometry, canonical
-from cutgate.runtime.verification.placing import Placing, Reserve
-from cutgate.runtime.verification.points import Points, at
+from cutgate.runtime.verification.placing.freedom import Placing, Reserve
+from cutgate.runtime.verification.placing.search import smallest_translation
 from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.search import smallest_translation
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, Boundary, Verdict
 from cutgate.runtime.workspace.planar import SIDES, nearest_on_arc
 
 Floats = NDArray[np.float64]
-Vector = tuple[float, float, float]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 RESERVES_MM = (0.2, 0.5, 2.0)
@@ -84,56 +84,6 @@ OTHERWISE = "tilt the bone, or part the path"
 
 _TILT = ("pitch_min", "pitch_max", "wrist_singularity")
 _ROLL = ("roll_min", "roll_max")
-
-
-@dataclass(frozen=True, slots=True)
-class Move:
-    """First-order cure of one boundary's worst place alone."""
-
-    boundary: str
-    kind: Literal["move", "turn"]
-    direction: Vector
-    distance_mm: float | None = None
-    angle_deg: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Guidance:
-    """One combined move of the bone, in the robot frame.
-
-    The new registration is ``Trans(translation) * Rz(yaw about pivot) * R_T_CT``.
-
-    Attributes:
-        translation_mm: None when no move was found.
-        yaw_deg: turn about the vertical through the pivot, before the translation.
-        pivot_mm: the mean tip.
-        moves: a hint for each violated boundary.
-        predicted_clearance_mm: smallest proven clearance of the arm after the move.
-        verified: whether the moved and re-quantised path was admitted by the certified method.
-        text: what was found and proved, in sentences.
-        none_possible: True if it is proved that no translation alone makes the path admissible, False
-            if one does, None if neither is known.
-        at_least_mm: with a translation alone: proved length of the shortest that keeps the reserve; rounded down.
-        reserve_mm: what that proof keeps beyond the deadband of arm and slide.
-        reserve_deg: and beyond that of the roll.
-    """
-
-    translation_mm: Vector | None
-    yaw_deg: float
-    pivot_mm: Vector
-    moves: tuple[Move, ...]
-    predicted_clearance_mm: float | None
-    verified: bool
-    text: str
-    none_possible: bool | None = None
-    at_least_mm: float | None = None
-    reserve_mm: float | None = None
-    reserve_deg: float | None = None
-
-    @property
-    def settled(self) -> bool:
-        """Whether a verified move is shown, or that no translation helps is proved; else only `text` says anything."""
-        return self.verified or self.none_possible is True
 
 
 def guide(problem: Problem, verdict: Verdict, quantise: Quantise) -> Guidance | None:

@@ -1,0 +1,1 @@
+"""Where the bone would have to be moved so that the path fits, or that it fits nowhere."""

@@ -1,0 +1,1 @@
+"""What is said of a verdict: sentences for people, one line, one JSON document."""

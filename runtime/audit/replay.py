@@ -38,7 +38,9 @@ from cutgate.runtime.interlock.phases import MOVING, STOPPING
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
-from cutgate.runtime.verification import approach, certificate
+from cutgate.runtime.verification import certificate
+from cutgate.runtime.verification.approach import decision, report
+from cutgate.runtime.verification.approach.model import Start
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -415,16 +417,16 @@ def _approach(
     """Approach and retract again, from the recorded start joints and the site's settings; ``words``: the reasons as well."""
     settings = inputs.site
     try:
-        start = approach.Start.of(
+        start = Start.of(
             recorded.start_joints_u,
             clearance_um=round(settings.approach.approach_clearance_mm * 1000),
             tolerance_mm=settings.start.start_tolerance_mm,
             tolerance_deg=settings.start.start_tolerance_deg,
         )
-        verdict = approach.verify(_problem(inputs), start)
+        verdict = decision.verify(_problem(inputs), start)
     except (IndexError, ValueError) as error:
         raise ReplayError(f"the approach's start joints cannot be read: {error}") from None
-    document = approach.document(verdict, start)
+    document = report.document(verdict, start)
     found.approaches.append(document["verdict"])
     theirs = _document(recorded)
     if theirs is None:
@@ -438,8 +440,8 @@ def _approach(
     again = records.Approach.of(
         document,
         start_joints_u=recorded.start_joints_u,
-        bound=approach.bound(verdict, settings.approach.approach_speed_percent),
-        reason=approach.summary(verdict),
+        bound=report.bound(verdict, settings.approach.approach_speed_percent),
+        reason=report.summary(verdict),
     )
     last_bits = set() if words else {"reason"}
     last_bits |= set() if comparable else {"worst_leg", "worst_boundary", "reason"}

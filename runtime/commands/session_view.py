@@ -47,7 +47,8 @@ from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach import Approach, summary
+from cutgate.runtime.verification.approach.model import Approach
+from cutgate.runtime.verification.approach.report import summary
 from cutgate.runtime.verification.plausibility import cautions_of_move
 
 SCHEMA: Final = "cutgate.run/1"

@@ -6,7 +6,8 @@ from rich.text import Text
 
 from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.commands.verdict_view import WARNED
-from cutgate.runtime.verification.approach import Approach, shown
+from cutgate.runtime.verification.approach.model import Approach
+from cutgate.runtime.verification.approach.report import shown
 from cutgate.runtime.verification.asked import OPTION
 from cutgate.runtime.verification.verdict import Branch, Verdict, Winding
 

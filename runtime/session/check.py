@@ -18,16 +18,19 @@ from cutgate.protocol import records
 from cutgate.runtime.interlock.state import Collected, Job, Verdict
 from cutgate.runtime.session import course
 from cutgate.runtime.session.messages import Bound, Claim, Request
-from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification import verdict as verdicts
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach import Steps
+from cutgate.runtime.verification.approach import decision, report
+from cutgate.runtime.verification.approach.model import Approach, Start, StraightLines
+from cutgate.runtime.verification.approach.straight_line import straight_lines
 from cutgate.runtime.verification.placing.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import Caution, Placed, cautions, cautions_of_move, described
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.report.document import Digests, guidance_entries, verdict_document
 from cutgate.runtime.verification.report.summary import summary
+from cutgate.runtime.verification.steps import Steps
 
 WORD: Final = {True: "ADMISSIBLE", False: "INADMISSIBLE"}
 
@@ -42,7 +45,7 @@ class Answer:
     verdict: Verdict
     proved: verdicts.Verdict
     document: dict[str, Any]
-    approach: approach.Approach | None
+    approach: Approach | None
     approach_document: dict[str, Any] | None
     proof: bytes | None
     cautions: tuple[Caution, ...] = ()
@@ -58,7 +61,7 @@ class _Ground(NamedTuple):
     cautions: tuple[Caution, ...]
     document: dict[str, Any]
     proof: bytes | None
-    lines: approach.StraightLines | approach.Approach | None
+    lines: StraightLines | Approach | None
     between: course.Between | None
 
 
@@ -135,8 +138,8 @@ def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
     if not verdict.admissible:
         return _Ground(verdict, found, document, None, None, None)
     proof = checked_proof(problem, verdict)
-    lines = approach.straight_lines(problem, job.timing.approach_clearance_um)
-    bound = approach.bound(lines, job.timing.approach_speed_percent)
+    lines = straight_lines(problem, job.timing.approach_clearance_um)
+    bound = report.bound(lines, job.timing.approach_speed_percent)
     return _Ground(verdict, found, document, proof, lines, course.between(problem, bound) if bound else None)
 
 
@@ -160,15 +163,15 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
     way, way_document, bound, trajectory = None, None, None, None
     if ground.lines is not None:
         timing = job.timing
-        start = approach.Start.of(
+        start = Start.of(
             start_joints_u,
             clearance_um=timing.approach_clearance_um,
             tolerance_mm=timing.start_tolerance_mm,
             tolerance_deg=timing.start_tolerance_deg,
         )
-        way = yield from approach.joint_lines(ground.lines, start)
-        way_document = approach.document(way, start)
-        bound = approach.bound(way, job.timing.approach_speed_percent)
+        way = yield from decision.joint_lines(ground.lines, start)
+        way_document = report.document(way, start)
+        bound = report.bound(way, job.timing.approach_speed_percent)
     if bound is not None:
         assert ground.between is not None  # noqa: S101 - its straight lines are admissible
         trajectory = yield from course.from_start(ground.between, start_joints_u)
@@ -182,7 +185,7 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
         start_joints_u=start_joints_u,
         reason=summary(ground.proved),
         approach=bound,
-        approach_reason=approach.summary(way) if way else "not verified: the cut is not admissible",
+        approach_reason=report.summary(way) if way else "not verified: the cut is not admissible",
         trajectory=trajectory,
         to_confirm=tuple(caution.code for caution in ground.cautions if caution.confirm),
     )

@@ -16,9 +16,9 @@ from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Floats, ReferenceTrajectory
 from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
-from cutgate.runtime.verification.approach import Steps
 from cutgate.runtime.verification.bounds.geometry import VERTICAL
 from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.steps import Steps
 
 Ints = NDArray[np.int64]
 

@@ -23,7 +23,7 @@ from cutgate.config.model import Robot
 from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.runtime.verification import advice as guiding
-from cutgate.runtime.verification.approach import Start
+from cutgate.runtime.verification.approach.model import Start
 
 LENGTH_BYTES: Final = 4
 REQUEST_BYTES_MAX: Final = 1 << 18

@@ -23,7 +23,8 @@ from cutgate.runtime.session.messages import (
     framed,
     shown,
 )
-from cutgate.runtime.verification import approach, certified
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.approach import decision, report
 from cutgate.runtime.verification.placing.guidance import Quantise, guide
 from cutgate.runtime.verification.problem import Floats
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -39,8 +40,8 @@ def answers(request: Request) -> Iterator[Answer]:
         request.path, request.limits, request.calibration, request.tool, request.robot
     )
     verdict = certified.verify(problem)
-    way = approach.verify(problem, request.start) if verdict.admissible else None
-    bound = approach.bound(way, request.speed_percent) if way else None
+    way = decision.verify(problem, request.start) if verdict.admissible else None
+    bound = report.bound(way, request.speed_percent) if way else None
     yield Claim(
         request=request.number,
         admissible=verdict.admissible,

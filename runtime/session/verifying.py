@@ -11,7 +11,7 @@ from cutgate.runtime.interlock.state import Collected, Verify
 from cutgate.runtime.session.check import Answer, Check, disagreement
 from cutgate.runtime.session.messages import Broken, Claim, Guided
 from cutgate.runtime.session.worker import Worker
-from cutgate.runtime.verification.approach import Steps
+from cutgate.runtime.verification.steps import Steps
 
 UNASKED = "the verification process says what it was not asked"
 

@@ -17,7 +17,9 @@ from cutgate.examples import make_femoral
 from cutgate.firmware_sim.process import middle_of
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import prepare
-from cutgate.runtime.verification import approach, certified
+from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.approach import decision
+from cutgate.runtime.verification.approach.model import Start
 from cutgate.runtime.verification.recorded import problem_from_records
 
 SCRIPTS = {
@@ -82,13 +84,13 @@ def test_a_plan_is_admissible_with_room_to_spare(name):
 def test_the_simulated_arm_reaches_it_and_comes_back_from_where_it_stands_at_power_up(name):
     problem, site = placed(name), Site()
     branch = certified.verify(problem).branch
-    start = approach.Start(
+    start = Start(
         np.array(middle_of(limits_record(ROBOT))),
         round(1000 * site.approach.approach_clearance_mm),
         site.start.start_tolerance_mm,
         math.radians(site.start.start_tolerance_deg),
     )
-    found = approach.verify(replace(problem, branch=(branch.q0_turns, branch.roll_turns)), start)
+    found = decision.verify(replace(problem, branch=(branch.q0_turns, branch.roll_turns)), start)
     assert found.admissible, found.reasons
 
 

@@ -74,6 +74,11 @@ class Geometry:
     error_rad: float
     pad_mm: float
 
+    @property
+    def signs(self) -> Floats:
+        """Signs that mirror a left elbow's joints into the canonical arm, and back; shape (5,)."""
+        return joint_signs(self.side)
+
 
 @dataclass(frozen=True, slots=True)
 class Segments:
@@ -102,10 +107,10 @@ class Segments:
 def canonical(problem: Problem) -> tuple[Geometry, Segments]:
     """Bring a problem with finite numbers into canonical form."""
     side = 1.0 if problem.arm.elbow == "right" else -1.0
-    flip = np.array((side, side, 1.0, side, 1.0))
+    signs = joint_signs(side)
     calibration = problem.calibration
     ends = np.stack((problem.lower, problem.upper)) + calibration.joint_offset
-    lower, upper = np.minimum(*(ends * flip)), np.maximum(*(ends * flip))
+    lower, upper = np.minimum(*(ends * signs)), np.maximum(*(ends * signs))
     inverted = problem.lower > problem.upper  # stays empty instead of being mended by the sorting
     lower, upper = np.where(inverted, np.inf, lower), np.where(inverted, -np.inf, upper)
     workspace = PlanarWorkspace(
@@ -126,7 +131,7 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         side=side,
         lower=lower,
         upper=upper,
-        offset=calibration.joint_offset * flip,
+        offset=calibration.joint_offset * signs,
         tilt=tilt,
         stretch=stretch,
         tool_mm=problem.tool_length_mm,
@@ -139,6 +144,11 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         pad_mm=ROUNDINGS * EPSILON * largest,
     )
     return geometry, segments
+
+
+def joint_signs(side: float) -> Floats:
+    """Sign of each joint for the elbow's side, +1 or -1; shape (5,)."""
+    return np.array((side, side, 1.0, side, 1.0))
 
 
 def errors(problem: Problem) -> tuple[float, float]:

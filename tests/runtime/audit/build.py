@@ -27,7 +27,10 @@ from cutgate.runtime.audit.scan import scan
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import prepare, with_branch
-from cutgate.runtime.verification import approach, certificate, certified
+from cutgate.runtime.verification import certificate, certified
+from cutgate.runtime.verification.approach import report
+from cutgate.runtime.verification.approach.decision import verify as verify_approach
+from cutgate.runtime.verification.approach.model import Start
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.report.document import Digests, verdict_document
@@ -239,13 +242,13 @@ def approach_of(given: float = 500.0) -> records.Approach:
     """The approach record of these inputs, at the default site's settings."""
     i = inputs(given)
     problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
-    start = approach.Start.of(STANDS, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2)
-    verdict = approach.verify(problem, start)
+    start = Start.of(STANDS, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2)
+    verdict = verify_approach(problem, start)
     return records.Approach.of(
-        approach.document(verdict, start),
+        report.document(verdict, start),
         start_joints_u=STANDS,
-        bound=approach.bound(verdict, 25),
-        reason=approach.summary(verdict),
+        bound=report.bound(verdict, 25),
+        reason=report.summary(verdict),
     )
 
 

@@ -10,9 +10,10 @@ from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
 from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach import Start, verify
+from cutgate.runtime.verification.approach.decision import verify
+from cutgate.runtime.verification.approach.model import Start
 from tests.runtime.interlock.builders import NOW, READY, START_JOINTS, VERDICT, in_phase
-from tests.runtime.verification.test_approach import MIDDLE, cut
+from tests.runtime.verification.approach.cuts import MIDDLE, cut
 
 
 def test_what_an_admitted_session_waits_for_is_named(capfd):

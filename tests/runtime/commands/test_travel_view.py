@@ -8,9 +8,10 @@ import pytest
 from cutgate.protocol.records import joints_to_counts
 from cutgate.runtime.commands.travel_view import travel_lines
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.approach import Start, verify
+from cutgate.runtime.verification.approach.decision import verify
+from cutgate.runtime.verification.approach.model import Start
+from tests.runtime.verification.approach.cuts import MIDDLE, cut
 from tests.runtime.verification.cases import DEG, WIDE
-from tests.runtime.verification.test_approach import MIDDLE, cut
 
 
 def told(roll_deg=0.0, turns=0, limit=WIDE, **changes):

@@ -57,8 +57,8 @@ from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, fram
 from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach import Steps, finished
 from cutgate.runtime.verification.plausibility import Placed
+from cutgate.runtime.verification.steps import Steps, finished
 from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 

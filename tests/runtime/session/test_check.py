@@ -12,10 +12,13 @@ from cutgate.runtime.session import check as checks
 from cutgate.runtime.session.check import Check, disagreement, with_guidance
 from cutgate.runtime.session.messages import Request
 from cutgate.runtime.session.prover import answers
-from cutgate.runtime.verification import approach, certificate, certified, plausibility
+from cutgate.runtime.verification import certificate, certified, plausibility
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach import Start, finished
+from cutgate.runtime.verification.approach import curve as curves
+from cutgate.runtime.verification.approach import decision
+from cutgate.runtime.verification.approach.model import Start
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.steps import finished
 from tests.runtime.session.pair import (
     ADMISSIBLE_MM,
     INADMISSIBLE_MM,
@@ -89,7 +92,7 @@ def test_the_verification_process_is_asked_for_what_the_controller_holds_as_the_
 def test_step_by_step_it_finds_what_is_found_in_one_go(tmp_path_factory):
     job, robot = job_and_robot(tmp_path_factory)
     for joints_u in (STANDS, LOW):
-        whole = approach.verify(
+        whole = decision.verify(
             problem_of(job, robot),
             Start.of(joints_u, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2),
         )
@@ -208,7 +211,7 @@ def test_nothing_of_the_path_is_looked_at_in_the_steps(tmp_path_factory, monkeyp
         (certificate, "certify"),
         (records.Path, "parse"),
         (checks.course, "between"),
-        (approach, "straight_lines"),
+        (checks, "straight_lines"),
     ):
         monkeypatch.setattr(module, name, lambda *_given, **_options: 1 / 0)
     assert finished(check.steps(5, STANDS)).verdict.approach is not None
@@ -216,20 +219,20 @@ def test_nothing_of_the_path_is_looked_at_in_the_steps(tmp_path_factory, monkeyp
 
 def test_no_step_looks_at_more_than_a_block(tmp_path_factory, monkeypatch):
     """Also where nothing is ever decided: the work of a step is bounded, and so is their number."""
-    monkeypatch.setattr(approach, "GAP_MM", -1e9)  # every interval wants to be halved
-    monkeypatch.setattr(approach, "BUDGET", 20_000)
-    sizes, looked = [], approach._looked_at
+    monkeypatch.setattr(curves, "GAP_MM", -1e9)  # every interval wants to be halved
+    monkeypatch.setattr(curves, "BUDGET", 20_000)
+    sizes, looked = [], curves.looked_at
 
     def looking(curve, arc, a, b, **options):
         sizes.append(len(a))
         return looked(curve, arc, a, b, **options)
 
-    monkeypatch.setattr(approach, "_looked_at", looking)
+    monkeypatch.setattr(curves, "looked_at", looking)
     steps, before = check_of(*job_and_robot(tmp_path_factory)).steps(5, STANDS), 0
     for _ in steps:
         assert len(sizes) - before <= 1
         before = len(sizes)
-    assert max(sizes) == approach.BLOCK
+    assert max(sizes) == curves.BLOCK
     assert sum(sizes) <= 8 * (2 * 20_000 + 1)
 
 

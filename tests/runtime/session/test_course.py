@@ -13,8 +13,8 @@ from cutgate.protocol import records
 from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD
 from cutgate.runtime.session.course import KNOT_S, between, from_start
-from cutgate.runtime.verification.approach import finished
 from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.steps import finished
 from tests.runtime.session.pair import STANDS, check_of, job_of, request_of
 
 

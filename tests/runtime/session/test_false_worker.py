@@ -13,7 +13,7 @@ from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session.messages import ANSWER_BYTES_MAX, Broken, Claim, framed
-from cutgate.runtime.verification.approach import finished
+from cutgate.runtime.verification.steps import finished
 from tests.runtime.session.pair import (
     ADMISSIBLE_MM,
     STANDS,

@@ -29,7 +29,7 @@ from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.job import Files, make_job, read_files
-from cutgate.runtime.verification.approach import finished
+from cutgate.runtime.verification.steps import finished
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
     FRESH,

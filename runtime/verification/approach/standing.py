@@ -33,7 +33,7 @@ TRIED: Final = 4000
 
 
 def standing(
-    geometry: Geometry, joints: Floats, tolerance_mm: float, tolerance_rad: float, *, held: bool
+    geometry: Geometry, joints: Floats, tolerance_mm: float, tolerance_rad: float, *, roll_held: bool
 ) -> tuple[str, ...]:
     """A sentence for each joint that stands where no approach may begin; empty if each may stay.
 
@@ -42,20 +42,21 @@ def standing(
         joints: reported, finite, rad and mm, shape (5,).
         tolerance_mm: of the start, kept besides the deadband.
         tolerance_rad: likewise, of a turning joint.
-        held: whether the cut holds a declared roll: then a vertical tool has no stop below it.
+        roll_held: whether the cut holds a declared roll: then a vertical tool has no stop below it.
     """
     if geometry.workspace.empty:
         return ()
     keep_mm, keep_rad = geometry.arm_mm + tolerance_mm, geometry.wrist_rad + tolerance_rad
-    flip = np.array((geometry.side, geometry.side, 1.0, geometry.side, 1.0))
-    true = joints * flip + geometry.offset
+    true = joints * geometry.signs + geometry.offset
     said = {}
-    for joint, allowed in _allowed(geometry, true, keep_mm, keep_rad, held=held):
+    for joint, allowed in _allowed(geometry, true, keep_mm, keep_rad, roll_held=roll_held):
         if allowed is None or not allowed[0] <= allowed[1]:
             kept = _kept(joint, keep_mm, keep_rad)
             said[joint] = f"{_stands(geometry, joint, joints)}: no place of it keeps {kept} from all of them"
         elif not allowed[0] <= true[joint] <= allowed[1]:
-            ends = sorted((end - float(geometry.offset[joint])) * float(flip[joint]) for end in allowed)
+            ends = sorted(
+                (end - float(geometry.offset[joint])) * float(geometry.signs[joint]) for end in allowed
+            )
             kept = _kept(joint, keep_mm, keep_rad)
             said[joint] = (
                 f"{_stands(geometry, joint, joints)}, {kept} must be kept: {_move(joint, joints, ends)}"
@@ -64,14 +65,14 @@ def standing(
 
 
 def _allowed(
-    g: Geometry, true: Floats, keep_mm: float, keep_rad: float, *, held: bool
+    g: Geometry, true: Floats, keep_mm: float, keep_rad: float, *, roll_held: bool
 ) -> Iterator[tuple[int, Range | None]]:
     """Where each joint may stand, canonical; None where nowhere. The shoulder comes last, with the elbow put right."""
     yield 2, (float(g.lower[2]) + keep_mm, float(g.upper[2]) - keep_mm)
     low, high = goes(g, 3, ROTATION_DEG_STANDS)
     yield 3, (max(float(g.lower[3]) + keep_rad, low), min(float(g.upper[3]) - keep_rad, high))
     least = float(g.lower[4])
-    yield 4, (least if held and least <= 0.0 else least + keep_rad, float(g.upper[4]) - keep_rad)
+    yield 4, (least if roll_held and least <= 0.0 else least + keep_rad, float(g.upper[4]) - keep_rad)
     elbow = _elbow(g, keep_mm)
     yield 1, elbow
     if elbow is not None:
@@ -120,13 +121,13 @@ def _shoulder(g: Geometry, stands: float, elbow: float, keep_mm: float) -> Range
 def _stands(g: Geometry, joint: int, joints: Floats) -> str:
     """Where a joint stands, and between which limits."""
     scale, unit = (1.0, "mm") if joint == 2 else (math.degrees(1.0), "deg")
-    flip = 1.0 if joint in {2, 4} else g.side
+    sign = float(g.signs[joint])
     low, high = (
         (float(g.workspace.q1_lo), float(g.workspace.q1_hi))
         if joint == 1
         else (g.lower[joint], g.upper[joint])
     )
-    ends = sorted((float(end) - float(g.offset[joint])) * flip * scale for end in (low, high))
+    ends = sorted((float(end) - float(g.offset[joint])) * sign * scale for end in (low, high))
     frame = joint in {0, 3} and (ends[0] < -ROTATION_DEG_STANDS or ends[1] > ROTATION_DEG_STANDS)
     bound = f", and it is surely reported within +-{ROTATION_DEG_STANDS} deg" if frame else ""
     return (

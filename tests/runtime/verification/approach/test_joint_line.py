@@ -1,0 +1,174 @@
+"""Joint lines: closed forms of every boundary, limits, and shoulders of more than a turn."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cutgate.runtime.verification.approach.decision import verify
+from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from tests.runtime.verification.approach.cuts import (
+    ARCS,
+    MIDDLE,
+    cut,
+    joint_line,
+    line_margins,
+    spinning,
+    vertical,
+)
+from tests.runtime.verification.cases import DEG
+
+
+def solved(function, low, high):
+    """Where a monotone function is zero, by bisection."""
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if function(low) * function(middle) > 0 else (low, middle)
+    return (low + high) / 2
+
+
+def elbow_at(radius):
+    return math.acos((radius**2 - 2 * 450.0**2) / (2 * 450.0**2))
+
+
+INNER = 900.0 * math.cos(72.5 * DEG)
+
+
+def side_distance(name, off):
+    """Wrist centre from the arc of a q0 limit, q1 at 90 deg and q0 so far inside it."""
+    turned = -off if name == "left" else off
+    x = 450 * (math.cos(turned) - 1) - 450 * math.sin(turned)
+    y = 450 * math.sin(turned) + 450 * math.cos(turned)
+    return abs(math.hypot(x, y) - 450)
+
+
+def line_at(name, kept):
+    """A joint line whose least distance to one boundary is known in closed form."""
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    if name in {"inner", "outer"}:
+        first[1] = last[1] = elbow_at(INNER + kept if name == "inner" else 900.0 - kept)
+        first[0], last[0] = -50 * DEG, 60 * DEG
+    elif name in {"left", "right"}:
+        first[1] = last[1] = 90 * DEG
+        at = 80 * DEG - solved(lambda off: side_distance(name, off) - kept, 0.0, 0.05)
+        last[0] = at if name == "left" else -at
+    else:
+        last[2] = 450.0 - kept if name == "top" else 50.0 + kept
+    return first, last
+
+
+@pytest.mark.parametrize("short_mm", [1e-6, -1e-6])
+@pytest.mark.parametrize("name", ["inner", "outer", "left", "right", "top", "bottom"])
+def test_an_arm_boundary_is_decided_to_a_millionth_of_a_millimetre(name, short_mm):
+    """The arm sweeps along inner and outer at a constant distance, and turns up to left and right."""
+    first, last = line_at(name, 5.0 - short_mm)
+    for leg in (joint_line(cut(), first, last), joint_line(cut(), last, first, "retract")):
+        assert leg.boundaries[name].violated is (short_mm > 0)
+        assert leg.boundaries[name].clearance == pytest.approx(5.0 - short_mm, abs=1e-7)
+        assert bool(leg.reasons) is (short_mm > 0)
+
+
+@pytest.mark.parametrize("short_deg", [1e-6, -1e-6])
+@pytest.mark.parametrize(
+    ("name", "joint", "limit", "sign"),
+    [
+        ("roll_min", 3, -170.0, 1),
+        ("roll_max", 3, 170.0, -1),
+        ("pitch_min", 4, 0.0, 1),
+        ("pitch_max", 4, 110.0, -1),
+    ],
+)
+def test_a_wrist_boundary_is_decided_to_a_millionth_of_a_degree(name, joint, limit, sign, short_deg):
+    last = MIDDLE.copy()
+    last[joint] = (limit + sign * (2.0 - short_deg)) * DEG
+    leg = joint_line(cut(), MIDDLE, last)
+    assert leg.boundaries[name].violated is (short_deg > 0)
+    assert leg.boundaries[name].fraction == 1.0
+    assert [reason.split(":")[0] for reason in leg.reasons] == ([name] if short_deg > 0 else [])
+
+
+def test_a_line_whose_ends_keep_inner_and_whose_middle_does_not_is_refused():
+    """Its ends lie beside the inner arc's extent, its middle before it."""
+    arm = cut(
+        arm=Arm(244.0, 591.0, "right"),
+        lower=np.array([69 * DEG, 0.77 * DEG, 50.0, -170 * DEG, 0.0]),
+        upper=np.array([195 * DEG, 99.4 * DEG, 450.0, 170 * DEG, 110 * DEG]),
+        deadband=Deadband(160.0, 2 * DEG),
+    )
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    first[:2], last[:2] = (72.4 * DEG, 75.2 * DEG), (195 * DEG, 3.0 * DEG)
+    leg = joint_line(arm, first, last)
+    sampled, inside, _ = line_margins(arm, first, last)
+    assert inside
+    inner = leg.boundaries["inner"]
+    assert min(sampled["inner"][0], sampled["inner"][-1]) > 200.0
+    assert inner.clearance < 160.0
+    assert inner.clearance == pytest.approx(sampled["inner"].min(), abs=0.05)
+    assert 0.1 < inner.fraction < 0.9
+    assert inner.violated
+    assert any(reason.startswith("inner: clearance") for reason in leg.reasons)
+
+
+@pytest.mark.parametrize(
+    ("joint", "value", "text"),
+    [
+        (0, 80.1 * DEG, "q0 at 80.100 deg, its limits are [-80, 80] deg, 5 mm at the wrist centre"),
+        (1, 145.1 * DEG, "q1 at 145.100 deg, its limits are [0, 145] deg, 5 mm at the wrist centre"),
+        (2, 49.9, "q2 at 49.900 mm, its limits are [50, 450] mm, 5 mm"),
+        (3, -170.1 * DEG, "q3 at -170.100 deg, its limits are [-170, 170] deg, 2 deg"),
+        (4, -0.1 * DEG, "q4 at -0.100 deg, its limits are [0, 110] deg, 2 deg"),
+    ],
+)
+def test_start_joints_outside_their_limits_are_named(joint, value, text):
+    start = MIDDLE.copy()
+    start[joint] = value
+    verdict = verify(cut(), Start(start, 10_000))
+    assert not verdict.admissible
+    assert f"the arm stands with {text}" in verdict.reasons[0]
+    assert all(b.certified is None and b.violated for b in map(verdict.legs[0].boundaries.get, ARCS))
+
+
+def test_a_line_past_the_straight_elbow_is_refused_though_the_reported_limit_allows_it():
+    """An offset pushes the reported limit of 0 to a true -1 deg: the branch ends at the straight arm."""
+    arm = cut(calibration=Calibration(joint_offset=np.array([0.0, -1.0 * DEG, 0.0, 0.0, 0.0])))
+    start = MIDDLE.copy()
+    start[1] = 0.5 * DEG
+    leg = joint_line(arm, start, MIDDLE)
+    assert any("q1 is 0.500000 deg at its beginning, must be in [1, 145]" in reason for reason in leg.reasons)
+
+
+def test_of_a_shoulder_of_more_than_a_turn_a_limit_counts_within_half_a_turn_of_it():
+    def sides(first_deg, last_deg):
+        first, last = MIDDLE.copy(), MIDDLE.copy()
+        first[0], last[0] = first_deg * DEG, last_deg * DEG
+        return joint_line(spinning(), first, last).boundaries
+
+    assert {"left", "right"}.isdisjoint(sides(-200.0, 200.0))  # passes their places in the plane all the same
+    near = sides(0.0, 390.0)
+    assert "right" not in near
+    expected = line_margins(spinning(), [0, *MIDDLE[1:]], [390 * DEG, *MIDDLE[1:]], 4000)[0]["left"].min()
+    assert near["left"].certified == pytest.approx(expected, abs=0.01)
+    assert near["left"].fraction == pytest.approx(1.0)
+    both = sides(390.0, -395.0)
+    assert both["left"].fraction == 0.0
+    assert both["right"].fraction == 1.0
+
+
+def test_a_limit_that_does_not_count_at_the_worst_place_of_its_arc_counts_elsewhere():
+    """On the way to +230 deg the arm passes the left arc's place a turn before it, and comes near it only half."""
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    first[0], last[0] = 0.0, 230 * DEG
+    left = joint_line(spinning(), first, last).boundaries["left"]
+    sampled = line_margins(spinning(), first, last, 4_000)[0]["left"]
+    assert left.clearance == pytest.approx(sampled.min(), abs=0.5)
+    assert left.fraction >= 220 / 230 - 1e-6
+    assert left.clearance > 100.0
+
+
+def test_below_a_vertical_tool_a_stop_counts():
+    """A true lower limit of the pitch above 0 is a stop."""
+    stop = vertical(0.4)
+    stop = replace(stop, lower=np.array([*stop.lower[:4], 1e-9]))
+    assert "pitch_min" in verify(stop, Start(MIDDLE, 10_000)).legs[0].boundaries

@@ -1,0 +1,154 @@
+"""The lines along the tool: entry and exit pose, and what the controller makes of them by itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cutgate.firmware_sim.approach import own_ends
+from cutgate.firmware_sim.kinematics import calibrated_arm
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.protocol import records
+from cutgate.runtime.verification.approach import report
+from cutgate.runtime.verification.approach.decision import joint_lines, verify
+from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.straight_line import first_and_last_joints, straight_lines
+from cutgate.runtime.verification.problem import Arm, Calibration
+from cutgate.runtime.verification.steps import finished
+from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
+from tests.oracle.dense import Dense
+from tests.runtime.verification.approach.cuts import MIDDLE, cut, random_case, straight_margins, vertical
+from tests.runtime.verification.cases import DEG, problem
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(seed):
+    case = random_case(seed, segments=2)
+    if case is None:
+        return
+    made, start = case
+    verdict = verify(made, start)
+    if not verdict.admissible:
+        return
+    for pose, out_um, joints in ((0, verdict.entry_um, verdict.entry), (-1, verdict.exit_um, verdict.exit)):
+        at_pose = first_and_last_joints(made)[pose]
+        _, dense, turns = straight_margins(made, pose, out_um, at_pose)
+        true = joints + made.calibration.joint_offset
+        np.testing.assert_allclose(true[[1, 4]], dense.samples.q[-1, [1, 4]], atol=1e-7)
+        assert true[2] == pytest.approx(dense.samples.q[-1, 2], abs=1e-6)  # joints are bound in 1e-6 deg | mm
+        assert true[0] == pytest.approx(dense.lifted(0, turns[0])[-1], abs=1e-7)
+        assert true[3] == pytest.approx(dense.lifted(3, turns[1])[-1], abs=1e-6)
+        beyond = (made.tips_mm[pose] + out_um / 1000 * made.axes[pose] - made.tips_mm) @ made.axes[pose]
+        assert start.clearance_um / 1000 - 1e-9 <= beyond.min() <= start.clearance_um / 1000 + 0.001 + 1e-9
+    first = Dense(made, per_segment=60)
+    assert made.branch is not None
+    np.testing.assert_allclose(
+        first_and_last_joints(made)[:, 0] + made.calibration.joint_offset[0],
+        first.lifted(0, made.branch[0])[[0, -1]],
+        atol=1e-7,
+    )
+
+
+def test_a_vertical_tool_is_approached_with_its_held_roll():
+    verdict = verify(vertical(0.4), Start(MIDDLE, 10_000))
+    assert verdict.admissible, verdict.reasons
+    assert verdict.entry[[3, 4]] == pytest.approx([0.4, 0.0], abs=1e-8)
+    assert verdict.exit[[3, 4]] == pytest.approx([0.4, 0.0], abs=1e-8)
+    assert all("pitch_min" not in leg.boundaries for leg in verdict.legs)
+    assert (verdict.entry_um, verdict.exit_um) == (10_000, 20_000)
+
+
+def test_a_vertical_tool_without_a_held_roll_has_no_approach():
+    assert not verify(vertical(None), Start(MIDDLE, 10_000)).admissible
+
+
+def test_a_straight_leg_that_leaves_the_slides_travel_is_refused_with_its_sentence():
+    high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
+    verdict = verify(high, Start(MIDDLE, 60_000))
+    assert any("pose to the first pose: top: " in reason for reason in verdict.reasons)
+    assert any("last pose to the exit pose: top: " in reason for reason in verdict.reasons)
+    assert any("lower approach_clearance_mm or move the bone" in reason for reason in verdict.reasons)
+
+
+def test_a_straight_leg_keeps_the_joint_speeds():
+    slow = replace(cut(), feed_mm_s=5_000.0)
+    verdict = verify(slow, Start(MIDDLE, 10_000))
+    reasons = verdict.reasons
+    assert not verdict.admissible
+    assert not any(b.violated for leg in verdict.legs for b in leg.boundaries.values())
+    assert any("straight line" in reason and "joint 2: needs up to" in reason for reason in reasons)
+    assert not any("joint line" in reason for reason in reasons)
+
+
+def of_both(path, calibration, limits, clearance_um, hold_roll=None):
+    """What the runtime binds, and what the controller comes to by itself."""
+    check = PathCheck(path, limits, calibration, TOOL, hold_roll)
+    assert check.run().detail == ""
+    arm = calibrated_arm(calibration, tool_mm=TOOL_MM, elbow=path.elbow, hold_roll_rad=hold_roll)
+    theirs = own_ends(path, arm, limits, check.first_joints, check.last_joints, clearance_um=clearance_um)
+    mine = problem(
+        path.tips_mm,
+        path.axes,
+        branch=(path.q0_turns, path.roll_turns),
+        arm=Arm(calibration.upper_mm, calibration.forearm_mm, path.elbow),
+        lower=limits.q_min,
+        upper=limits.q_max,
+        hold_roll=hold_roll,
+        calibration=Calibration(
+            calibration.upper_link_error_mm,
+            calibration.forearm_link_error_mm,
+            calibration.joint_offset,
+            calibration.slide_tilt,
+        ),
+    )
+    middle = (limits.q_min + limits.q_max) / 2
+    return report.bound(verify(mine, Start(middle, clearance_um)), 25), theirs
+
+
+@pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED], ids=["nominal", "calibrated"])
+@pytest.mark.parametrize("elbow", ["right", "left"])
+@pytest.mark.parametrize(("q0_turns", "roll_turns"), [(0, 0), (1, -2), (-3, 1)])
+@pytest.mark.parametrize("clearance_um", [0, 25_000])
+def test_the_controller_comes_to_the_same_entry_and_exit(
+    calibration, elbow, q0_turns, roll_turns, clearance_um
+):
+    sides = {
+        "right": WIDE,
+        "left": replace(WIDE, q_min_u=_elbow(WIDE.q_min_u, -180), q_max_u=_elbow(WIDE.q_max_u, 0)),
+    }
+    turns = {"q0_turns": q0_turns, "roll_turns": roll_turns}
+    path = line_path((500.0, 40.0, 100.0), (450.0, 120.0, 60.0), elbow=elbow, **turns)
+    bound, theirs = of_both(path, calibration, sides[elbow], clearance_um)
+    assert (bound.entry_um, bound.exit_um) == (theirs.entry_um, theirs.exit_um)
+    np.testing.assert_allclose(bound.entry_joints_u, theirs.entry_joints_u, atol=2)
+    np.testing.assert_allclose(bound.exit_joints_u, theirs.exit_joints_u, atol=2)
+
+
+def _elbow(joints_u, deg):
+    return (joints_u[0], deg * records.UNIT, *joints_u[2:])
+
+
+def test_the_controller_holds_the_roll_of_a_vertical_tool_on_the_way_as_well():
+    path = line_path((500.0, 0.0, 100.0), (520.0, 0.0, 100.0), polar=(0, 0), azimuth=(0, 0))
+    bound, theirs = of_both(path, NOMINAL, LIMITS, 10_000, hold_roll=0.4)
+    assert (theirs.entry_um, theirs.exit_um) == (bound.entry_um, bound.exit_um) == (10_000, 10_000)
+    assert theirs.entry_joints_u[3] == bound.exit_joints_u[3] == round(math.degrees(0.4) * 1e6)
+    np.testing.assert_allclose(bound.exit_joints_u, theirs.exit_joints_u, atol=2)
+
+
+def test_the_straight_lines_are_known_before_it_is_known_where_the_arm_stands():
+    lines = straight_lines(cut(), 10_000)
+    whole = verify(cut(), Start(MIDDLE, 10_000))
+    assert (lines.inward, lines.outward) == whole.legs[1:3]
+    assert lines.admissible
+    assert report.bound(lines, 25) == report.bound(whole, 25)
+    far = straight_lines(cut(), 500_000)
+    assert not far.admissible
+    assert report.bound(far, 25) is None
+    nowhere = straight_lines(cut(), -1)
+    assert report.bound(nowhere, 25) is None
+    assert finished(joint_lines(nowhere, Start(MIDDLE, 10_000))) is nowhere

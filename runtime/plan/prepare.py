@@ -15,6 +15,7 @@ from cutgate.config.load import InputError, Loaded
 from cutgate.config.model import Robot
 from cutgate.config.records import tool_record
 from cutgate.protocol.records import Path, RecordError
+from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.plan.model import Floats, Plan, Registration
 
 Link = Literal["linked", "not linked"]
@@ -100,14 +101,11 @@ def prepare(
     _check_tool(plan, tool.length_u)
     feed = _feed(plan, feed_mm_s)
     link = _check_link(plan, registration)
-    tips, axes = plan.value.tips_mm, plan.value.axes
     placement = plan.value.ct_T_implant
     if registration is not None:
         _check_age(registration, now)
         placement = registration.value.matrix @ placement
-    tips = tips @ placement[:3, :3].T + placement[:3, 3]
-    axes = axes @ placement[:3, :3].T
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    tips, axes = transform_poses(placement, plan.value.tips_mm, plan.value.axes)
     _check_turns(plan, axes)
     try:
         path = Path.quantised(tips, axes, feed_mm_s=feed, tool_length_mm=tool.length_mm, elbow=robot.elbow)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.problem import Problem
@@ -219,9 +220,8 @@ def _inverse(registration: Floats) -> Floats:
 
 def _moved(problem: Problem, by: Floats) -> Problem:
     """The path somewhere else, shape (4, 4)."""
-    axes = problem.axes @ by[:3, :3].T
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return replace(problem, tips_mm=problem.tips_mm @ by[:3, :3].T + by[:3, 3], axes=axes, branch=None)
+    tips_mm, axes = transform_poses(by, problem.tips_mm, problem.axes)
+    return replace(problem, tips_mm=tips_mm, axes=axes, branch=None)
 
 
 def cautions_of_move(guidance: Guidance | None) -> tuple[Caution, ...]:

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.kinematics.pose import transform_poses, turn_about_vertical
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance, Move, Vector
 from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
@@ -113,12 +114,9 @@ def moved(problem: Problem, yaw_deg: float, pivot_mm: Vector, translation_mm: Fl
     """The path on a bone turned about the vertical through the pivot, then translated; not quantised."""
     if yaw_deg == 0.0:
         return replace(problem, tips_mm=problem.tips_mm + np.asarray(translation_mm))
-    c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
-    turn = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-    pivot = np.asarray(pivot_mm)
-    tips = (problem.tips_mm - pivot) @ turn.T + pivot + np.asarray(translation_mm)
-    axes = problem.axes @ turn.T
-    return replace(problem, tips_mm=tips, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    pivot, turn = np.asarray(pivot_mm), turn_about_vertical(math.radians(yaw_deg))
+    tips, axes = transform_poses(turn, problem.tips_mm - pivot, problem.axes)
+    return replace(problem, tips_mm=tips + pivot + np.asarray(translation_mm), axes=axes)
 
 
 def pivot_of(problem: Problem) -> Vector:

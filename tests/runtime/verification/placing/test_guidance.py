@@ -125,6 +125,15 @@ def registered(path, found):
     return replace(path, tips_mm=wire.tips_mm, axes=wire.axes)
 
 
+def test_a_turn_about_the_vertical_keeps_its_pivot_and_the_height():
+    pivot = (10.0, -4.0, 7.0)
+    path = problem(np.array([pivot, (11.0, -4.0, 9.0)]), np.tile((1.0, 0.0, 0.0), (2, 1)))
+    there = guidance.moved(path, 40.0, pivot, (0.5, 0.0, -2.0))
+    expected = ((10.5, -4.0, 5.0), (10.5 + math.cos(40 * DEG), -4.0 + math.sin(40 * DEG), 7.0))
+    np.testing.assert_allclose(there.tips_mm, expected, atol=1e-12)
+    np.testing.assert_allclose(there.axes, [(math.cos(40 * DEG), math.sin(40 * DEG), 0.0)] * 2, atol=1e-15)
+
+
 def test_what_a_translation_cannot_cure_is_said():
     path = problem(*wrist_path([[600.0, 0.0, 200.0], [620.0, 0.0, 200.0]], axis(0.5 * DEG, 0.3)))
     _, found = advice(path)

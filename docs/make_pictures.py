@@ -24,6 +24,7 @@ from PIL import Image
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.runtime.kinematics.arm import TrueArm
+from cutgate.runtime.library.printed import printed_distance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.verification import certified, stocco
@@ -32,7 +33,6 @@ from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, WRIST_BOUNDARIES, Verdict
 from cutgate.runtime.workspace.distance import side_distances, signed_distance, signed_sides
 from cutgate.runtime.workspace.planar import SIDES, PlanarWorkspace
-from cutgate.runtime.workspace.printed import printed_distance
 
 Floats = NDArray[np.float64]
 

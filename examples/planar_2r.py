@@ -16,7 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.workspace.numeric import Decision, Path, Polyline, SampledBoundary, certify, sample_curve
+from cutgate.runtime.library.other_arms import (
+    Decision,
+    Path,
+    Polyline,
+    SampledBoundary,
+    certify,
+    sample_curve,
+)
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

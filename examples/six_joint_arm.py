@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
-from cutgate.runtime.workspace.distance import ExactPlanar, signed_distance
-from cutgate.runtime.workspace.numeric import Decision, certify
+from cutgate.runtime.library.other_arms import Decision, ExactPlanar, certify
+from cutgate.runtime.workspace.distance import signed_distance
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ to its limits and to the singularity. The separate angular run does not see that
 turns the roll, nor does it wind q0 about the column: ``roll_min``, ``roll_max``, the joint speeds and,
 for a shoulder of a full turn or more, ``left`` and ``right`` are no part of this verdict.
 
-D is the exact distance. The planar D as printed, eq. (16)-(21), is positive at places out of reach; `march_on_printed`
-marches on it for the record, and no verdict comes of it.
+D is the exact distance. The planar D as printed, eq. (16)-(21), is positive at places out of reach; no verdict comes of it
+(`cutgate.runtime.library.printed`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ from cutgate.runtime.verification.report.reasons import sentences
 from cutgate.runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import SIDES
-from cutgate.runtime.workspace.printed import printed_sides
 
 Floats = NDArray[np.float64]
 
@@ -102,21 +101,6 @@ def march(length: float, deadband: float, distances: Callable[[float], Floats]) 
     return March(admitted, len(places), best_case(length), bound, np.array(places), np.array(values))
 
 
-def march_on_printed(problem: Problem) -> March:
-    """The arm's march on the planar distance as printed, eq. (16)-(21). For the record: it proves nothing.
-
-    ``admitted`` may be true of a path that leaves the workspace, or even starts outside. The columns of ``values`` are
-    those of the exact march: inner, outer, arc about o1, arc about o2, top, bottom; infinite where none applies.
-
-    Raises:
-        ValueError: the problem's numbers are not usable.
-    """
-    wrong = defects(problem)
-    if wrong:
-        raise ValueError("; ".join(wrong))
-    return _arm_march(*canonical(problem), _printed_arm_distances)
-
-
 def verify(problem: Problem) -> Verdict:
     """Verify as the paper prints it: the arm's march, then the wrist's, each at twice its deadband."""
     wrong = defects(problem)
@@ -124,7 +108,7 @@ def verify(problem: Problem) -> Verdict:
         return refused(problem, wrong, "stocco")
     geometry, segments = canonical(problem)
     lengths = _lengths(geometry, segments)
-    arm = _arm_march(geometry, segments, _arm_distances)
+    arm = arm_march(geometry, segments, _arm_distances)
     wrist = march(
         float(segments.theta.sum()),
         geometry.wrist_rad,
@@ -164,9 +148,10 @@ ARM = (*SIDES, "top", "bottom")
 WRIST = ("pitch_min", "pitch_max", "wrist_singularity")
 
 
-def _arm_march(
+def arm_march(
     geometry: Geometry, segments: Segments, evaluate: Callable[[Geometry, Points], Floats]
 ) -> March:
+    """The arm's march on any distances, shape (boundaries,), of one point."""
     lengths = _lengths(geometry, segments)
     return march(float(lengths.sum()), geometry.arm_mm, _along(geometry, segments, lengths, evaluate))
 
@@ -204,14 +189,11 @@ def _arm_distances(geometry: Geometry, points: Points) -> Floats:
     sides = signed_sides(points.distances, points.inside, full_turn=full)[0]
     if full:  # unlimited joints of the paper's Figure 2: only the two circles bound the set
         sides[2:] = np.inf
-    return _with_slide(geometry, points, sides)
+    return with_slide(geometry, points, sides)
 
 
-def _printed_arm_distances(geometry: Geometry, points: Points) -> Floats:
-    return _with_slide(geometry, points, printed_sides(points.centre, geometry.workspace)[0])
-
-
-def _with_slide(geometry: Geometry, points: Points, sides: Floats) -> Floats:
+def with_slide(geometry: Geometry, points: Points, sides: Floats) -> Floats:
+    """Distances to the arcs, and to both ends of the slide."""
     z = float(points.height[0])
     return np.append(sides, (geometry.upper[2] - z, z - geometry.lower[2]))
 

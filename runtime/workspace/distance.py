@@ -5,9 +5,6 @@ Positive inside, negative outside, 1-Lipschitz; the sign comes from inverse kine
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,54 +12,6 @@ from cutgate.runtime.workspace.planar import PlanarWorkspace, distance_to_arc
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-
-class Distance(Protocol):
-    """A distance to the nearest boundary of a workspace, exact or numeric, for `cutgate.runtime.workspace.numeric`.
-
-    The true signed distance is positive only inside, and a ball of that radius round a point inside is inside.
-    What is computed may be off by a stated bound. Unit: mm, or whatever the path is measured in.
-    """
-
-    @property
-    def lipschitz(self) -> float:
-        """Bound on the change of the true distance per unit moved."""
-        ...  # pragma: no cover
-
-    @property
-    def error(self) -> float:
-        """Bound on how far a computed distance is from the true one, rounding included."""
-        ...  # pragma: no cover
-
-    def __call__(self, points: Floats) -> Floats:
-        """Signed distances (n,) of points (n, d); NaN where undefined."""
-        ...  # pragma: no cover
-
-
-ROUNDING = 1e-9
-"""Error of the exact planar distance per mm of reach. Rounding moves an arc by a few epsilon of the reach, and
-membership by most where the elbow is nearly straight: epsilon ** (2 / 3), 4e-11, of the reach."""
-
-
-@dataclass(frozen=True, slots=True)
-class ExactPlanar:
-    """The exact distance of one planar elbow branch as a `Distance`, for points within twice the reach."""
-
-    workspace: PlanarWorkspace
-
-    @property
-    def lipschitz(self) -> float:
-        """A distance to a set is 1-Lipschitz, and so is a signed one."""
-        return 1.0
-
-    @property
-    def error(self) -> float:
-        """Rounding alone, mm."""
-        return ROUNDING * (self.workspace.a0 + self.workspace.a1)
-
-    def __call__(self, points: Floats) -> Floats:
-        """Signed distances, mm. Shape (n, 2) -> (n,)."""
-        return signed_distance(points, self.workspace)
 
 
 def side_distances(points: Floats, workspace: PlanarWorkspace) -> Floats:

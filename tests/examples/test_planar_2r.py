@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.runtime.library.other_arms import Polyline
 from cutgate.runtime.workspace.distance import signed_distance
-from cutgate.runtime.workspace.numeric import Polyline
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 from examples.planar_2r import Planar2R, main, verify
 from tests.runtime.workspace.test_planar import FAMILIES, FULL

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cutgate.runtime.workspace.numeric import certify
+from cutgate.runtime.library.other_arms import certify
 from examples.six_joint_arm import (
     ArmDistance,
     PosePath,

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,40 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.runtime.verification import certified, stocco
-from cutgate.runtime.verification.problem import Arm, Deadband
-from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
-
-LENGTH, EXTENT, STROKES, DEADBAND = 17501.0, 225.0, 25, 25.0
-
-TABLE_1 = [
-    # rho mm, phi deg, evaluations, smallest clearance mm
-    (765.299, 90.0, 97, 55.000),
-    (274.514, 90.0, 83, 66.500),
-    (500.0, 90.0, 47, 291.968),
-    (546.458, 0.0, 65, 96.519),
-]
-
-
-def zigzag(rho, phi_deg):
-    """The reconstructed zigzag of Table 1: 25 equal strokes, 17501 mm, 225 mm across."""
-    k = np.arange(STROKES + 1)
-    width = math.sqrt(LENGTH**2 - EXTENT**2) / STROKES
-    x, y = -width / 2 * (-1.0) ** k, -EXTENT / 2 + k * EXTENT / STROKES
-    c, s = math.cos(phi_deg * DEG), math.sin(phi_deg * DEG)
-    return np.stack((c * x - s * y + rho, s * x + c * y, np.full(len(k), 100.0)), axis=1)
-
-
-def annulus(centres, **changes):
-    """The Figure 2 arm: unlimited joints, annulus 100..1000 mm, level tool."""
-    tips, axes = wrist_path(centres, axis(90 * DEG, 0.3))
-    values = {
-        "arm": Arm(550.0, 450.0, "right"),
-        "lower": np.array([-WIDE, 0.0, -1e4, -WIDE, 0.0]),
-        "upper": np.array([WIDE, math.pi, 1e4, WIDE, math.pi]),
-        "speed": np.full(5, 1e9),
-        "deadband": Deadband(DEADBAND, 2 * DEG),
-    }
-    return problem(tips, axes, **(values | changes))
+from cutgate.runtime.verification.problem import Arm
+from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
+from tests.runtime.verification.table_1 import DEADBAND, TABLE_1, annulus, zigzag
 
 
 @pytest.mark.parametrize(("rho", "phi", "count", "clearance"), TABLE_1)
@@ -183,49 +151,6 @@ def test_with_the_axis_the_march_length_of_the_arm_grows_by_the_tools_sweep():
     bound = np.linalg.norm(tips[1] - tips[0]) + 160.0 * 40.0 * DEG
     assert turned.wrist_length_mm <= bound
     assert turned.evaluations.worst_case == math.ceil(bound / 10.0) + 1
-
-
-def sweeping(azimuths_deg, radius):
-    """The arm the printed equations are wrong about, with a path of its wrist centre on a circle."""
-    t = np.asarray(azimuths_deg) * DEG
-    centres = np.stack((radius * np.cos(t), radius * np.sin(t), np.full(len(t), 100.0)), axis=1)
-    return annulus(
-        centres,
-        arm=Arm(500.0, 500.0, "right"),
-        lower=np.array([-60 * DEG, 0.0, -1e4, -WIDE, 0.0]),
-        upper=np.array([60 * DEG, 150 * DEG, 1e4, WIDE, math.pi]),
-    )
-
-
-def test_the_printed_distance_admits_a_path_that_is_nowhere_reachable_and_no_verdict_does():
-    path = sweeping([-118.0, -115.0, -112.0], 800.0)
-    run = stocco.march_on_printed(path)
-    assert run.admitted
-    assert run.values.min() > 100.0
-    assert not stocco.verify(path).admissible
-    assert not certified.verify(path).admissible
-
-
-def test_inside_the_reach_both_marches_admit_and_the_printed_one_takes_no_longer_steps():
-    path = sweeping([50.0, 20.0, 30.0], 600.0)
-    run, verdict = stocco.march_on_printed(path), stocco.verify(path)
-    assert run.admitted
-    assert verdict.admissible
-    assert run.evaluations >= verdict.evaluations.arm
-    assert run.worst_case == verdict.evaluations.worst_case
-
-
-def test_the_printed_march_of_the_unlimited_arm_is_the_exact_one():
-    for rho, phi, count, _ in TABLE_1:
-        assert stocco.march_on_printed(annulus(zigzag(rho, phi))).evaluations == count
-
-
-def test_the_printed_march_refuses_bad_numbers_and_denies_an_arm_without_workspace():
-    with pytest.raises(ValueError, match="finite"):
-        stocco.march_on_printed(annulus([[500.0, 0.0, 0.0], [500.0, math.nan, 0.0]]))
-    empty = sweeping([0.0, 1.0], 600.0)
-    empty = replace(empty, lower=empty.lower + np.array([3.0, 0, 0, 0, 0]))
-    assert not stocco.march_on_printed(empty).admitted
 
 
 def in_the_band(seed, wanted):

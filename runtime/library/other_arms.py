@@ -2,7 +2,8 @@
 
 Stocco 2001 calls workspaces without closed-form boundary the "more difficult cases" and lets D be numeric. Two
 things make that safe: a Lipschitz bound, so that values at points say something about what lies between them, and a
-bound on the error of the values themselves. Pure; the gate itself uses `cutgate.runtime.verification.certified`.
+bound on the error of the values themselves. The gate itself knows one kind of arm and uses
+`cutgate.runtime.verification.certified`; docs/other-arms.md shows two others.
 
 A boundary that is known as curves only is sampled: a curve of speed at most v over a parameter range T, cut into N
 equal steps, has its samples at most h = v T / N of arc apart, so each of its points lies within h / 2 of a
@@ -20,7 +21,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.workspace.distance import Distance
+from cutgate.runtime.workspace.distance import signed_distance
+from cutgate.runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +36,54 @@ PAIRS = 2_000_000
 """Pairs of point and sample held in memory at once."""
 
 EPSILON = float(np.finfo(np.float64).eps)
+
+
+class Distance(Protocol):
+    """A distance to the nearest boundary of a workspace, exact or numeric.
+
+    The true signed distance is positive only inside, and a ball of that radius round a point inside is inside.
+    What is computed may be off by a stated bound. Unit: mm, or whatever the path is measured in.
+    """
+
+    @property
+    def lipschitz(self) -> float:
+        """Bound on the change of the true distance per unit moved."""
+        ...  # pragma: no cover
+
+    @property
+    def error(self) -> float:
+        """Bound on how far a computed distance is from the true one, rounding included."""
+        ...  # pragma: no cover
+
+    def __call__(self, points: Floats) -> Floats:
+        """Signed distances (n,) of points (n, d); NaN where undefined."""
+        ...  # pragma: no cover
+
+
+ROUNDING = 1e-9
+"""Error of the exact planar distance per mm of reach. Rounding moves an arc by a few epsilon of the reach, and
+membership by most where the elbow is nearly straight: epsilon ** (2 / 3), 4e-11, of the reach."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExactPlanar:
+    """The exact distance of one planar elbow branch as a `Distance`, for points within twice the reach."""
+
+    workspace: PlanarWorkspace
+
+    @property
+    def lipschitz(self) -> float:
+        """A distance to a set is 1-Lipschitz, and so is a signed one."""
+        return 1.0
+
+    @property
+    def error(self) -> float:
+        """Rounding alone, mm."""
+        return ROUNDING * (self.workspace.a0 + self.workspace.a1)
+
+    def __call__(self, points: Floats) -> Floats:
+        """Signed distances, mm. Shape (n, 2) -> (n,)."""
+        return signed_distance(points, self.workspace)
 
 
 class Path(Protocol):

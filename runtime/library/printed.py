@@ -26,6 +26,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
+from cutgate.runtime.verification.bounds.points import Points
+from cutgate.runtime.verification.defects import defects
+from cutgate.runtime.verification.problem import Problem
+from cutgate.runtime.verification.stocco import March, arm_march, with_slide
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 
 Floats = NDArray[np.float64]
@@ -60,3 +65,22 @@ def printed_distance(points: Floats, workspace: PlanarWorkspace) -> Floats:
     """D as printed, eq. (21), mm. Shape (n, 2) -> (n,). Positive does not mean reachable."""
     smallest: Floats = printed_sides(points, workspace).min(axis=1)
     return smallest
+
+
+def march_on_printed(problem: Problem) -> March:
+    """The arm's march on the planar distance as printed, eq. (16)-(21). For the record: it proves nothing.
+
+    ``admitted`` may be true of a path that leaves the workspace, or even starts outside. The columns of ``values`` are
+    those of the exact march: inner, outer, arc about o1, arc about o2, top, bottom; infinite where none applies.
+
+    Raises:
+        ValueError: the problem's numbers are not usable.
+    """
+    wrong = defects(problem)
+    if wrong:
+        raise ValueError("; ".join(wrong))
+    return arm_march(*canonical(problem), _distances)
+
+
+def _distances(geometry: Geometry, points: Points) -> Floats:
+    return with_slide(geometry, points, printed_sides(points.centre, geometry.workspace)[0])

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cutgate.runtime.workspace.distance import ExactPlanar, signed_distance
-from cutgate.runtime.workspace.numeric import Polyline, SampledBoundary, certify, sample_curve
+from cutgate.runtime.library.other_arms import ExactPlanar, Polyline, SampledBoundary, certify, sample_curve
+from cutgate.runtime.workspace.distance import signed_distance
 from tests.runtime.workspace.test_planar import FAMILIES, FULL
 
 SPACE = FAMILIES["equal links"]
@@ -212,6 +212,6 @@ def test_points_are_taken_in_blocks_with_the_same_answer(monkeypatch):
     distance = SampledBoundary(samples, 0.1, lambda p: p[:, 0] > 0.0, 0.0)
     points = np.random.default_rng(1).uniform(-1, 1, (33, 3))
     whole = distance(points)
-    monkeypatch.setattr("cutgate.runtime.workspace.numeric.PAIRS", 120)
+    monkeypatch.setattr("cutgate.runtime.library.other_arms.PAIRS", 120)
     np.testing.assert_array_equal(distance(points), whole)
     assert np.isnan(distance(np.full((1, 3), math.nan))).all()

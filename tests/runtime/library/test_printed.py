@@ -1,16 +1,21 @@
 """The printed planar distance: the facts that pin our reading of equations (16)-(21)."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.runtime.library.printed import march_on_printed, printed_distance, printed_sides
+from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.problem import Arm
 from cutgate.runtime.verification.stocco import march
 from cutgate.runtime.workspace.distance import signed_distance
 from cutgate.runtime.workspace.planar import PlanarWorkspace
-from cutgate.runtime.workspace.printed import printed_distance, printed_sides
+from tests.runtime.verification.cases import DEG, WIDE
+from tests.runtime.verification.table_1 import TABLE_1, annulus, zigzag
 from tests.runtime.workspace.test_planar import FAMILIES, FULL, workspace
 
 PAPER = workspace(500, 500, (-60, 60), (0, 150))
@@ -127,3 +132,46 @@ def test_without_shoulder_limits_only_the_circles_count_and_it_is_exact(name):
 @pytest.mark.parametrize("point", [(math.nan, 0.0), (0.0, math.nan)])
 def test_what_is_not_a_number_stays_that(name, point):
     assert math.isnan(printed_distance(np.array([point]), (FAMILIES | FULL)[name])[0])
+
+
+def sweeping(azimuths_deg, radius):
+    """The arm the printed equations are wrong about, with a path of its wrist centre on a circle."""
+    t = np.asarray(azimuths_deg) * DEG
+    centres = np.stack((radius * np.cos(t), radius * np.sin(t), np.full(len(t), 100.0)), axis=1)
+    return annulus(
+        centres,
+        arm=Arm(500.0, 500.0, "right"),
+        lower=np.array([-60 * DEG, 0.0, -1e4, -WIDE, 0.0]),
+        upper=np.array([60 * DEG, 150 * DEG, 1e4, WIDE, math.pi]),
+    )
+
+
+def test_the_printed_distance_admits_a_path_that_is_nowhere_reachable_and_no_verdict_does():
+    path = sweeping([-118.0, -115.0, -112.0], 800.0)
+    run = march_on_printed(path)
+    assert run.admitted
+    assert run.values.min() > 100.0
+    assert not stocco.verify(path).admissible
+    assert not certified.verify(path).admissible
+
+
+def test_inside_the_reach_both_marches_admit_and_the_printed_one_takes_no_longer_steps():
+    path = sweeping([50.0, 20.0, 30.0], 600.0)
+    run, verdict = march_on_printed(path), stocco.verify(path)
+    assert run.admitted
+    assert verdict.admissible
+    assert run.evaluations >= verdict.evaluations.arm
+    assert run.worst_case == verdict.evaluations.worst_case
+
+
+def test_the_printed_march_of_the_unlimited_arm_is_the_exact_one():
+    for rho, phi, count, _ in TABLE_1:
+        assert march_on_printed(annulus(zigzag(rho, phi))).evaluations == count
+
+
+def test_the_printed_march_refuses_bad_numbers_and_denies_an_arm_without_workspace():
+    with pytest.raises(ValueError, match="finite"):
+        march_on_printed(annulus([[500.0, 0.0, 0.0], [500.0, math.nan, 0.0]]))
+    empty = sweeping([0.0, 1.0], 600.0)
+    empty = replace(empty, lower=empty.lower + np.array([3.0, 0, 0, 0, 0]))
+    assert not march_on_printed(empty).admitted

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.library.other_arms import (
     Decision,
     Path,
@@ -25,8 +25,6 @@ from cutgate.runtime.library.other_arms import (
     sample_curve,
 )
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Range = tuple[float, float]
 
 TURN = 2.0 * math.pi

@@ -28,15 +28,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Ints
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
 from cutgate.runtime.library.other_arms import Decision, ExactPlanar, certify
 from cutgate.runtime.workspace.distance import signed_distance
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Range = tuple[float, float]
 
 LEAST_SINE = 0.05

@@ -24,6 +24,7 @@ from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.config.screen import printable
 from cutgate.protocol import records
+from cutgate.runtime.arrays import Floats, Vector
 from cutgate.runtime.commands.reach_page import page
 from cutgate.runtime.commands.reach_picture import height, picture, signed
 from cutgate.runtime.commands.screen import echo, messages, output, working
@@ -31,12 +32,11 @@ from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, Robot
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.advice import Vector
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.guidance import Quantise
 from cutgate.runtime.verification.placing.reach import Grid, Position
-from cutgate.runtime.verification.problem import Floats, Problem
+from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.report.document import document_text
 from cutgate.runtime.verification.verdict import Boundary

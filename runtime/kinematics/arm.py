@@ -11,9 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from cutgate.runtime.arrays import Floats
 
 TURN = 2.0 * math.pi
 

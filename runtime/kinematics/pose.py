@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from cutgate.runtime.arrays import Floats
 
 
 def transform_poses(transform: Floats, tips_mm: Floats, axes: Floats) -> tuple[Floats, Floats]:

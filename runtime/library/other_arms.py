@@ -19,14 +19,11 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats, Ints
 from cutgate.runtime.workspace.distance import signed_distance
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Outcome = Literal["admissible", "inadmissible", "undecided"]
 
 BLOCK = 1024

@@ -24,16 +24,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
 from cutgate.runtime.verification.bounds.points import Points
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.stocco import March, arm_march, with_slide
 from cutgate.runtime.workspace.planar import PlanarWorkspace
-
-Floats = NDArray[np.float64]
 
 
 def printed_sides(points: Floats, workspace: PlanarWorkspace) -> Floats:

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from cutgate.config.load import InputError, decode
-from cutgate.runtime.plan.model import Floats, poses_of, shorter
+from cutgate.runtime.arrays import Floats
+from cutgate.runtime.plan.model import poses_of, shorter
 
 HEADER: Final = "x,y,z,i,j,k"
 _NUMBER: Final = r"[ \t]*+[+-]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+[ \t]*+"

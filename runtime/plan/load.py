@@ -18,8 +18,9 @@ from cutgate.config.load import (
     read_settings,
     validate,
 )
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.plan.csv import parse_csv
-from cutgate.runtime.plan.model import Floats, Plan, PlanDocument, Registration, poses_of, shorter, table_of
+from cutgate.runtime.plan.model import Plan, PlanDocument, Registration, poses_of, shorter, table_of
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)

@@ -15,8 +15,9 @@ from cutgate.config.load import InputError, Loaded
 from cutgate.config.model import Robot
 from cutgate.config.records import tool_record
 from cutgate.protocol.records import Path, RecordError
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.pose import transform_poses
-from cutgate.runtime.plan.model import Floats, Plan, Registration
+from cutgate.runtime.plan.model import Plan, Registration
 
 Link = Literal["linked", "not linked"]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]

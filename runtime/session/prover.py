@@ -10,6 +10,7 @@ import socket
 from collections.abc import Iterator
 
 from cutgate.protocol import records
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.session.messages import (
     REQUEST_BYTES_MAX,
     TEXT_MAX,
@@ -26,7 +27,6 @@ from cutgate.runtime.session.messages import (
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach import decision, report
 from cutgate.runtime.verification.placing.guidance import Quantise, guide
-from cutgate.runtime.verification.problem import Floats
 from cutgate.runtime.verification.recorded import problem_from_records
 
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
+from cutgate.runtime.arrays import Floats, Ints
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.bisection import Aim, survey
 from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, build, cut
@@ -32,7 +32,7 @@ from cutgate.runtime.verification.bounds.enclosures import (
     Scope,
     lower_bounds,
 )
-from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Segments, canonical
 from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, confined, goes
 from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
 from cutgate.runtime.verification.defects import defects
@@ -40,8 +40,6 @@ from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, BOUNDARIES, Verdict
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
 
 RATES: Final = tuple(f"{quantity} {joint}" for quantity in ("speed", "acceleration") for joint in range(5))
 NAMES: Final = (*BOUNDARIES, *RATES)

@@ -18,8 +18,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.bisection import Aim, Survey, survey
 from cutgate.runtime.verification.bounds.chain import Chain, build
@@ -38,14 +38,7 @@ from cutgate.runtime.verification.bounds.enclosures import (
     Scope,
 )
 from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Segments, canonical
-from cutgate.runtime.verification.branch import (
-    GOES_RAD,
-    Candidate,
-    candidates,
-    choose,
-    confined,
-    winding,
-)
+from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, choose, confined, winding
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.verification.problem import Problem
@@ -71,9 +64,6 @@ from cutgate.runtime.verification.verdict import (
     Winding,
 )
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 GAP_MM = 0.008
 """Survey: proven and attained value this close, mm; the promise is 0.01."""

@@ -9,16 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Vector
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
-
-Floats = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 CUT_LEAST_MM: Final = 1.0
 CT_LEAST_MM: Final = 10.0

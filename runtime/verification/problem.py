@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from cutgate.runtime.arrays import Floats
 
 
 def _zeros(n: int) -> Floats:

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.bounds.closed_form import Extreme, Extremes
 from cutgate.runtime.verification.bounds.enclosures import ACCELERATION, SPEED
 from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Segments, errors
@@ -23,8 +23,6 @@ from cutgate.runtime.verification.verdict import (
     Verdict,
 )
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
 
 GAUSS_LEGENDRE = (
     (-0.8611363115940526, 0.3478548451374538),

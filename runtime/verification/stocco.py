@@ -23,8 +23,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES, Geometry, Segments, canonical
 from cutgate.runtime.verification.bounds.points import Points, at
@@ -35,8 +35,6 @@ from cutgate.runtime.verification.report.reasons import sentences
 from cutgate.runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
 
 MOST_EVALUATIONS = 2_000_000
 """A march is given up after so many evaluations: not admitted."""

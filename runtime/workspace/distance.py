@@ -6,12 +6,9 @@ Positive inside, negative outside, 1-Lipschitz; the sign comes from inverse kine
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.workspace.planar import PlanarWorkspace, distance_to_arc
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def side_distances(points: Floats, workspace: PlanarWorkspace) -> Floats:

@@ -12,12 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SIDES = ("inner", "outer", "left", "right")
 """Order of the four arcs everywhere; names as for the right elbow."""

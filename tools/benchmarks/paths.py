@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification.problem import Arm, Deadband, Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-Floats = NDArray[np.float64]
 
 LENGTH_MM, EXTENT_MM, STROKES = 17501.0, 225.0, 25
 TABLE_1 = ((765.299, 90.0, 97), (274.514, 90.0, 83), (500.0, 90.0, 47), (546.458, 0.0, 65))

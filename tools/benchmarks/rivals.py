@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from paths import sampled
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.problem import Problem
 
-Floats = NDArray[np.float64]
 GRID_MM = 0.01
 
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry
 from cutgate.runtime.verification.steps import Steps
 from cutgate.runtime.workspace.planar import Arc, distance_to_arc, segment_to_arc
-
-Floats = NDArray[np.float64]
 
 GAP_MM: Final = 0.008
 """Proven and attained distance this close; the promise is 0.01 mm."""

@@ -6,9 +6,9 @@ import math
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.approach.curve import Curve, Least, enclose
 from cutgate.runtime.verification.approach.model import Leg, LegName, Start
 from cutgate.runtime.verification.approach.sentences import outside_of_limits, shortfall
@@ -18,8 +18,6 @@ from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.verification.steps import Steps
 from cutgate.runtime.verification.verdict import Boundary
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
 
 AT_END: Final = 1e-6
 """A worst place so near to an end of its line is that end's."""

@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cutgate.protocol.records import joints_to_memory
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Boundary
 
-Floats = NDArray[np.float64]
 LegName = Literal["approach", "entry", "exit", "retract"]
 
 

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cutgate.protocol import records
 from cutgate.protocol.records import joints_to_counts
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.approach.model import Approach, LegName, Start, StraightLines
 from cutgate.runtime.verification.verdict import Boundary
-
-Floats = NDArray[np.float64]
 
 SCHEMA: Final = "cutgate.approach/1"
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.approach.model import LegName
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Boundary
-
-Floats = NDArray[np.float64]
 
 
 def shortfall(b: Boundary, leg: LegName) -> str:

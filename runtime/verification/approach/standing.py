@@ -12,16 +12,15 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.arm import elbow_angle
 from cutgate.runtime.verification.bounds.enclosures import HALF_TURN
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.workspace.planar import distance_to_arc
 
-Floats = NDArray[np.float64]
 Range = tuple[float, float]
 
 STEP: Final = 0.01

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.arm import TURN, turns
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach.model import (
@@ -23,8 +23,6 @@ from cutgate.runtime.verification.bounds.chain import build
 from cutgate.runtime.verification.bounds.geometry import VERTICAL, canonical
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 def straight_lines(problem: Problem, clearance_um: int) -> StraightLines | Approach:

@@ -11,15 +11,13 @@ controller slows down or rounds the corner within the path tolerance, and no bou
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Ints
 from cutgate.runtime.kinematics.arm import elbow_angle, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.bounds.chain import Intervals
-from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
 from cutgate.runtime.verification.bounds.motion import Angles, Motion
-
-Floats = NDArray[np.float64]
 
 
 def joint_accelerations(geometry: Geometry, segments: Segments, segment: Ints, s: Floats) -> Floats:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats, Ints
 from cutgate.runtime.verification.bounds.acceleration import joint_accelerations
 from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, Intervals, halve, merge
 from cutgate.runtime.verification.bounds.enclosures import (
@@ -23,13 +23,10 @@ from cutgate.runtime.verification.bounds.enclosures import (
     attained,
     lower_bounds,
 )
-from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.verification.bounds.points import Points
 from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.workspace.distance import signed_sides
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SMALLEST = 2.0**-40
 """No interval is split below this part of its segment."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Ints
 from cutgate.runtime.kinematics.arm import TURN
-from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.verification.bounds.points import Points, at, at_poses, join
 from cutgate.runtime.verification.effort import Effort
-
-Floats = NDArray[np.float64]
 
 BLOCK = 8192
 """Intervals worked off at once: few enough for the cache, many enough for numpy."""
@@ -129,9 +128,9 @@ def distance_from_column(first: Floats, second: Floats) -> Floats:
 
 
 def sweep(first: Floats, second: Floats) -> Floats:
-    """Signed angle from directions (n, 2) to directions (n, 2), in -pi..pi."""
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    out: Floats = np.arctan2(cross, np.einsum("ij,ij->i", first, second))
+    """Signed angle from directions (..., 2) to directions (..., 2), in -pi..pi."""
+    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    out: Floats = np.arctan2(cross, np.einsum("...i,...i->...", first, second))
     return out
 
 

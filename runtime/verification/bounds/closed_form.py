@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.arrays import Floats, Ints
+from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.verification.bounds.points import Points, at
-
-Floats = NDArray[np.float64]
 
 PITCH_PAD = 1e-11
 """Bound on the rounding of the smallest pitch m, rad. Within theta of its place the axes' horizontal parts, of which

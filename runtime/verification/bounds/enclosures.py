@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.verification.bounds.acceleration import bounded_accelerations
 from cutgate.runtime.verification.bounds.chain import Intervals
 from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
@@ -21,9 +21,6 @@ from cutgate.runtime.verification.bounds.motion import Angles, Motion, angles_of
 from cutgate.runtime.verification.bounds.points import Points
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import segment_to_arc
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 INNER, OUTER, LEFT, RIGHT, ROLL_MIN, ROLL_MAX, Q0_MIN, Q0_MAX, SPEED = range(9)
 ACCELERATION = SPEED + 5

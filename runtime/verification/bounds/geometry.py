@@ -10,14 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.pose import turn_angles
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.workspace.planar import Arc, PlanarWorkspace
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 EPSILON = float(np.finfo(np.float64).eps)
 

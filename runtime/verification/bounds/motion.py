@@ -9,14 +9,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.arm import elbow_sine
 from cutgate.runtime.verification.bounds.chain import Intervals, distance_from_column, sagitta
 from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
 from cutgate.runtime.verification.bounds.points import roll_widening
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

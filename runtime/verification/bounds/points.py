@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats, Ints
 from cutgate.runtime.kinematics.arm import TURN, elbow_angle, heading_offset, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
-from cutgate.runtime.verification.bounds.geometry import Geometry, Ints, Segments
+from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.workspace.planar import distance_to_arc
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

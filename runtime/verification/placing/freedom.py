@@ -14,21 +14,18 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats, Ints
 from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.bounds.chain import BLOCK, sagitta, sweep
 from cutgate.runtime.verification.bounds.closed_form import extremes
-from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Ints, Segments, canonical
+from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Segments, canonical
 from cutgate.runtime.verification.bounds.points import Points, at_poses, join, roll_widening
 from cutgate.runtime.verification.effort import CALL, Effort
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.workspace.distance import side_distances, signed_distance
 from cutgate.runtime.workspace.planar import distance_to_arc
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SPACING_MM = 10.0
 """Points are this far apart at most: over it an arc of 250 mm leaves its chord by 0.05 mm."""
@@ -301,11 +298,11 @@ class Placing:
         far = np.hypot(anchors[..., 0], anchors[..., 1])
         clear = np.all(far > self._ball + radii[:, None] + self.pad_mm, axis=1)
         first = np.arctan2(anchors[:, :1, 1], anchors[:, :1, 0])
-        steps = _sweep(anchors[:, :-1], anchors[:, 1:])
+        steps = sweep(anchors[:, :-1], anchors[:, 1:])
         lifted = first + np.concatenate((np.zeros_like(first), np.cumsum(steps, axis=1)), axis=1)
         block = self._block[rows]
         points = self.centres[rows][None, :, :] + shifts[:, None, :]
-        return lifted[:, block] + _sweep(anchors[:, block], points), clear
+        return lifted[:, block] + sweep(anchors[:, block], points), clear
 
     def _sides_allow(self, shifts: Floats, radii: Floats, rows: Ints, least: Floats, most: Floats) -> Bools:
         """Whether some whole turn of a shoulder of a turn or more leaves every point off left and right, (k,).
@@ -349,13 +346,6 @@ class Placing:
         return [
             int(np.argmin(np.where(near, d[0], np.inf))) for d, near in zip(distances, counts, strict=True)
         ]
-
-
-def _sweep(first: Floats, second: Floats) -> Floats:
-    """Signed angle between directions, shape (..., 2), in -pi..pi."""
-    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-    out: Floats = np.arctan2(cross, (first * second).sum(axis=-1))
-    return out
 
 
 def _unlimited_shoulder(geometry: Geometry) -> Geometry:

@@ -18,11 +18,11 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Vector
 from cutgate.runtime.kinematics.pose import transform_poses, turn_about_vertical
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.advice import Guidance, Move, Vector
+from cutgate.runtime.verification.advice import Guidance, Move
 from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
 from cutgate.runtime.verification.bounds.points import Points, at
 from cutgate.runtime.verification.defects import defects
@@ -33,7 +33,6 @@ from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, Boundary, Verdict
 from cutgate.runtime.workspace.planar import SIDES, nearest_on_arc
 
-Floats = NDArray[np.float64]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 RESERVES_MM = (0.2, 0.5, 2.0)

@@ -13,18 +13,15 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Floats, Vector
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.advice import Vector
 from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
 from cutgate.runtime.verification.placing.guidance import Quantise, guide, moved, pivot_of, unchanged_by_moves
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
 from cutgate.runtime.workspace.planar import SIDES
-
-Floats = NDArray[np.float64]
 
 SCHEMA: Final = "cutgate.reach/1"
 

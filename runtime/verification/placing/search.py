@@ -16,11 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cutgate.runtime.arrays import Bools, Floats
 from cutgate.runtime.verification.effort import EffortSpentError
 from cutgate.runtime.verification.placing.freedom import Placing
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 TOLERANCE_MM = 0.05
 """The translation found is longer than the shortest by at most this, unless said otherwise."""

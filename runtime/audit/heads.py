@@ -12,7 +12,9 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED, Link, advance
-from cutgate.runtime.audit.scan import MAGIC, PREFIX, RECORD_MAX, Scan, walk
+from cutgate.runtime.audit.container.raw import MAGIC, PREFIX, RECORD_MAX
+from cutgate.runtime.audit.container.scan import walk
+from cutgate.runtime.audit.container.stored import Scan
 
 SUMMARY_MAX: Final = 64 << 20
 """Bytes of the largest summary that is read; an hour of cutting has 2 MB of it."""

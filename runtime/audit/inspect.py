@@ -22,8 +22,10 @@ from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED
+from cutgate.runtime.audit.container.raw import PIECE, PREFIX
+from cutgate.runtime.audit.container.scan import walk
+from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.records import Attachment, CanFrame, Close, Open
-from cutgate.runtime.audit.scan import PIECE, PREFIX, Scan, Stored, walk
 from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE
 
 KEPT_MAX: Final = 1_000_000

@@ -31,9 +31,9 @@ from cutgate.protocol import records as wire
 from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.configuration import allowed_by_option, configuration_digest
+from cutgate.runtime.audit.container.stored import StoredAttachment
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.log import cpu_dispatch
-from cutgate.runtime.audit.scan import StoredAttachment
 from cutgate.runtime.interlock.phases import MOVING, STOPPING
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Registration

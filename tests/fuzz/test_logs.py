@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.replay import Outcome, replay
-from cutgate.runtime.audit.scan import scan
 from tools.fuzz import audit
 
 HUGE = 10**400

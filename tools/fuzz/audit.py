@@ -18,11 +18,11 @@ from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 from rich.console import Console
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED, Link, advance
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Log, Status, read_log
 from cutgate.runtime.audit.records import MODELS, Attachment, Close
 from cutgate.runtime.audit.replay import replay
-from cutgate.runtime.audit.scan import scan
 from cutgate.runtime.audit.schema import schema_bytes
 from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE, SCHEMA_ENCODING, schema_name
 from cutgate.runtime.review.show import print_story

@@ -20,10 +20,10 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.protocol import candump
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.disk import Reservation, SystemDisk
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
-from cutgate.runtime.audit.scan import scan
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import prepare, with_branch

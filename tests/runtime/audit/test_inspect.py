@@ -30,9 +30,10 @@ from mcap.writer import Writer
 
 from cutgate.protocol import candump
 from cutgate.runtime.audit import records
+from cutgate.runtime.audit.container.raw import MAGIC
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.scan import MAGIC, scan
 from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import decision, forge, small_log
 
@@ -158,7 +159,7 @@ def test_a_session_that_was_closed_lost_no_power(data):
 
 
 def test_the_zeros_that_are_looked_at_are_bounded(crashed, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.scan.ZEROS_MAX", 1000)
+    monkeypatch.setattr("cutgate.runtime.audit.container.raw.ZEROS_MAX", 1000)
     assert verified(crashed + bytes(900)).status is Status.INCOMPLETE
     assert verified(crashed + bytes(2000)).status is Status.TAMPERED
 

@@ -8,7 +8,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.chain import GENESIS
-from cutgate.runtime.audit.scan import scan
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.writer import METADATA, LogWriter
 from tests.runtime.audit.build import decision, small_log
 

@@ -7,7 +7,6 @@ changes; whoever recomputes the whole chain is found by ``replay`` or not at all
 A log is read once from front to back, a chunk at a time. What is kept of it is where its records stand, frames apart.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -15,23 +14,14 @@ from hashlib import sha256
 from io import SEEK_END, BytesIO
 from typing import Any, BinaryIO, Final
 
-from mcap.data_stream import ReadDataStream
-from mcap.reader import make_reader
-from mcap.records import Attachment as StockAttachment
-from mcap.records import Channel, Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
-
-from cutgate.runtime.audit.chain import GENESIS, LINKED
-from cutgate.runtime.audit.container.raw import PIECE, PREFIX
+from cutgate.runtime.audit.container.raw import PIECE
 from cutgate.runtime.audit.container.scan import walk
-from cutgate.runtime.audit.container.stored import Scan, Stored
-from cutgate.runtime.audit.records import Attachment, CanFrame, Close, Open
-from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE
+from cutgate.runtime.audit.container.stored import Scan
+from cutgate.runtime.audit.judge import Judge, missing, parse_object
+from cutgate.runtime.audit.records import CanFrame, Close
+from cutgate.runtime.audit.second_reading import read_again
+from cutgate.runtime.audit.writer import PROFILE
 
-KEPT_MAX: Final = 1_000_000
-"""Records beside frames whose place is kept; a session has thousands."""
-READ_TWICE_MAX: Final = 64 << 20
-"""Bytes of the largest attachment that is read a second way: the stock reader takes it into memory."""
 _SHOWN: Final = 20
 _CANDUMP: Final = "candump_sha256"
 
@@ -104,7 +94,7 @@ class Log:
 
     def one_by_one(self, topic: str) -> Iterator[dict[str, Any]]:
         """As ``of``, each only while it is looked at: a session has millions of frames."""
-        return (_parse(data) or {} for _, data in self.each(topic))
+        return (parse_object(data) or {} for _, data in self.each(topic))
 
 
 def verify_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> Report:
@@ -123,23 +113,24 @@ def read_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> 
         OSError: a file cannot be read.
     """
     file, frames = _opened(log), None if candump is None else _opened(candump)
-    found, judge = Scan(), _Judge()
+    found, judge = Scan(), Judge()
     for message in walk(file, found):
         judge.take(message)
     content = [*judge.problems, *judge.content(found)]
     if found.zeros and judge.last_topic == Close.TOPIC:
         content.append("zeros stand behind its close record")
-    unread, notes = ("", ()) if content or not found.finished else _two_readings(file, found, judge)
-    missing = _missing(found, judge)
-    damaged, absent = _candump(judge.last, frames)
+    unread, notes = (
+        ("", ()) if content or not found.finished else read_again(file, found, judge.read.digest())
+    )
+    damaged, lost = _candump(judge.last, frames)
+    absent = [*missing(found, judge), *lost]
     tampered = [*content, *found.problems, *([unread] if unread else []), *damaged]
-    missing += absent
     if not found.mcap or not _ours(found):
         status, reasons = Status.UNREADABLE, ["this is not an audit log of cutgate", *found.problems]
     elif tampered:
         status, reasons = Status.TAMPERED, tampered
-    elif missing:
-        status, reasons = Status.INCOMPLETE, missing
+    elif absent:
+        status, reasons = Status.INCOMPLETE, absent
     else:
         status, reasons = Status.OK, []
     report = Report(
@@ -163,130 +154,6 @@ def _ours(found: Scan) -> bool:
     return found.header is None or found.header.profile == PROFILE
 
 
-class _Judge:
-    """The rules over the records, one record after the other.
-
-    Attributes:
-        head: the chain's head over all records so far.
-        count: records so far.
-        read: digest of topic, sequence and data of all of them.
-        first, last: parsed record 0 and the last one; None where it is no JSON object, or none.
-        places: topic, offset and size of each record that is no frame.
-        problems: the first record whose place in the chain is wrong.
-    """
-
-    def __init__(self) -> None:
-        self.head = GENESIS
-        self.count = 0
-        self.read = sha256()
-        self.first: dict[str, Any] | None = None
-        self.last: dict[str, Any] | None = None
-        self.last_topic = ""
-        self.places: list[tuple[str, int, int]] = []
-        self.problems: list[str] = []
-        self._first_topic: str | None = None
-        self._opens = 0
-        self._closes = 0
-        self._close: tuple[int, dict[str, Any] | None] = (0, None)
-        self._after_close: tuple[int, str] | None = None
-        self._attached: list[tuple[Any, ...]] = []
-        self._too_many = False
-
-    def take(self, message: Stored) -> None:
-        """The next record."""
-        number, topic = self.count, message.topic
-        record = _parse(message.data)
-        if not self.problems:
-            self._follows(number, message, record)
-        self.head = message.advance(self.head)
-        self.count += 1
-        _add(self.read, topic, message.sequence, message.data)
-        if number == 0:
-            self.first, self._first_topic = record, topic
-        self.last, self.last_topic = record, topic
-        if self._closes == 1 and self._after_close is None:
-            self._after_close = (number, topic)
-        if topic != CanFrame.TOPIC:
-            self._keep(number, message, record)
-
-    def _follows(self, number: int, message: Stored, record: dict[str, Any] | None) -> None:
-        place = f"record {number} ({message.topic})"
-        if record is None:
-            self.problems.append(f"{place}: it is not a JSON object")
-        elif message.sequence != number:
-            self.problems.append(f"{place}: its sequence is {message.sequence}")
-        elif message.channel.encoding != ENCODING:
-            self.problems.append(f"{place}: its encoding is not {ENCODING}")
-        elif message.topic.startswith(LINKED) and record.get("prev") != self.head.hex():
-            self.problems.append(f"{place}: it does not follow from the records before it")
-
-    def _keep(self, number: int, message: Stored, record: dict[str, Any] | None) -> None:
-        topic = message.topic
-        if not len(self.places) < KEPT_MAX:
-            self._too_many = True
-            return
-        self.places.append((topic, message.offset, len(message.data)))
-        if topic == Open.TOPIC:
-            self._opens += 1
-        elif topic == Close.TOPIC:
-            self._closes += 1
-            if self._closes == 1:
-                self._close = (number, record)
-        elif topic == Attachment.TOPIC:
-            self._attached.append(
-                tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
-            )
-
-    def content(self, found: Scan) -> Iterator[str]:
-        """What the records say of the file and what the file holds, side by side."""
-        if self.count and self._first_topic != Open.TOPIC:
-            yield f"record 0 is {self._first_topic}, must be {Open.TOPIC}"
-        for topic, times in ((Open.TOPIC, self._opens), (Close.TOPIC, self._closes)):
-            if times > 1:
-                yield f"{topic} is there {times} times"
-        if self._closes:
-            count = (self._close[1] or {}).get("message_count")
-            if self._after_close is not None:
-                number, topic = self._after_close
-                yield f"record {number} ({topic}) stands after the close record"
-            elif count != self.count:
-                yield f"the close record counts {count} messages, the file holds {self.count}"
-        if self._too_many:
-            yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
-        yield from self._attachments(found)
-        if self.count and [(entry.name, entry.metadata.get("log_id")) for entry in found.metadata] != [
-            (METADATA, (self.first or {}).get("log_id"))
-        ]:
-            yield "the file's metadata are not those of record 0"
-
-    def _attachments(self, found: Scan) -> Iterator[str]:
-        """Every record of an attachment has its attachment; in a closed file the other way round as well."""
-        recorded = self._attached
-        stored = [(entry.name, entry.media_type, entry.sha256, entry.size) for entry in found.attachments]
-        for number, (record, entry) in enumerate(zip(recorded, stored, strict=False)):
-            if record != entry:
-                yield f"attachment {number} ({entry[0]}) is not what its record says"
-        if len(recorded) > len(stored):
-            yield f"attachment {recorded[len(stored)][0]} has a record but is not there"
-        if found.finished and len(stored) > len(recorded):
-            yield f"attachment {stored[len(recorded)][0]} has no record"
-
-
-def _missing(found: Scan, judge: _Judge) -> list[str]:
-    missing = []
-    if not found.finished:
-        missing.append(
-            f"the file ends early: record {judge.count - 1} is the last whole one"
-            if judge.count
-            else "the file ends before its first record"
-        )
-    if found.zeros:
-        missing.append("it ends in zeros, as a file system leaves it after a loss of power")
-    if judge.last_topic != Close.TOPIC:
-        missing.append("there is no close record: the session did not end in order")
-    return missing
-
-
 def _candump(closed: dict[str, Any] | None, candump: BinaryIO | None) -> tuple[list[str], list[str]]:
     """Whether the raw frames are those the close record names: what is wrong, and what is missing."""
     if closed is None or _CANDUMP not in closed:
@@ -305,87 +172,6 @@ def _candump(closed: dict[str, Any] | None, candump: BinaryIO | None) -> tuple[l
     if digest.hexdigest() != closed[_CANDUMP]:
         return ["the file of raw frames beside the log is not the one the close record names"], []
     return [], []
-
-
-# ---------------------------------------------------------------- the stock reader
-
-
-def _two_readings(file: BinaryIO, found: Scan, judge: _Judge) -> tuple[str, tuple[str, ...]]:
-    """Whether the stock reader, linearly and by index, reads what we read; and what it was not asked."""
-    large = next((entry for entry in found.attachments if entry.size > READ_TWICE_MAX), None)
-    if large is not None:
-        size = f"attachment {large.name} has {large.size} bytes"
-        return "", (f"{size}: a log is read a second way only up to {READ_TWICE_MAX}, this one was not",)
-    attached = [(entry.name, entry.sha256) for entry in found.attachments]
-    chunks, way = sha256(), "linearly"
-    try:
-        same = _linearly(file, chunks) == (judge.read.digest(), attached)
-        if same:
-            way = "by index"
-            same = _by_index(file) == (chunks.digest(), attached)
-    except Exception as error:  # noqa: BLE001 - whatever the reader dislikes, the log is not sound
-        return f"read {way}, the file gives an error: {type(error).__name__}", ()
-    return "" if same else f"read {way}, the file gives other records", ()
-
-
-def _linearly(file: BinaryIO, chunks: Any) -> tuple[bytes, list[tuple[str, str]]]:
-    """Digest of all messages and of each attachment, from front to back; the chunks' contents go into ``chunks``."""
-    messages, attached = sha256(), []
-    channels: dict[int, Channel] = {}
-    file.seek(0)
-    for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
-        if isinstance(record, StockAttachment):
-            attached.append((record.name, sha256(record.data).hexdigest()))
-        if not isinstance(record, Chunk):
-            continue
-        chunks.update(sha256(record.data).digest())
-        for part in breakup_chunk(record, validate_crc=True):
-            if isinstance(part, Channel):
-                channels[part.id] = part
-            elif isinstance(part, Message):
-                _add(messages, channels[part.channel_id].topic, part.sequence, part.data)
-    return messages.digest(), attached
-
-
-def _by_index(file: BinaryIO) -> tuple[bytes, list[tuple[str, str]]]:
-    """Digest of the chunks' contents and of each attachment, as the summary finds them."""
-    file.seek(0)
-    reader = make_reader(file, validate_crcs=True)
-    summary = reader.get_summary()
-    chunks = sha256()
-    for index in summary.chunk_indexes if summary else ():
-        file.seek(index.chunk_start_offset + PREFIX)
-        chunks.update(sha256(Chunk.read(ReadDataStream(file)).data).digest())
-    return chunks.digest(), [
-        (entry.name, sha256(entry.data).hexdigest()) for entry in reader.iter_attachments()
-    ]
-
-
-def _add(digest: Any, topic: str, sequence: int, data: bytes) -> None:
-    """One message into the digest of all."""
-    digest.update(b"%d %d %d " % (len(topic), sequence, len(data)))
-    digest.update(topic.encode())
-    digest.update(data)
-
-
-# ---------------------------------------------------------------- records
-
-
-def _refuse(text: str) -> Any:
-    raise ValueError(text)
-
-
-_JSON: Final = json.JSONDecoder(parse_constant=_refuse)
-"""NaN and infinity are not JSON."""
-
-
-def _parse(data: bytes) -> dict[str, Any] | None:
-    """The JSON object, or None."""
-    try:
-        content = _JSON.decode(data.decode("utf-8", "surrogatepass"))
-    except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else None
 
 
 def _text(record: dict[str, Any] | None, key: str) -> str:

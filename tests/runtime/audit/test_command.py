@@ -146,7 +146,7 @@ def test_an_attachment_that_is_larger_than_the_site_reads_files_is_not_replayed(
 ):
     site = b'schema = "cutgate.site/1"\n[files]\nfile_size_limit_mb = 1\n'
     paths = session_log(tmp_path, site=site)
-    monkeypatch.setattr("cutgate.runtime.audit.replay.DEFAULT_LIMIT", 2_000_000)
+    monkeypatch.setattr("cutgate.runtime.audit.recomputed.inputs.DEFAULT_LIMIT", 2_000_000)
     large = forge(
         paths.log.read_bytes(), attachments=lambda of, data: data + b" " * 2_000_001 if of == name else data
     )

@@ -632,7 +632,7 @@ class Failing:
 
 
 def test_an_error_of_the_stock_reader_is_a_failure(data, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.StreamReader", Failing)
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading.StreamReader", Failing)
     judged(data, "read linearly, the file gives an error: ValueError")
 
 
@@ -654,7 +654,7 @@ def hiding(kind):
 
 @pytest.mark.parametrize("kind", [Chunk, Attachment])
 def test_another_content_read_linearly_is_a_failure(data, monkeypatch, kind):
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.StreamReader", hiding(kind))
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading.StreamReader", hiding(kind))
     judged(data, "read linearly, the file gives")
 
 
@@ -666,12 +666,12 @@ def test_another_content_by_index_is_a_failure(data, monkeypatch, part):
             setattr(summary, part, getattr(summary, part)[1:])
             return summary
 
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.make_reader", Hiding)
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading.make_reader", Hiding)
     judged(data, "read by index, the file gives other records")
 
 
 def test_an_attachment_that_is_too_large_for_a_second_reading_is_said(data, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.READ_TWICE_MAX", 119)
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading.READ_TWICE_MAX", 119)
     report = verified(data)
     assert report.status is Status.OK
     assert "attachment environment.json has" in report.notes[0]
@@ -792,7 +792,7 @@ def test_what_a_file_says_of_itself_is_bounded():
 
 
 def test_a_file_with_more_records_than_any_session_is_tampered(data, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.inspect.KEPT_MAX", 5)
+    monkeypatch.setattr("cutgate.runtime.audit.judge.KEPT_MAX", 5)
     judged(data, "it holds over 5 records beside frames")
 
 

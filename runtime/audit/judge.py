@@ -1,0 +1,167 @@
+"""The rules over the records of a log, one record after the other, and over what they say of the file.
+
+    judge = Judge()
+    for message in walk(file, found):
+        judge.take(message)
+    problems = [*judge.problems, *judge.content(found)]
+
+Record 0 opens the log and nothing follows its one close record, which counts all of them. Each record is a JSON object
+whose sequence is its number, and each ``/audit/`` record carries the chain's head before it. Every record of an
+attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0.
+"""
+
+import json
+from collections.abc import Iterator
+from hashlib import sha256
+from typing import Any, Final
+
+from cutgate.runtime.audit.chain import GENESIS, LINKED
+from cutgate.runtime.audit.container.stored import Scan, Stored
+from cutgate.runtime.audit.records import Attachment, CanFrame, Close, Open
+from cutgate.runtime.audit.second_reading import add_message
+from cutgate.runtime.audit.writer import ENCODING, METADATA
+
+KEPT_MAX: Final = 1_000_000
+"""Records beside frames whose place is kept; a session has thousands."""
+
+
+class Judge:
+    """The rules over the records, one record after the other.
+
+    Attributes:
+        head: the chain's head over all records so far.
+        count: records so far.
+        read: digest of topic, sequence and data of all of them.
+        first, last: parsed record 0 and the last one; None where it is no JSON object, or none.
+        places: topic, offset and size of each record that is no frame.
+        problems: the first record whose place in the chain is wrong.
+    """
+
+    def __init__(self) -> None:
+        self.head = GENESIS
+        self.count = 0
+        self.read = sha256()
+        self.first: dict[str, Any] | None = None
+        self.last: dict[str, Any] | None = None
+        self.last_topic = ""
+        self.places: list[tuple[str, int, int]] = []
+        self.problems: list[str] = []
+        self._first_topic: str | None = None
+        self._opens = 0
+        self._closes = 0
+        self._close: dict[str, Any] | None = None
+        self._after_close: tuple[int, str] | None = None
+        self._attached: list[tuple[Any, ...]] = []
+        self._too_many = False
+
+    def take(self, message: Stored) -> None:
+        """The next record."""
+        number, topic = self.count, message.topic
+        record = parse_object(message.data)
+        if not self.problems:
+            self._follows(number, message, record)
+        self.head = message.advance(self.head)
+        self.count += 1
+        add_message(self.read, topic, message.sequence, message.data)
+        if number == 0:
+            self.first, self._first_topic = record, topic
+        self.last, self.last_topic = record, topic
+        if self._closes == 1 and self._after_close is None:
+            self._after_close = (number, topic)
+        if topic != CanFrame.TOPIC:
+            self._keep(message, record)
+
+    def _follows(self, number: int, message: Stored, record: dict[str, Any] | None) -> None:
+        place = f"record {number} ({message.topic})"
+        if record is None:
+            self.problems.append(f"{place}: it is not a JSON object")
+        elif message.sequence != number:
+            self.problems.append(f"{place}: its sequence is {message.sequence}")
+        elif message.channel.encoding != ENCODING:
+            self.problems.append(f"{place}: its encoding is not {ENCODING}")
+        elif message.topic.startswith(LINKED) and record.get("prev") != self.head.hex():
+            self.problems.append(f"{place}: it does not follow from the records before it")
+
+    def _keep(self, message: Stored, record: dict[str, Any] | None) -> None:
+        topic = message.topic
+        if not len(self.places) < KEPT_MAX:
+            self._too_many = True
+            return
+        self.places.append((topic, message.offset, len(message.data)))
+        if topic == Open.TOPIC:
+            self._opens += 1
+        elif topic == Close.TOPIC:
+            self._closes += 1
+            if self._closes == 1:
+                self._close = record
+        elif topic == Attachment.TOPIC:
+            self._attached.append(
+                tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
+            )
+
+    def content(self, found: Scan) -> Iterator[str]:
+        """What the records say of the file and what the file holds, side by side."""
+        if self.count and self._first_topic != Open.TOPIC:
+            yield f"record 0 is {self._first_topic}, must be {Open.TOPIC}"
+        for topic, times in ((Open.TOPIC, self._opens), (Close.TOPIC, self._closes)):
+            if times > 1:
+                yield f"{topic} is there {times} times"
+        if self._closes:
+            count = (self._close or {}).get("message_count")
+            if self._after_close is not None:
+                number, topic = self._after_close
+                yield f"record {number} ({topic}) stands after the close record"
+            elif count != self.count:
+                yield f"the close record counts {count} messages, the file holds {self.count}"
+        if self._too_many:
+            yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
+        yield from self._attachments(found)
+        if self.count and [(entry.name, entry.metadata.get("log_id")) for entry in found.metadata] != [
+            (METADATA, (self.first or {}).get("log_id"))
+        ]:
+            yield "the file's metadata are not those of record 0"
+
+    def _attachments(self, found: Scan) -> Iterator[str]:
+        """Every record of an attachment has its attachment; in a closed file the other way round as well."""
+        recorded = self._attached
+        stored = [(entry.name, entry.media_type, entry.sha256, entry.size) for entry in found.attachments]
+        for number, (record, entry) in enumerate(zip(recorded, stored, strict=False)):
+            if record != entry:
+                yield f"attachment {number} ({entry[0]}) is not what its record says"
+        if len(recorded) > len(stored):
+            yield f"attachment {recorded[len(stored)][0]} has a record but is not there"
+        if found.finished and len(stored) > len(recorded):
+            yield f"attachment {stored[len(recorded)][0]} has no record"
+
+
+def missing(found: Scan, judge: Judge) -> list[str]:
+    """What a log lacks at its end, after a crash or a loss of power."""
+    lacks = []
+    if not found.finished:
+        lacks.append(
+            f"the file ends early: record {judge.count - 1} is the last whole one"
+            if judge.count
+            else "the file ends before its first record"
+        )
+    if found.zeros:
+        lacks.append("it ends in zeros, as a file system leaves it after a loss of power")
+    if judge.last_topic != Close.TOPIC:
+        lacks.append("there is no close record: the session did not end in order")
+    return lacks
+
+
+def _refuse(text: str) -> Any:
+    raise ValueError(text)
+
+
+_JSON: Final = json.JSONDecoder(parse_constant=_refuse)
+"""NaN and infinity are not JSON."""
+
+
+def parse_object(data: bytes) -> dict[str, Any] | None:
+    """The JSON object, or None."""
+    try:
+        content = _JSON.decode(data.decode("utf-8", "surrogatepass"))
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None

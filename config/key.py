@@ -1,11 +1,11 @@
 """The pre-shared key's file: 32 random bytes as hexadecimal digits, which only its owner may read."""
 
-import os
 from pathlib import Path
 from typing import Final
 
+from cutgate.config.durable import create_durably
 from cutgate.config.load import InputError
-from cutgate.config.ours import MODE, create_ours, read_ours
+from cutgate.config.ours import read_ours
 from cutgate.protocol.permit import KEY_BYTES
 
 FILE_BYTES_MAX: Final = 2 * KEY_BYTES + 2
@@ -21,20 +21,11 @@ def new_key_file(path: Path, key: bytes) -> None:
     if len(key) != KEY_BYTES:
         raise InputError(path, "", f"a key of {len(key)} bytes", f"{KEY_BYTES} bytes")
     try:
-        descriptor = create_ours(path)
+        create_durably(path, key.hex().encode("ascii") + b"\n")
     except FileExistsError:
         remedy = "name another file or remove it"
         raise InputError(path, "", None, "exists and is never overwritten", remedy) from None
     except OSError as error:
-        raise _unwritten(path, error) from None
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(descriptor, MODE)
-            file.write(key.hex().encode("ascii") + b"\n")
-            file.flush()
-            os.fsync(descriptor)
-    except OSError as error:
-        path.unlink()
         raise _unwritten(path, error) from None
 
 

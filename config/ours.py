@@ -1,39 +1,20 @@
-"""Files that decide: keys, memories, lists, heads. One way to make, to believe and to replace them.
+"""Files that decide: keys, memories, lists, heads. One way to believe them; ``durable`` writes them.
 
 Such a file is believed only if it is ours: a regular file, reached through no link of its own name, that belongs to
-the user of this process (root, too, believes only root's) and that nobody else may write. It is made only where
-nothing stands, and written anew as a whole under a fresh name that takes the old one's place when it is durable: never
-through what stands there, for who may write in the folder could have put a link to another file under any name that
-can be guessed.
+the user of this process (root, too, believes only root's) and that nobody else may write.
 """
 
-import contextlib
 import os
 import pwd
 import stat
-from pathlib import Path
 from typing import Final
 
+from cutgate.config.durable import MODE
 from cutgate.config.load import InputError, unreadable
 
-MODE: Final = 0o600
-"""Of every file made here: only its owner reads and writes it."""
-FRESH: Final = ".{name}.{number}.new"
-"""What is to take a file's place, until it does."""
-_MAKE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _BELIEVE: Final = (
     os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 )  # a pipe without a writer is refused, not waited for
-
-
-def create_ours(path: str | os.PathLike[str]) -> int:
-    """A descriptor, to write, of a new and empty file that only its owner may read.
-
-    Raises:
-        FileExistsError: anything stands there, be it a link that leads nowhere.
-        OSError: it cannot be made.
-    """
-    return os.open(path, _MAKE, MODE)
 
 
 def open_ours(path: str | os.PathLike[str], flags: int = os.O_RDONLY, *, secret: bool = False) -> int:
@@ -93,69 +74,6 @@ def read_ours(path: str | os.PathLike[str], limit: int, *, secret: bool = False)
     finally:
         os.close(descriptor)
     return data
-
-
-class Replacement:
-    """What is to take a file's place: made under a fresh name, written, and put in place as a whole.
-
-    Made early where space must be reserved for it; ``descriptor`` serves for that.
-
-    Raises:
-        OSError: it cannot be made.
-    """
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        file = Path(path)
-        self._name = file.name
-        self._fresh = FRESH.format(name=file.name, number=os.urandom(8).hex())
-        self._folder = os.open(file.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            self.descriptor = os.open(self._fresh, _MAKE, MODE, dir_fd=self._folder)
-        except OSError:
-            os.close(self._folder)
-            raise
-
-    def put(self, data: bytes) -> None:
-        """Write it and put it in place; it is on the disk, folder entry included, when this returns. Once.
-
-        Raises:
-            OSError: it could not be written; the file is the old one, or this.
-        """
-        try:
-            rest = memoryview(data)
-            while rest:
-                rest = rest[os.write(self.descriptor, rest) :]
-            os.fsync(self.descriptor)
-            os.rename(self._fresh, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
-            os.fsync(self._folder)
-        except OSError:
-            self.discard()
-            raise
-        self._close()
-
-    def discard(self) -> None:
-        """Give it up, if it has not been put in place."""
-        if self.descriptor < 0:
-            return
-        with contextlib.suppress(OSError):  # whoever gives it up knows why, and a later one has another name
-            os.unlink(self._fresh, dir_fd=self._folder)
-        self._close()
-
-    def _close(self) -> None:
-        os.close(self.descriptor)
-        os.close(self._folder)
-        self.descriptor = self._folder = -1
-
-
-def replace_durably(path: str | os.PathLike[str], data: bytes) -> None:
-    """Replace a small file as a whole, or make it: whatever happens, afterwards it is the old one or the new.
-
-    The new one is on the disk, folder entry included, when this returns.
-
-    Raises:
-        OSError: it could not be written; the file is the old one, or this.
-    """
-    Replacement(path).put(data)
 
 
 def user(uid: int) -> str:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from cutgate.config.constants import REGISTRATIONS_MAX
+from cutgate.config.durable import replace_durably
 from cutgate.config.load import InputError
-from cutgate.config.ours import read_ours, replace_durably
+from cutgate.config.ours import read_ours
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.states import StopCause
 

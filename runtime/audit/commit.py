@@ -14,7 +14,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from cutgate.config.ours import Replacement
+from cutgate.config.durable import Replacement
 from cutgate.runtime.audit.directory import HEAD_MAX
 from cutgate.runtime.audit.disk import Disk, Reservation
 from cutgate.runtime.audit.written import LostError, Written, identify

@@ -17,8 +17,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+from cutgate.config.durable import left_over, replace_durably
 from cutgate.config.load import InputError
-from cutgate.config.ours import FRESH, open_ours, read_ours, replace_durably, user
+from cutgate.config.ours import open_ours, read_ours, user
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 
 LOCK: Final = "LOCK"
@@ -144,10 +145,10 @@ def lock(directory: Path) -> int:
     return descriptor
 
 
-def sweep(directory: Path) -> None:
+def remove_left_over(directory: Path) -> None:
     """Remove what a session that was cut short had prepared to put in a file's place; only under the lock."""
     for name in (HEAD, WITHDRAWN):
-        for file in directory.glob(FRESH.format(name=name, number="*")):
+        for file in left_over(directory / name):
             with contextlib.suppress(OSError):  # it is in nobody's way
                 file.unlink()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
-from cutgate.config.ours import Replacement, create_ours
+from cutgate.config.durable import Replacement, create_ours, sync_folder
 
 KEEP_SIZE: Final = 1
 """FALLOC_FL_KEEP_SIZE of Linux: blocks are reserved beyond the end, the file's length stays."""
@@ -103,11 +103,7 @@ class SystemDisk:
 
     def sync_directory(self, directory: Path) -> None:
         """As ``Disk``."""
-        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_folder(directory)
 
     def prepare(self, path: Path) -> Replacement:
         """As ``Disk``."""

@@ -42,7 +42,7 @@ from cutgate.runtime.audit.directory import (
     Previous,
     lock,
     previous_session,
-    sweep,
+    remove_left_over,
     withdrawn_list,
 )
 from cutgate.runtime.audit.disk import Disk, SystemDisk
@@ -172,7 +172,7 @@ class AuditLog:
         clock = clock or Clock()
         locked = lock(directory)
         try:
-            sweep(directory)
+            remove_left_over(directory)
             listed = Listed.of(withdrawn_list(directory))
             previous = previous_session(directory)
             files = _create_files(disk, directory, log_id, clock.utc_ns(), previous, listed, locked)

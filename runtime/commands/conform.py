@@ -14,6 +14,7 @@ from rich.table import Table
 
 from cutgate.config.bus import RuntimeDirectoryError, open_bus
 from cutgate.config.constants import CONSTANTS
+from cutgate.config.durable import create_durably
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError, load_robot, load_site
 from cutgate.config.model import Site
@@ -131,10 +132,7 @@ def _write(out: Path | None, text: str) -> None:
     if out is None:
         return
     try:
-        with out.open("x", encoding="utf-8") as file:
-            file.write(f"{text}\n")
-            file.flush()
-            os.fsync(file.fileno())
+        create_durably(out, f"{text}\n".encode(), ours=False)
     except OSError as error:
         raise InputError(str(out), "", None, f"cannot be written: {error.strerror}") from None
 

@@ -1,4 +1,4 @@
-"""Files that decide are believed only if they are ours, and written anew never through what stands there."""
+"""Files that decide are believed only if they are ours."""
 
 import errno
 import os
@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from cutgate.config import ours
+from cutgate.config.durable import create_ours, replace_durably
 from cutgate.config.load import InputError
-from cutgate.config.ours import FRESH, Replacement, create_ours, open_ours, read_ours, replace_durably
+from cutgate.config.ours import open_ours, read_ours
 
 LIMIT = 1000
-GUESSED = ".LIST.0000000000000000.new"
 
 
 @pytest.fixture
@@ -113,112 +113,6 @@ def test_opening_gives_no_descriptor_to_children(file: Path):
     descriptor = open_ours(file)
     assert not os.get_inheritable(descriptor)
     os.close(descriptor)
-
-
-def test_a_file_is_made_only_where_nothing_stands(tmp_path: Path):
-    victim = tmp_path / "VICTIM"
-    (tmp_path / "LINK").symlink_to(victim)  # dangling: open(O_CREAT) without O_EXCL would make the victim
-    victim2 = tmp_path / "VICTIM-2"
-    victim2.write_bytes(b"mine")
-    (tmp_path / "LINK-2").symlink_to(victim2)
-    for name in ("LINK", "LINK-2", "VICTIM-2"):
-        with pytest.raises(FileExistsError):
-            create_ours(tmp_path / name)
-    assert not victim.exists()
-    assert victim2.read_bytes() == b"mine"
-
-
-@pytest.mark.parametrize("planted", ["LIST", "LIST.new"])
-def test_a_file_is_replaced_never_through_what_stands_there(tmp_path: Path, planted: str):
-    victim = tmp_path / "victim"
-    victim.write_bytes(b"somebody's")
-    (tmp_path / planted).symlink_to(victim)
-    replace_durably(tmp_path / "LIST", b"new")
-    assert victim.read_bytes() == b"somebody's"
-    assert read_ours(tmp_path / "LIST", LIMIT) == b"new"
-
-
-def test_a_fresh_name_that_is_taken_already_is_not_written_through(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    victim = tmp_path / "victim"
-    victim.write_bytes(b"somebody's")
-    monkeypatch.setattr(ours.os, "urandom", bytes)
-    (tmp_path / GUESSED).symlink_to(victim)
-    with pytest.raises(FileExistsError):
-        replace_durably(tmp_path / "LIST", b"new")
-    assert victim.read_bytes() == b"somebody's"
-    assert (tmp_path / GUESSED).is_symlink()  # not ours: not removed either
-
-
-def test_a_replacement_that_fails_leaves_the_old_file_and_no_other(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-):
-    def full(*_: object) -> int:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(ours.os, "write", full)
-    with pytest.raises(OSError, match="No space"):
-        replace_durably(file, b"new")
-    assert list(file.parent.iterdir()) == [file]
-    assert read_ours(file, LIMIT) == b"what decides"
-
-
-def test_a_disk_that_takes_few_bytes_at_a_time_gets_them_all(file: Path, monkeypatch: pytest.MonkeyPatch):
-    write = os.write
-    monkeypatch.setattr(ours.os, "write", lambda descriptor, data: write(descriptor, data[:3]))
-    replace_durably(file, b"0123456789")
-    assert read_ours(file, LIMIT) == b"0123456789"
-
-
-def test_what_replaced_a_file_is_on_the_disk_before_its_name_and_its_name_before_the_return(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-):
-    done: list[str] = []
-    fsync, rename = os.fsync, os.rename
-
-    def note_sync(descriptor: int) -> None:
-        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file")
-        fsync(descriptor)
-
-    def note_rename(*names: str, **folders: int) -> None:
-        done.append("name")
-        rename(*names, **folders)
-
-    monkeypatch.setattr(ours.os, "fsync", note_sync)
-    monkeypatch.setattr(ours.os, "rename", note_rename)
-    replace_durably(file, b"new")
-    assert done == ["file", "name", "folder"]
-
-
-def test_what_is_prepared_stands_beside_the_file_until_it_is_put_in_place(file: Path):
-    prepared = Replacement(file)
-    assert read_ours(file, LIMIT) == b"what decides"
-    assert len(list(file.parent.glob(FRESH.format(name="LIST", number="*")))) == 1
-    prepared.put(b"new")
-    assert read_ours(file, LIMIT) == b"new"
-    assert list(file.parent.iterdir()) == [file]
-
-
-def test_what_is_given_up_leaves_the_file_as_it_was_and_may_be_given_up_again(file: Path):
-    prepared = Replacement(file)
-    prepared.discard()
-    stranger = os.open(file, os.O_RDONLY)  # takes the number that has become free
-    prepared.discard()
-    assert os.read(stranger, 4) == b"what"
-    os.close(stranger)
-    assert list(file.parent.iterdir()) == [file]
-
-
-def test_a_folder_that_is_gone_is_an_error_of_the_disk(file: Path):
-    prepared = Replacement(file)
-    file.unlink()
-    (fresh,) = file.parent.iterdir()
-    fresh.unlink()
-    file.parent.rmdir()
-    with pytest.raises(FileNotFoundError):
-        prepared.put(b"new")
-    prepared.discard()
 
 
 def test_a_user_without_a_name_is_a_number():

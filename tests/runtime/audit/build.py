@@ -13,9 +13,9 @@ from pathlib import Path
 from threading import Event as ThreadEvent
 from typing import Any
 
+from cutgate.config.durable import Replacement
 from cutgate.config.load import SHIPPED, Loaded, robot_from_bytes
 from cutgate.config.model import Robot
-from cutgate.config.ours import Replacement
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import candump
 from cutgate.protocol import records as wire

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from mcap.reader import SeekingReader
 
 from cutgate.config.load import InputError
-from cutgate.config.ours import FRESH
 from cutgate.runtime.audit import directory, records
 from cutgate.runtime.audit.directory import (
     HEAD,
@@ -24,7 +23,7 @@ from cutgate.runtime.audit.directory import (
     extend_list,
     lock,
     previous_session,
-    sweep,
+    remove_left_over,
     withdrawn_list,
 )
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
@@ -467,20 +466,20 @@ def test_a_lock_that_is_a_link_is_refused(tmp_path):
     assert not victim.exists()
 
 
-def test_what_a_session_that_was_cut_short_had_prepared_is_swept_away(logs):
+def test_what_a_session_that_was_cut_short_had_prepared_is_removed(logs):
     for name in (HEAD, WITHDRAWN):
-        (logs / FRESH.format(name=name, number="0123456789abcdef")).write_bytes(b"")
+        (logs / f".{name}.0123456789abcdef.new").write_bytes(b"")
     (logs / ".HEAD.old").write_bytes(b"")
-    sweep(logs)
+    remove_left_over(logs)
     assert not list(logs.glob(".*.new"))
     assert (logs / ".HEAD.old").exists()
     next_session(logs)
     assert not list(logs.glob(".*.new"))
 
 
-def test_sweeping_is_in_nobodys_way(logs):
-    (logs / FRESH.format(name=HEAD, number="x")).mkdir()
-    sweep(logs)
+def test_what_cannot_be_removed_is_in_nobodys_way(logs):
+    (logs / ".HEAD.x.new").mkdir()
+    remove_left_over(logs)
     next_session(logs)
 
 

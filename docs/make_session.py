@@ -29,7 +29,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.records import Record
 from cutgate.protocol.states import StopCause, StopCode
-from cutgate.runtime.conform.bench import Seen
+from cutgate.runtime.conform.heard import Seen
 from tests.runtime.conform.rig import Rig
 
 PAGE: Final = Path(__file__).with_name("controllers.md")

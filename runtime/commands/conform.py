@@ -24,9 +24,10 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, SENT_BY, ControllerHeartbeat
 from cutgate.protocol.records import Side
 from cutgate.runtime.commands.screen import echo, messages, output
-from cutgate.runtime.conform.bench import Bench, HaltError, milliseconds
+from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.cases import Case
-from cutgate.runtime.conform.report import ABOUT, document, summary
+from cutgate.runtime.conform.failures import HaltError
+from cutgate.runtime.conform.report import ABOUT, document, milliseconds, summary
 from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
 from cutgate.runtime.conform.table import cases
 from cutgate.runtime.verification.report.document import document_text

@@ -23,7 +23,9 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted
 from cutgate.protocol.records import Channel, Permit, Start
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
-from cutgate.runtime.conform.bench import Bench, DeviationError, InconclusiveError, Stop, shown
+from cutgate.runtime.conform.bench import Bench
+from cutgate.runtime.conform.failures import DeviationError, InconclusiveError
+from cutgate.runtime.conform.heard import Stop, shown
 from cutgate.runtime.conform.sample import LONG
 
 STALE_BURST: Final = 26
@@ -771,6 +773,7 @@ def held_in_fault(bench: Bench) -> str:
 
 
 def nothing_moved(bench: Bench) -> str:
-    if bench.abnormal:
-        raise DeviationError("; ".join(dict.fromkeys(bench.abnormal)))
-    return f"joints within {bench.moved:.3f} deg or mm, cutting mode only in PERMITTED"
+    watched = bench.standstill
+    if watched.abnormal:
+        raise DeviationError("; ".join(dict.fromkeys(watched.abnormal)))
+    return f"joints within {watched.moved:.3f} deg or mm, cutting mode only in PERMITTED"

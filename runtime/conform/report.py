@@ -1,9 +1,9 @@
 """The report: one document for machines, one table for people."""
 
+import math
 from typing import Any, Final
 
 from cutgate.protocol import records
-from cutgate.runtime.conform.bench import milliseconds
 from cutgate.runtime.conform.suite import Outcome, Result, Verdict
 
 SCHEMA: Final = "cutgate.conform/1"
@@ -86,3 +86,8 @@ def summary(outcome: Outcome, *, whole: bool) -> str:
         state = outcome.state.name if outcome.state else "unknown"
         text += f"\nThe controller's last known state is {state}: acknowledge and reset it by hand."
     return text
+
+
+def milliseconds(seconds: float | None) -> float | None:
+    """For people: ms to a tenth."""
+    return None if seconds is None or not math.isfinite(seconds) else round(seconds * 1000.0, 1)

@@ -6,16 +6,10 @@ from enum import StrEnum
 from typing import Final
 
 from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.runtime.conform.bench import (
-    STANDING,
-    Bench,
-    DeviationError,
-    HaltError,
-    InconclusiveError,
-    OperatorError,
-    Seen,
-)
+from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.cases import Case
+from cutgate.runtime.conform.failures import DeviationError, HaltError, InconclusiveError, OperatorError
+from cutgate.runtime.conform.heard import STANDING, Seen
 from cutgate.runtime.conform.table import NOTHING_MOVED
 
 ATTEMPTS: Final = 3

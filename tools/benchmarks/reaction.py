@@ -49,7 +49,8 @@ from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, RuntimeCode, StopCause, StopCode
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from cutgate.runtime.conform.bench import Bench, DeviationError, HaltError
+from cutgate.runtime.conform.bench import Bench
+from cutgate.runtime.conform.failures import DeviationError, HaltError
 from cutgate.runtime.conform.sample import LONG
 from cutgate.runtime.interlock.state import Phase
 from tests.system import harness

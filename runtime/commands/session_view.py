@@ -87,6 +87,10 @@ class SessionView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def interrupted(self, by: str) -> None:
+        """A signal interrupts the session; ``by`` is told when it ends, unless it is empty."""
+        self.interrupted_by = by
+
     def close(self) -> None:
         """Nothing more is shown; waits for the screens, for a bounded time."""
         self._stack.close()

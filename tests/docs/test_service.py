@@ -16,8 +16,8 @@ from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import FLUSH_S
 from cutgate.config.signals import ENDING
 from cutgate.runtime.commands.app import app
-from cutgate.runtime.commands.run import WITHDRAW_S
 from cutgate.runtime.session.loop import GUIDANCE_S
+from cutgate.runtime.session.withdrawal import WITHDRAW_S
 from cutgate.runtime.session.worker import JOIN_S, KILLED_S, give_priority_back
 
 UNIT = EXAMPLES / "cutgate-run.service"

@@ -152,6 +152,18 @@ def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **opt
     return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
 
 
+@contextmanager
+def open_log(directory: Path) -> Iterator[AuditLog]:
+    """A log that is being written, a minute after another that was closed."""
+    small_log(directory)
+    later = Ticking()
+    later.now_ns += 60_000_000_000
+    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=later.clock())
+    yield log
+    if log.writable:
+        log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
+
+
 # ---------------------------------------------------------------- a session on real inputs
 
 

@@ -48,7 +48,7 @@ def test_an_approach_is_told_in_a_line_with_what_decided_it():
 def test_the_signal_that_ends_a_session_is_told_once_it_is_obeyed(capfd):
     before, after = in_phase(Phase.CUTTING), in_phase(Phase.STOPPING)
     with SessionView(quiet_output=True) as view:
-        view.interrupted_by = "SIGHUP"
+        view.interrupted("SIGHUP")
         view.step(before, Said(Word.STOP), before, (), NOW)
         view.step(before, Said(Word.QUIT), after, (), NOW)
     told = capfd.readouterr().err.splitlines()

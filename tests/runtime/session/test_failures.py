@@ -276,8 +276,8 @@ def command(pair, monkeypatch, tmp_path):
     key.chmod(0o600)
     node = pair.wire.nodes[RUNTIME]
     monkeypatch.setattr("cutgate.runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
-    monkeypatch.setattr("cutgate.runtime.commands.run.Worker", Prover)
-    monkeypatch.setattr("cutgate.runtime.commands.run.typed", lambda _words: None)
+    monkeypatch.setattr("cutgate.runtime.session.conduct.Worker", Prover)
+    monkeypatch.setattr("cutgate.runtime.session.conduct.typed", lambda _words: None)
     monkeypatch.setattr("sys.argv", ["cutgate", "run", "pl\udcffan"])
     monkeypatch.setattr(node, "shutdown", lambda: None)
 

@@ -27,6 +27,7 @@ from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock.state import Announced, Interlock, Phase, Tick
 from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.interlock.tracking import TrackingMonitor
+from cutgate.runtime.session import conduct, new_log, withdrawal
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.job import Files, make_job, read_files
 from cutgate.runtime.verification.steps import finished
@@ -111,8 +112,9 @@ class Trial:
         }
         with self.monkeypatch.context() as patched:
             for name, stub in stubs.items():
-                patched.setattr(command, name, stub)
-            patched.setattr(command.AuditLog, "create", log)
+                for module in (command, conduct, withdrawal):
+                    patched.setattr(module, name, stub, raising=False)
+            patched.setattr(new_log.AuditLog, "create", log)
             key = [] if self.setting == "key_file" else ["--key", str(self.folder / "site.key")]
             where = [] if self.setting.startswith("bus.") else ["--interface", "test", "--channel", "x"]
             execute(["run", "plan.csv", "--robot", "r", "--registration", "g", *key, *where])

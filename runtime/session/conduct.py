@@ -1,0 +1,89 @@
+"""One session from its beginning to its closed log: its parts put together, run and ended whatever happens."""
+
+import can
+
+from cutgate.config.terminal import typed
+from cutgate.protocol.endpoint import Endpoint
+from cutgate.protocol.port import Port
+from cutgate.protocol.records import Side
+from cutgate.runtime.audit.log import AuditLog, Paths
+from cutgate.runtime.interlock.state import Interlock, Word
+from cutgate.runtime.session.check import Check
+from cutgate.runtime.session.interruption import Signals
+from cutgate.runtime.session.job import Files
+from cutgate.runtime.session.journal import Journal
+from cutgate.runtime.session.loop import Session
+from cutgate.runtime.session.view import View
+from cutgate.runtime.session.withdrawal import list_withdrawal
+from cutgate.runtime.session.worker import Worker
+
+
+def conduct(
+    files: Files,
+    check: Check,
+    state: Interlock,
+    key: bytes,
+    bus: can.BusABC,
+    bus_name: str,
+    log: AuditLog,
+    view: View,
+    signals: Signals,
+    *,
+    fd: bool,
+) -> tuple[Session, Paths]:
+    """Run one session; the log is closed and the worker ended whatever happens.
+
+    Args:
+        files: what was read.
+        check: the verification of the cut.
+        state: where the session begins.
+        key: the pre-shared key, 32 bytes.
+        bus: an open python-can bus.
+        bus_name: interface and channel.
+        log: the session's.
+        view: shows what happens.
+        signals: what interrupts it.
+        fd: bulk records in CAN FD frames.
+
+    Raises:
+        OSError: the verification process cannot be started; the log is closed.
+    """
+    timing = state.job.timing
+    journal = Journal(log, bus_name.partition("/")[2].rpartition("/")[2] or "can0")
+    endpoint = Endpoint(
+        Side.RUNTIME,
+        heartbeat_s=timing.heartbeat_s,
+        timeout_s=timing.timeout_s,
+        transfer_timeout_s=state.job.deadlines.reply_timeout_s,
+        fd=fd,
+    )
+    try:
+        worker = Worker.start(state.job.path)
+    except OSError:
+        log.close(final_state=state.phase, outcome="the verification process cannot be started", clean=False)
+        raise
+    clean = False
+    session = Session(
+        state,
+        check=check,
+        key=key,
+        port=Port(bus, endpoint, journal.frame),
+        journal=journal,
+        worker=worker,
+        view=view,
+        words=typed(Word),
+        checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
+    )
+    signals.interrupts(session)
+    try:
+        journal.processes(worker.pid)
+        session.run(signals.wake)
+        clean = True
+        session.guidance(signals.wake)
+    finally:
+        worker.close()
+        if session.state.registration_withdrawn and not state.registration_withdrawn:
+            list_withdrawal(log, state.job.registration, view.note)
+        verdict = session.answer.document["verdict"] if session.answer else None
+        paths = journal.close(session.state, verdict, endpoint.link.statistics, clean=clean)
+    return session, paths

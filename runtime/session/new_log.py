@@ -1,0 +1,68 @@
+"""A new log for a session: record 0, and every input file as the bytes that were parsed."""
+
+import importlib.resources
+import os
+from pathlib import Path
+from socket import gethostname
+from typing import Final
+
+from cutgate.config.ours import user
+from cutgate.runtime.audit import names
+from cutgate.runtime.audit.configuration import SIMULATED
+from cutgate.runtime.audit.log import AuditLog, OpenInfo
+from cutgate.runtime.session.job import VERIFIER, Files
+from cutgate.runtime.session.journal import plain
+from cutgate.runtime.verification.asked import AskedTurns
+
+BRANCH: Final = "joint branch"
+"""Name of record 0's option that says which turns were asked for; the path and the permit hold the branch itself."""
+
+
+def new_log(
+    directory: Path, files: Files, path: bytes, bus: str, asked: AskedTurns, operator: str | None
+) -> AuditLog:
+    """A new log, in a directory that is locked from now on. Waits for the disk.
+
+    Args:
+        directory: where logs are kept.
+        files: what was read.
+        path: the canonical path.
+        bus: interface and channel.
+        asked: the joint branch that was asked for.
+        operator: who runs the session, as he calls himself.
+
+    Raises:
+        InputError: as ``AuditLog.create``.
+    """
+    log = AuditLog.create(
+        directory,
+        log_id=os.urandom(16).hex(),
+        opened=OpenInfo(
+            VERIFIER,
+            VERIFIER,
+            _options(files, bus, asked),
+            plain(user(os.getuid())),
+            plain(gethostname()),
+            operator,
+        ),
+        chunk_period_s=files.settings.log.chunk_period_ms / 1000,
+    )
+    prepared = files.prepared
+    log.attach(f"{names.PLAN}{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
+    if prepared.registration is not None:
+        log.attach(f"{names.REGISTRATION}.json", "application/json", prepared.registration.data)
+    log.attach(names.ROBOT, "application/toml", files.robot.data)
+    if files.site is not None:
+        log.attach(names.SITE, "application/toml", files.site.data)
+    log.attach(names.PATH, "application/octet-stream", path)
+    dbc = importlib.resources.files("cutgate.protocol").joinpath("cutgate.dbc").read_bytes()
+    log.attach(names.DBC, "text/plain", dbc)
+    return log
+
+
+def _options(files: Files, bus: str, asked: AskedTurns) -> tuple[tuple[str, str], ...]:
+    """What record 0 says of the bus, of a joint branch that was asked for, and of a simulation where one is allowed."""
+    allowed_by = files.simulation_allowed_by
+    allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
+    branch = ((BRANCH, f"asked for: {asked}"),) if str(asked) else ()
+    return (("bus", plain(bus)), *branch, *allowed)

@@ -1,0 +1,31 @@
+"""A session's parts put together: what cannot be begun leaves a closed log."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.session import conduct
+from tests.runtime.audit.build import open_log
+from tests.runtime.interlock.builders import DEADLINES, TIMING
+
+
+@pytest.fixture
+def log(tmp_path):
+    with open_log(tmp_path) as made:
+        yield made
+
+
+def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, monkeypatch):
+    def none_left(_path):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(conduct.Worker, "start", none_left)
+    state = SimpleNamespace(job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING)
+    with pytest.raises(OSError, match="temporarily unavailable"):
+        conduct.conduct(None, None, state, b"", None, "a/b", log, None, None, fd=False)
+    found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
+    assert found.report.status is Status.OK
+    (closed,) = found.of("/audit/close")
+    assert (closed["clean"], closed["outcome"]) == (False, "the verification process cannot be started")

@@ -95,8 +95,8 @@ def other_key(pair: Pair) -> None:
 
 def knocked(pair: Pair) -> None:
     """A joint is faster in one turn than its limit allows."""
-    q0, *others = pair.process._measured_joints
-    pair.process._measured_joints = (q0 + 0.1, *others)
+    q0, *others = pair.process.arm.measured
+    pair.process.arm.measured = (q0 + 0.1, *others)
 
 
 def broken_controller(pair: Pair) -> None:
@@ -223,7 +223,7 @@ def admission() -> list[RenderableType]:
 
 def half_way(pair: Pair, leg: Leg) -> bool:
     """The arm is in the middle of the leg; of the cut it has said so."""
-    arm = pair.process._arm_state
+    arm = pair.process.arm.state
     if leg is Leg.CUT:
         assert pair.session is not None  # noqa: S101 - it has begun
         return (pair.session.last_seen[0] or (0, 0))[0] >= 2

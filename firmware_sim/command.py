@@ -22,9 +22,11 @@ from cutgate.config.screen import STDOUT, diverted, last_words, screens
 from cutgate.config.signals import ENDING, handled, wake
 from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.arm import middle_of
+from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
-from cutgate.firmware_sim.process import Options, Process, Word, middle_of
+from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
@@ -106,7 +108,7 @@ def _run(options: argparse.Namespace) -> None:
             Port(bus, _endpoint(fd=options.fd)),
             memory_file,
             options=settings,
-            words=typed(Word),
+            commands=typed(Word),
             say=say,
         )
         process.run(reading)

@@ -1,6 +1,6 @@
 """The simulated controller as one transition table: ``step(state, event, now_s) -> (state, effects)``.
 
-Pure: no bus, no clock, no random number. ``cutgate.firmware_sim.process`` feeds it events and carries out its effects.
+Pure: no bus, no clock, no random number. ``cutgate.firmware_sim.loop`` feeds it events and carries out its effects.
 Everything that enables is judged here against what the controller holds at that moment (``rules``); everything
 that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
 """

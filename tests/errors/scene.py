@@ -93,7 +93,7 @@ class Scene:
         self.due: list[tuple[float, Callable[[], None]]] = []
         self.heard: list[str] = []
         self.words: list[str] = []
-        self.stood = pair.process._arm_state.joints
+        self.stood = pair.process.arm.state.joints
         for side in Side:
             self._overhear(self.endpoint(side))
 
@@ -295,9 +295,9 @@ class Scene:
 
     def _stands(self) -> bool:
         began = {Phase.STARTING, Phase.CUTTING} & set(self.pair.notes.phases)
-        before = self.pair.process._arm_state.joints if began else self.stood
+        before = self.pair.process.arm.state.joints if began else self.stood
         self.pair.run(WATCHED_S)
-        return not self.pair.controller.may_move and self.pair.process._arm_state.joints == before
+        return not self.pair.controller.may_move and self.pair.process.arm.state.joints == before
 
 
 # ---------------------------------------------------------------- small changes

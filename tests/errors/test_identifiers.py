@@ -252,7 +252,7 @@ def test_one_frame_of_each_class_is_ignored_or_stops_the_loop_and_never_begins_a
         pair.wire.nodes[side].inbox.append(kind.shape.message(kind.can_id[side]))
         pair.run(0.06)
         assert kind.stops or reached(pair) == before
-    moved = pair.process._arm_state.joints
+    moved = pair.process.arm.state.joints
     if kind.stops:
         pair.run(0.1)
         causes = {RUNTIME: pair.state.cause, CONTROLLER: pair.controller.cause}
@@ -263,7 +263,7 @@ def test_one_frame_of_each_class_is_ignored_or_stops_the_loop_and_never_begins_a
         assert not pair.controller.cutting_mode
     if kind.stops or phase != "cutting":
         pair.run(0.05)
-        assert pair.process._arm_state.joints == moved
+        assert pair.process.arm.state.joints == moved
     if pair.phase not in ENDED:
         pair.say("quit").end()
     pair.run(0.02)

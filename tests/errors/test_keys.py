@@ -61,7 +61,7 @@ def changing(
 
 def judged(pair: Pair) -> Log:
     """The closed log; it is whole, and the arm has never moved."""
-    assert pair.process._arm_state.joints == pair.options.joints
+    assert pair.process.arm.state.joints == pair.options.joints
     assert not any("state CUTTING" in line for line in pair.said)
     assert pair.close().closed
     log = pair.read()

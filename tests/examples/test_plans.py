@@ -14,7 +14,7 @@ from cutgate.config.load import EXAMPLES, InputError, load_robot
 from cutgate.config.model import Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.examples import make_femoral
-from cutgate.firmware_sim.process import middle_of
+from cutgate.firmware_sim.arm import middle_of
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.verification import certified

@@ -106,10 +106,7 @@ def test_the_arm_stands_where_joints_say_and_else_in_the_middle(given):
     assert command.main([*arguments, "--joints=-10.5,70,250,20,55"]) == 0
     assert command.main(arguments) == 0
     shown = [
-        [
-            joint if index == 2 else math.degrees(joint)
-            for index, joint in enumerate(process._arm_state.joints)
-        ]
+        [joint if index == 2 else math.degrees(joint) for index, joint in enumerate(process.arm.state.joints)]
         for process, _ in processes
     ]
     assert shown[0] == pytest.approx([-10.5, 70, 250, 20, 55])
@@ -273,4 +270,4 @@ def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capfd, monk
 def test_words_are_read_without_sharing_the_terminal(given):
     arguments, processes = given
     command.main(arguments)
-    assert processes[0][0]._words == ("what is typed", command.Word)
+    assert processes[0][0]._commands == ("what is typed", command.Word)

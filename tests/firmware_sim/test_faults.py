@@ -1,9 +1,16 @@
-"""Faults on demand: NAME@STATE, and nothing else."""
+"""Faults on demand: NAME@STATE and nothing else, each once, and what comes of it."""
+
+from dataclasses import replace
 
 import pytest
 
-from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec, happen
+from cutgate.firmware_sim.plant import BlockError, StoredPath
+from cutgate.protocol.records import UNIT, block_of_pose
 from cutgate.protocol.states import ControllerState
+from tests.altering import altered
+from tests.firmware_sim.arms import PATH, pocket
+from tests.firmware_sim.controllers import LIMITS, LOADED, POWERED_UP
 
 
 @pytest.mark.parametrize("state", list(ControllerState))
@@ -26,3 +33,77 @@ def test_an_unknown_fault_is_refused_with_those_there_are(text):
 def test_an_unknown_state_is_refused_with_those_there_are(text):
     with pytest.raises(ValueError, match="state must be one of inhibited, open, loaded"):
         FaultSpec.parse(text)
+
+
+# ---------------------------------------------------------------- when they happen, and what comes of them
+
+
+def test_a_fault_is_due_once_when_its_state_is_reached():
+    faults = Faults(map(FaultSpec.parse, ("hang@open", "rush@loaded", "drift@open", "hang@open")))
+    assert faults.due(ControllerState.INHIBITED) == []
+    assert faults.due(ControllerState.OPEN) == [FaultName.HANG, FaultName.DRIFT, FaultName.HANG]
+    assert faults.due(ControllerState.OPEN) == []
+    assert faults.due(ControllerState.LOADED) == [FaultName.RUSH]
+    assert faults.due(ControllerState.LOADED) == []
+
+
+class RecordingArm:
+    """What is asked of an arm."""
+
+    def __init__(self):
+        self.path, self.asked = None, []
+
+    def __getattr__(self, name):
+        return lambda *arguments: self.asked.append((name, *arguments))
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [
+        (FaultName.OFF_START, ("push_aside",)),
+        (FaultName.DRIFT, ("drift", 77.0)),
+        (FaultName.FREEZE, ("freeze",)),
+        (FaultName.RUSH, ("rush",)),
+    ],
+)
+def test_what_is_wrong_with_the_arm_the_controller_does_not_notice(name, asked):
+    arm = RecordingArm()
+    assert happen(name, LOADED, arm, 77.0) == LOADED
+    assert arm.asked == [asked]
+
+
+@pytest.mark.parametrize("name", [FaultName.HANG, FaultName.SILENT, FaultName.REBOOT])
+def test_what_the_loop_does_itself_changes_nothing_here(name):
+    arm = RecordingArm()
+    assert happen(name, LOADED, arm, 77.0) == LOADED
+    assert (arm.asked, arm.path) == ([], None)
+
+
+def test_a_changed_limit_is_one_degree_narrower_and_nothing_else():
+    after = happen(FaultName.CHANGE_LIMIT, LOADED, RecordingArm(), 77.0)
+    upper = (LIMITS.q_max_u[0] - UNIT, *LIMITS.q_max_u[1:])
+    assert after == altered(LOADED, "holdings.limits", replace(LIMITS, q_max_u=upper).body())
+
+
+@pytest.mark.parametrize("path", [PATH, pocket(poses=500, length_mm=1200.0)])
+def test_a_flipped_bit_is_the_last_of_the_stored_path_under_the_crcs_as_received(path):
+    stored, arm = path.body(), RecordingArm()
+    after = happen(FaultName.FLIP_PATH_BIT, altered(LOADED, "holdings.path", stored), arm, 77.0)
+    held = after.holdings.path
+    assert after == altered(LOADED, "holdings.path", held)
+    assert held[:-1] == stored[:-1]
+    assert held[-1] ^ stored[-1] == 1
+    assert len(arm.path) == len(path)
+    assert (arm.path.elbow, arm.path.feed_mm_s) == (path.elbow, path.feed_mm_s)
+    as_received = StoredPath.of(stored)
+    for pose in range(len(path)):
+        if block_of_pose(pose) < block_of_pose(len(path) - 1):
+            assert arm.path.pose(pose) == as_received.pose(pose)
+    with pytest.raises(BlockError):
+        arm.path.pose(len(path) - 1)
+
+
+def test_without_a_path_no_bit_flips():
+    arm = RecordingArm()
+    assert happen(FaultName.FLIP_PATH_BIT, POWERED_UP, arm, 77.0) == POWERED_UP
+    assert arm.path is None

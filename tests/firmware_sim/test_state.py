@@ -2,10 +2,12 @@
 
 import pytest
 
-from cutgate.firmware_sim.state import Inputs
-from cutgate.protocol.states import ControllerState
+from cutgate.firmware_sim.state import Controller, DeviceCycle, Inputs, Memory
+from cutgate.protocol.states import ControllerState, StopCause
 from tests.altering import altered
 from tests.firmware_sim.controllers import CUTTING, EVERY_STATE, POWERED_UP
+
+ONE, TWO, THREE = bytes(range(32)), bytes(32), b"x" * 32
 
 
 def test_power_up_is_inhibited():
@@ -40,3 +42,46 @@ def test_the_cutter_may_spin_only_permitted_or_cutting(name):
     state = EVERY_STATE[name]
     assert state.cutting_mode is (state.state in (ControllerState.PERMITTED, ControllerState.CUTTING))
     assert state.may_move is (name == "cutting")
+
+
+@pytest.mark.parametrize("cause", StopCause)
+def test_at_power_up_a_fault_that_was_latched_still_is_and_nothing_else_is_left(cause):
+    memory = Memory(frozenset({ONE}), frozenset({TWO}), cause)
+    state = Controller.powered_up(POWERED_UP.identity, POWERED_UP.holdings, memory)
+    latched = cause is not StopCause.NONE
+    assert state.state is (ControllerState.FAULT if latched else ControllerState.INHIBITED)
+    assert state.cause is cause
+    assert state.memory == state.written == memory
+    assert (state.identity, state.holdings) == (POWERED_UP.identity, POWERED_UP.holdings)
+    assert (state.session, state.permit, state.issued, state.awaiting) == (None, None, None, None)
+    assert (state.epoch, state.device, state.cut_ordered) == (0, DeviceCycle.UNSEEN, False)
+    assert (state.permit_issued_at_s, state.started_at_s) == (0.0, 0.0)
+
+
+def test_nothing_is_known_of_what_is_written_until_it_is():
+    assert Controller(POWERED_UP.identity, POWERED_UP.holdings) == altered(POWERED_UP, "written", None)
+    assert Memory() == Memory(frozenset(), frozenset(), StopCause.NONE)
+
+
+def test_a_registration_that_is_named_is_remembered_beside_the_others():
+    before = Memory(frozenset({ONE}), frozenset({TWO}), StopCause.SECOND_NODE)
+    assert before.naming(THREE) == Memory(frozenset({ONE, THREE}), frozenset({TWO}), StopCause.SECOND_NODE)
+
+
+@pytest.mark.parametrize("known", [ONE, TWO])
+def test_a_registration_that_is_known_is_not_named_again(known):
+    """Above all not one that was withdrawn."""
+    before = Memory(frozenset({ONE}), frozenset({TWO}), StopCause.SECOND_NODE)
+    assert before.naming(known) == before
+
+
+def test_what_is_withdrawn_is_everything_that_was_named_and_what_was_withdrawn_before():
+    before = Memory(frozenset({ONE, THREE}), frozenset({TWO}), StopCause.SECOND_NODE)
+    assert before.all_withdrawn == Memory(frozenset(), frozenset({ONE, TWO, THREE}), StopCause.SECOND_NODE)
+    assert before.all_withdrawn.all_withdrawn == before.all_withdrawn
+
+
+def test_a_session_is_live_until_a_stop_voids_it():
+    session = CUTTING.session
+    arguments = {name: getattr(session, name) for name in session.__dataclass_fields__ if name != "live"}
+    assert type(session)(**arguments).live

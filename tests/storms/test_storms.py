@@ -13,7 +13,7 @@ import can
 import pytest
 
 from cutgate.firmware_sim import table as controller
-from cutgate.firmware_sim.process import Word as ControllerWord
+from cutgate.firmware_sim.console import Word as ControllerWord
 from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock import table as interlock

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from cutgate.firmware_sim.process import Word as ControllerWord
+from cutgate.firmware_sim.console import Word as ControllerWord
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS
 from cutgate.protocol.records import Side
 from cutgate.runtime.interlock.state import Word

@@ -88,7 +88,7 @@ class Witness:
         """After a turn of both."""
         pair, now_s = self.pair, self.pair.clock()
         process, controller = pair.process, pair.controller
-        arm = process._arm_state.joints
+        arm = process.arm.state.joints
         before, state, resets = self._seen
         self._seen = (arm, controller.state, self.resets)
         if before is not None and arm != before:

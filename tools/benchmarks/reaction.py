@@ -23,9 +23,10 @@ from paths import EXAMPLES
 from cutgate.config.key import load_key, new_key_file
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.hil.plugin import hub_process
 from cutgate.firmware_sim.kinematics import as_joints
-from cutgate.firmware_sim.process import Options, Process, Word
+from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol import records
 from cutgate.protocol.e2e import protect
@@ -358,7 +359,7 @@ class Stage:
         self.controller.act(Word.HOLD)
         self.until(self.says("enabling device is held"))
         self.runtime.say("start")
-        self.until(lambda: self.controller._arm_state.progress > (0, 0.0))
+        self.until(lambda: self.controller.arm.state.progress > (0, 0.0))
         self.seen.stop = None  # heartbeats say INHIBIT until there is a permit
 
     def latency(self, wrong: Callable[["Stage"], float], cause: StopCause) -> float | None:
@@ -390,7 +391,7 @@ def _noise(stage: Stage) -> float:
 
 def _deviates(stage: Stage) -> float:
     """From the next sample on q0 is 5 deg off."""
-    stage.controller._drifts_since_s = time.monotonic() - 5.0
+    stage.controller.arm.drift(time.monotonic() - 5.0)
     before_s = stage.seen.sent_s[IDS[Joint4]]
     stage.until(lambda: stage.seen.sent_s[IDS[Joint4]] > before_s)
     return stage.seen.sent_s[IDS[Joint4]]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cutgate.firmware_sim.__main__ import main as controller_side
-from cutgate.firmware_sim.process import Process
+from cutgate.firmware_sim.loop import Process
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.loop import Session
 

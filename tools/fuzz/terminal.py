@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 
 from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, WordReader
-from cutgate.firmware_sim.process import Word as ControllerWord
+from cutgate.firmware_sim.console import Word as ControllerWord
 from cutgate.runtime.interlock.state import Word
 from tools.fuzz.harness import Family, expect
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.firmware_sim import memory
-from cutgate.firmware_sim.process import Options, Process
+from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint

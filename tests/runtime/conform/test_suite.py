@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cutgate.firmware_sim import process as process_module
-from cutgate.firmware_sim import rules, table
-from cutgate.firmware_sim.process import Word
+from cutgate.firmware_sim import loop, rules, table
+from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.state import Controller, PathChecked
 from cutgate.protocol.frames import IDS, Joints01
 from cutgate.protocol.link import Link, Violation
@@ -170,14 +169,14 @@ def test_a_controller_without_one_rule_on_open_fails_exactly_that_case(
 def test_a_controller_without_one_check_of_paths_fails_exactly_that_case(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: str
 ) -> None:
-    step = process_module.step
+    step = loop.step
 
     def lax(state: Any, event: Any, now_s: float) -> Any:
         if isinstance(event, PathChecked) and event.refusal is guard:
             event = replace(event, refusal=Refusal.ACCEPTED)
         return step(state, event, now_s)
 
-    monkeypatch.setattr(process_module, "step", lax)
+    monkeypatch.setattr(loop, "step", lax)
     assert judged(rig, "path", "permit: right") == {fails}
 
 
@@ -286,8 +285,8 @@ def test_cutting_mode_outside_permitted_fails_the_case_that_watches_the_whole_su
 
 def test_an_arm_that_moves_is_stopped_at_once_and_the_suite_says_no_more(rig: Rig) -> None:
     assert rig.run("opens").passed
-    q0, *rest = rig.process._arm_state.joints
-    rig.process._arm_state = replace(rig.process._arm_state, joints=(q0 + 0.002, *rest))
+    q0, *rest = rig.process.arm.state.joints
+    rig.process.arm.state = replace(rig.process.arm.state, joints=(q0 + 0.002, *rest))
     found = by_name(rig.run("opens", "permit: right", "nothing moved"))
     assert found["opens"].verdict is Verdict.FAIL
     assert "moved" in found["opens"].came
@@ -337,7 +336,7 @@ def test_a_controller_that_falls_silent_is_not_waited_for_without_end(rig: Rig) 
 
 
 def test_a_latched_fault_found_at_the_beginning_is_reset(rig: Rig) -> None:
-    rig.process._feed(process_module.Fault(StopCause.SECOND_NODE))
+    rig.process._feed(loop.Fault(StopCause.SECOND_NODE))
     found = by_name(rig.run("announces", "opens"))
     assert found["announces"].verdict is Verdict.FAIL
     assert found["opens"].verdict is Verdict.PASS

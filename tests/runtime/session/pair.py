@@ -23,10 +23,10 @@ from cutgate.config.model import Robot
 from cutgate.config.signals import wake_pipe
 from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
-from cutgate.firmware_sim import process as controller_side
+from cutgate.firmware_sim.console import Word as ConsoleWord
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints
-from cutgate.firmware_sim.process import Options, Process
+from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
@@ -382,7 +382,7 @@ class Pair:
         """A controller with nothing but its memory file, and with these faults to come."""
         self.boots += 1
         self.options = replace(self.options, faults=tuple(map(FaultSpec.parse, faults)), **options)
-        self.controller_terminal = Terminal(controller_side.Word)
+        self.controller_terminal = Terminal(ConsoleWord)
         self.closing.append(self.controller_terminal.close)
         holdings = Holdings(self.job.limits, self.job.calibration, self.job.tool)
         random = Generator(f"controller {self.boots}")
@@ -391,7 +391,7 @@ class Pair:
             Port(self.wire.nodes[CONTROLLER], self._endpoint(Side.CONTROLLER)),  # type: ignore[arg-type]
             self.memory_file,
             options=self.options,
-            words=self.controller_terminal.reader,
+            commands=self.controller_terminal.reader,
             say=self.said.append,
             clock=self.clock,
             random=random,

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultName
 from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.plant import Leg
-from cutgate.firmware_sim.process import Word
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerHeartbeat, Progress
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
@@ -27,13 +27,13 @@ LOW = (*STANDS[:2], 52_050_000, *STANDS[3:])
 
 
 def standing(pair):
-    return joints_to_counts(pair.process._arm_state.joints)
+    return joints_to_counts(pair.process.arm.state.joints)
 
 
 def place(pair, joints_u):
     """Put the arm there, however it comes there."""
-    state = pair.process._arm_state
-    pair.process._arm_state = replace(state, joints=as_joints(joints_to_memory(joints_u)))
+    state = pair.process.arm.state
+    pair.process.arm.state = replace(state, joints=as_joints(joints_to_memory(joints_u)))
 
 
 @pytest.mark.parametrize("stands", [STANDS, ELSEWHERE])
@@ -43,7 +43,7 @@ def test_the_arm_goes_from_where_it_stands_to_the_cut_and_back(pair, stands):
 
     def watch():
         pair._lead()
-        legs.append(pair.process._arm_state.leg)
+        legs.append(pair.process.arm.state.leg)
         apart.append(np.abs(np.subtract(standing(pair), stands)).max())
 
     pair.begin().until(lambda: pair.phase is Phase.DONE, 20.0, watch)
@@ -60,7 +60,7 @@ def test_the_arm_goes_from_where_it_stands_to_the_cut_and_back(pair, stands):
 
 def test_done_is_reported_only_when_the_arm_is_back(pair):
     pair.to(Phase.CUTTING)
-    pair.until(lambda: pair.process._arm_state.leg is Leg.RETRACT)
+    pair.until(lambda: pair.process.arm.state.leg is Leg.RETRACT)
     assert pair.controller.state is ControllerState.CUTTING
     assert pair.phase is Phase.CUTTING
     pair.until(lambda: pair.controller.state is ControllerState.DONE)
@@ -72,7 +72,7 @@ def test_the_progress_stands_still_before_and_after_the_cut(pair):
 
     def watch():
         pair._lead()
-        seen.append((pair.process._arm_state.leg, pair.process._arm_state.progress))
+        seen.append((pair.process.arm.state.leg, pair.process.arm.state.progress))
 
     pair.begin().until(lambda: pair.phase is Phase.DONE, 20.0, watch)
     assert {shown for leg, shown in seen if leg < Leg.CUT} == {(0, 0.0)}
@@ -86,7 +86,7 @@ def test_the_progress_stands_still_before_and_after_the_cut(pair):
 @pytest.mark.parametrize("leg", Leg)
 def test_a_stop_stops_on_every_leg(pair, leg, who):
     pair.to(Phase.CUTTING).until(
-        lambda: pair.process._arm_state.leg is leg and pair.process._arm_state.fraction > 0.2
+        lambda: pair.process.arm.state.leg is leg and pair.process.arm.state.fraction > 0.2
     )
     if who == "runtime":
         pair.say("stop")
@@ -103,7 +103,7 @@ def test_a_stop_stops_on_every_leg(pair, leg, who):
 
 
 def test_after_a_stop_the_next_approach_begins_where_the_arm_stands(pair):
-    pair.to(Phase.CUTTING).until(lambda: pair.process._arm_state.fraction > 0.3).say("stop").end()
+    pair.to(Phase.CUTTING).until(lambda: pair.process.arm.state.fraction > 0.3).say("stop").end()
     at_rest = standing(pair)
     assert at_rest != STANDS
     pair.close()

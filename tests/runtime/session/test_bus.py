@@ -141,16 +141,16 @@ def test_twenty_six_heartbeats_that_queued_while_the_loop_slept_move_nothing(cut
     for _ in range(26):
         beat = RuntimeHeartbeat(RuntimeCode.CUT, cutting.state.epoch, StopCause.NONE)
         cutting.wire.nodes[CONTROLLER].put(*link.encode(beat, cutting.clock()))
-    place = cutting.process._arm_state
+    place = cutting.process.arm.state
     cutting.clock.now_s += 0.5
     cutting.process.turn()
     assert cutting.controller.cause is StopCause.LOOP_STALLED
     assert not cutting.controller.may_move
-    assert cutting.process._arm_state.joints == place.joints
+    assert cutting.process.arm.state.joints == place.joints
     assert any("26 frames discarded" in line for line in cutting.said)
     cutting.runtime_turns = False
     cutting.run(0.2)
-    assert cutting.process._arm_state.joints == place.joints
+    assert cutting.process.arm.state.joints == place.joints
 
 
 # ---------------------------------------------------------------- insertion, masquerade, a second node

@@ -25,9 +25,9 @@ def test_a_wedged_runtime_stops_the_arm_within_the_time_out(cutting):
     cutting.until(lambda: not cutting.controller.may_move)
     assert cutting.clock() - began_s <= 0.100 + 2 * cutting.turn_s
     assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
-    place = cutting.process._arm_state.joints
+    place = cutting.process.arm.state.joints
     cutting.run(0.2)
-    assert cutting.process._arm_state.joints == place
+    assert cutting.process.arm.state.joints == place
 
 
 def test_a_runtime_that_wakes_up_discards_what_queued_and_says_that_it_stalled(cutting):

@@ -65,11 +65,11 @@ def test_an_arm_off_its_start_is_refused_by_the_controller_as_well(pair):
     pair.to(Phase.AUTHORISING_START)
     pair.until(lambda: bool(first_frames(pair, records.Start)))
     pair.process._happen(FaultName.OFF_START)
-    place = pair.process._arm_state.joints
+    place = pair.process.arm.state.joints
     pair.until(lambda: "refused: NOT_AT_START" in pair.said)
     assert pair.end() is Phase.STOPPED, "its joints reach the runtime before the refusal does"
     assert pair.state.cause is StopCause.TRACKING_DEVIATION
-    assert pair.process._arm_state.joints == place
+    assert pair.process.arm.state.joints == place
 
 
 @pytest.mark.parametrize("state", ["loaded", "permitted", "cutting"])
@@ -84,11 +84,11 @@ def test_a_reboot_ends_the_session(pair, state):
 
 
 def test_a_path_that_was_being_checked_does_not_survive_a_reboot(pair, monkeypatch):
-    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
-    pair.begin().until(lambda: pair.process._check is not None)
+    monkeypatch.setattr("cutgate.firmware_sim.upload.CHECK_POSES_PER_CYCLE", 1)
+    pair.begin().until(lambda: pair.process.upload.check is not None)
     assert pair.process._wait_s() == 0.0
     pair.process._happen(FaultName.REBOOT)
-    assert pair.process._check is None
+    assert pair.process.upload.check is None
     pair.end()
     assert pair.controller.holdings.path is None
 
@@ -265,7 +265,7 @@ def test_a_path_block_outside_loading_is_ignored(pair):
     stranger.say(records.split(pair.job.path)[0])
     pair.run(0.2)
     assert pair.controller.may_move
-    assert pair.process._check is None
+    assert pair.process.upload.check is None
 
 
 def unlimited(pair, joint, turns=0):

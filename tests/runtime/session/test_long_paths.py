@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.firmware_sim.process import CHECK_POSES_PER_TURN
+from cutgate.firmware_sim.upload import CHECK_POSES_PER_CYCLE
 from cutgate.protocol import path as paths
 from cutgate.protocol import records
 from cutgate.runtime.interlock.state import Phase
@@ -69,7 +69,7 @@ def test_no_loop_looks_at_a_whole_path_once_the_session_opens(pair, monkeypatch)
     looks.counting = True
     pair.to(Phase.CUTTING, 60.0)
     assert looks.counted["whole path"] == 0
-    assert 0 < looks.most <= CHECK_POSES_PER_TURN + 1 < poses
+    assert 0 < looks.most <= CHECK_POSES_PER_CYCLE + 1 < poses
 
 
 def test_the_digest_of_the_path_is_taken_before_the_first_turn(pair, monkeypatch):

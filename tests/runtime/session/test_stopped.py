@@ -83,7 +83,7 @@ def test_what_a_stalled_session_was_sent_meanwhile_is_told_although_it_is_not_ac
     assert told["cause"] == StopCause.LOOP_STALLED.name
     after, _ = pair.session.last_seen
     assert after > before
-    stands = pair.process._arm_state
+    stands = pair.process.arm.state
     assert after[0] == stands.segment
     assert 0 <= stands.fraction - after[1] / FRACTION_MAX < 0.03, "it moved on for a heartbeat at most"
     pair.close()
@@ -99,9 +99,9 @@ def test_the_place_is_where_the_plant_stands(pair):
     arm = calibrated_arm(
         records.Calibration.parse(pair.job.calibration), tool_mm=tool.length_mm, elbow=path.elbow
     )
-    pose = forward(arm, pair.process._arm_state.joints)
+    pose = forward(arm, pair.process.arm.state.joints)
     assert math.dist(where["tip_mm"], pose.tip) < 0.2, "a joint frame's last digit is 0.005 deg"
-    assert where["segment"] == pair.process._arm_state.segment
+    assert where["segment"] == pair.process.arm.state.segment
 
 
 @pytest.mark.parametrize("phase", [Phase.COLLECTING, Phase.PERMITTED])

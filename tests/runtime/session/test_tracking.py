@@ -7,10 +7,10 @@ from functools import partial
 
 import pytest
 
-from cutgate.firmware_sim import process as controller_side
+from cutgate.firmware_sim.arm import DRIFT_DEG_S
 from cutgate.firmware_sim.faults import FaultName
+from cutgate.firmware_sim.loop import Process
 from cutgate.firmware_sim.plant import Leg
-from cutgate.firmware_sim.process import Process
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
 from cutgate.protocol.states import ControllerState, StopCause
@@ -27,7 +27,7 @@ JOINTS = (Joints01, Joints23, Joint4)
 def on(pair, leg, fraction=0.3):
     """Turn until the arm is so far on a leg."""
     return pair.to(Phase.CUTTING).until(
-        lambda: pair.process._arm_state.leg is leg and pair.process._arm_state.fraction >= fraction
+        lambda: pair.process.arm.state.leg is leg and pair.process.arm.state.fraction >= fraction
     )
 
 
@@ -100,7 +100,7 @@ def test_a_drift_that_the_controller_does_not_see_is_stopped_on_every_leg(pair, 
     reason = stopped_by_the_monitor(pair)
     assert "deg off the verified path near" in reason
     assert "at most 0.618 mm and 0.255 deg" in reason or leg is Leg.APPROACH
-    turned = math.radians(controller_side.DRIFT_DEG_S) * (pair.clock() - began_s)
+    turned = math.radians(DRIFT_DEG_S) * (pair.clock() - began_s)
     assert turned * 900.0 < 6.0, "mm: far less than the deadbands leave"
     pair.close()
     assert pair.read().report.status is Status.OK
@@ -114,8 +114,8 @@ def test_a_drift_that_the_controller_does_not_see_is_stopped_on_every_leg(pair, 
 def test_the_stop_leaves_in_the_turn_in_which_the_deviation_is_seen(pair):
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT)
-    q0, *rest = pair.process._arm_state.joints
-    pair.process._frozen = (
+    q0, *rest = pair.process.arm.state.joints
+    pair.process.arm.frozen = (
         q0 + math.radians(0.2),
         *rest,
     )  # 0.2 deg of a shoulder that carries 900 mm at most
@@ -129,7 +129,7 @@ def test_the_stop_leaves_in_the_turn_in_which_the_deviation_is_seen(pair):
 def test_joints_that_stand_still_while_the_progress_goes_on_are_stopped(pair):
     pair.power_up("freeze@cutting", time_scale=1.0)
     pair.to(Phase.CUTTING).until(
-        lambda: pair.process._arm_state.leg is Leg.CUT or pair.phase is Phase.STOPPED, 20.0
+        lambda: pair.process.arm.state.leg is Leg.CUT or pair.phase is Phase.STOPPED, 20.0
     )
     stopped_by_the_monitor(pair)
 
@@ -158,10 +158,10 @@ def test_progress_that_jumps_while_the_joints_do_not_is_stopped(pair, monkeypatc
     honest = Process._heartbeat
 
     def jumps(process, now_s):
-        there = process._arm_state
-        process._frozen, process._arm_state = there.joints, replace(there, leg=Leg.CUT, segment=3)
+        there = process.arm.state
+        process.arm.frozen, process.arm.state = there.joints, replace(there, leg=Leg.CUT, segment=3)
         honest(process, now_s)
-        process._frozen, process._arm_state = None, there
+        process.arm.frozen, process.arm.state = None, there
 
     monkeypatch.setattr(Process, "_heartbeat", jumps)
     assert "progress is segment 3, fraction" in stopped_by_the_monitor(pair)
@@ -179,7 +179,7 @@ def test_a_controller_that_says_done_too_early_is_not_believed(pair):
 def test_an_end_elsewhere_than_at_the_start_is_none_for_the_controller_itself(pair):
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT, 0.1)
-    pair.process._arm_state = replace(pair.process._arm_state, done=True)
+    pair.process.arm.state = replace(pair.process.arm.state, done=True)
     assert pair.end() is Phase.STOPPED
     assert (pair.controller.state, pair.controller.cause) == (
         ControllerState.INHIBITED,
@@ -230,10 +230,10 @@ def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, 
     for number in range(waiting):
         measured = len(pair.wire.frames(Joint4))
         if number == off:
-            q0, *rest = pair.process._arm_state.joints
-            pair.process._frozen = (q0 + math.radians(0.4), *rest)
+            q0, *rest = pair.process.arm.state.joints
+            pair.process.arm.frozen = (q0 + math.radians(0.4), *rest)
         pair.until(lambda measured=measured: len(pair.wire.frames(Joint4)) > measured)
-        pair.process._frozen = None
+        pair.process.arm.frozen = None
     pair.runtime_turns = True
     pair.turn()
     if off >= waiting:
@@ -324,16 +324,18 @@ def test_a_joint_that_is_measured_faster_than_its_limit_stops_the_controller_by_
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT)
     for part, stopped in ((0.5, False), (1.1, True)):
-        joints = list(pair.process._arm_state.joints)
+        joints = list(pair.process.arm.state.joints)
         limit = (1.0, 1.0, 200.0, 2.0, 2.0)[joint] * pair.turn_s
         joints[joint] += min(part * limit, 0.99 if joint == 2 else math.radians(0.49))
         if stopped and joint > 1:  # no knock within the tolerance of position is as fast
-            pair.process._plant = replace(pair.process._plant, limits=slower(pair.process._plant.limits))
+            pair.process.arm.plant = replace(
+                pair.process.arm.plant, limits=slower(pair.process.arm.plant.limits)
+            )
         said = len(pair.said)
-        fault = pair.process._plant.too_fast(pair.process._arm_state.joints, tuple(joints), pair.turn_s)
+        fault = pair.process.arm.plant.too_fast(pair.process.arm.state.joints, tuple(joints), pair.turn_s)
         assert (fault is not None) is stopped
         assert len(pair.said) == said
-    pair.process._measured_joints = tuple(joints)
+    pair.process.arm.measured = tuple(joints)
     pair.turn()
     assert any(f"the arm stopped by itself: q{joint} moved by" in line for line in pair.said)
     assert pair.controller.cause is StopCause.LIMIT_EXCEEDED

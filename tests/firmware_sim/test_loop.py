@@ -12,9 +12,10 @@ import pytest
 
 from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.path_check import PathCheck
-from cutgate.firmware_sim.process import Options, Process, Word, middle_of
 from cutgate.firmware_sim.state import (
     BoneMoved,
     Controller,
@@ -96,7 +97,7 @@ class Bench:
             Port(self.bus, endpoint),
             self.file,
             options=Options(**options),
-            words=WordReader(reading, Word) if words else None,
+            commands=WordReader(reading, Word) if words else None,
             say=self.said.append,
             clock=Clock(),
         )
@@ -180,7 +181,7 @@ def test_the_loop_hears_the_terminal_and_its_end(bench):
         "enabling device pressed",
         "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit",
     ]
-    assert one.process._words.descriptor is None
+    assert one.process._commands.descriptor is None
 
 
 def test_the_loop_ends_with_its_bus(bench):
@@ -320,7 +321,7 @@ def test_what_is_remembered_over_a_loss_of_power_is_what_was_written(bench, monk
     one.process.controller = _with_registration(one.process.controller)
     one.process._feed(BoneMoved())
     one.process._feed(Fault(StopCause.SECOND_NODE))
-    one.process._reboot()
+    one.process._happen(FaultName.REBOOT)
     controller = one.process.controller
     assert controller.memory == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
     assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
@@ -332,33 +333,16 @@ def _with_registration(controller):
 
 def test_a_stored_path_does_not_move_the_arm(bench):
     one = bench()
-    before = one.process._arm_state
+    before = one.process.arm.state
     one.process.controller = _opened(one.process.controller)
     one.process._feed(PathChecked(PATH.body(), Refusal.ACCEPTED, 0, None))
     assert one.process.controller.state is ControllerState.LOADED
-    assert one.process._arm_state == before
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper", "expected"),
-    [
-        ((-80, 0, 50, -170, 0), (80, 145, 450, 170, 110), (0, 72.5, 250, 0, 55)),
-        ((-36_000, -145, -10, 100, 20), (36_000, 0, 20, 220, 180), (0, -72.5, 5, 160, 100)),
-        ((-180, 0, 0, -100, 0), (500, 180, 1, 700, 180), (0, 90, 0.5, 300, 90)),
-        ((-39, 0, 0, -36_000, 0), (36_000, 180, 1, -139, 180), (1111, 90, 0.5, -1200, 90)),
-    ],
-)
-def test_the_arm_powers_up_in_the_middle_of_its_limits(lower, upper, expected):
-    """0 where a joint has half a turn on either side of it; of limits beyond what the bus reports, where it may go."""
-    limits = records.Limits.quantised(q_min_deg=lower, q_max_deg=upper, speed_deg_s=(57, 57, 200, 114, 114))
-    joints = middle_of(limits)
-    shown = [joint if index == 2 else math.degrees(joint) for index, joint in enumerate(joints)]
-    assert shown == pytest.approx(expected)
+    assert one.process.arm.state == before
 
 
 def test_the_arm_stands_where_it_is_told_to(bench):
     joints = (0.1, 0.2, 300.0, 0.4, 0.5)
-    assert bench(joints=joints).process._arm_state.joints == joints
+    assert bench(joints=joints).process.arm.state.joints == joints
 
 
 def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench):
@@ -371,7 +355,7 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
         one.process.port.endpoint.use_session(1)
         for block in records.split(HIGH.body()):
             one.process._block(block)
-        while one.process._check is not None:
+        while one.process.upload.check is not None:
             one.process._continue_check()
         assert one.process.controller.state is ControllerState.LOADED
         assert (one.process.controller.holdings.ends is not None) is reaches
@@ -406,9 +390,9 @@ def test_a_path_of_many_blocks_is_checked_once_it_is_whole(bench):
     assert blocks
     for block in blocks:
         one.process._block(block)
-        assert one.process._check is None
+        assert one.process.upload.check is None
     one.process._block(last)
-    assert one.process._check is not None
+    assert one.process.upload.check is not None
 
 
 def test_a_record_of_no_session_is_ignored(bench):
@@ -424,7 +408,7 @@ def test_what_is_measured_is_where_the_arm_stands(bench):
 
 
 def test_a_stop_ends_the_check_of_a_path(bench, monkeypatch):
-    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    monkeypatch.setattr("cutgate.firmware_sim.upload.CHECK_POSES_PER_CYCLE", 1)
     one = in_session(bench())
     one.process._block(records.split(PATH.body())[0])
     one.process._feed(Fault(StopCause.OPERATOR_STOP))
@@ -443,7 +427,7 @@ def test_a_path_begun_before_a_stop_is_not_completed_after_it(bench):
     one.process._feed(Fault(StopCause.OPERATOR_STOP))
     one.process.controller = _opened(one.process.controller)
     one.process._block(last)
-    assert one.process._check is None
+    assert one.process.upload.check is None
     assert "path refused" in one.said[-1]
 
 
@@ -452,15 +436,15 @@ def test_where_the_arm_stands_is_measured_anew_for_a_start(bench):
     one = bench()
     one.process.controller = _opened(one.process.controller)
     one.process._measure()
-    q0, *rest = one.process._arm_state.joints
-    one.process._arm_state = replace(one.process._arm_state, joints=(q0 + math.radians(2.0), *rest))
+    q0, *rest = one.process.arm.state.joints
+    one.process.arm.state = replace(one.process.arm.state, joints=(q0 + math.radians(2.0), *rest))
     start = permit.sign(KEY, records.Start(bytes(16), 1, bytes(32), bytes(32), (0,) * 5))
     one.process._record(RecordReceived(start, records.Channel.CONTROL, 1, 1, 20, bytes(32)))
     assert one.process.controller.measured_u == (2_000_000, 72_500_000, 250_000_000, 0, 55_000_000)
 
 
 def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
-    monkeypatch.setattr("cutgate.firmware_sim.process.CHECK_POSES_PER_TURN", 1)
+    monkeypatch.setattr("cutgate.firmware_sim.upload.CHECK_POSES_PER_CYCLE", 1)
     one = in_session(bench())
     one.process._block(records.split(PATH.body())[0])
     assert one.process._wait_s() == 0.0

@@ -1,0 +1,143 @@
+"""The simulated arm as the loop sees it: where it stands, what it executes, and which joints the bus hears.
+
+No bus, no clock: time comes in as an argument. :meth:`Arm.load` follows every change of the stored path,
+:meth:`Arm.begin` an accepted start, and after that :meth:`Arm.move` is called once a cycle.
+"""
+
+import math
+from dataclasses import replace
+
+from cutgate.firmware_sim.approach import Approach
+from cutgate.firmware_sim.kinematics import GOES_RAD, Joints
+from cutgate.firmware_sim.plant import Plant, PlantFault, PlantState, StoredPath
+from cutgate.firmware_sim.state import Holdings
+from cutgate.protocol.records import Calibration, Limits, Permit
+
+OFF_START_DEG = 2.0
+DRIFT_DEG_S = 1.0
+RUSH = 3.0
+
+
+class Arm:
+    """The arm: plant, joints, the path and the legs it executes, and what is wrong with it.
+
+    Args:
+        holdings: what the controller holds at power-up.
+        joints: where it stands then, rad and mm; the middle of its limits where not given.
+        hold_roll_rad: the q3 held by a path of vertical axis throughout, where the robot declares one.
+        time_scale: seconds of the plant in one of the clock.
+
+    Attributes:
+        state: where it is.
+        plant: how it moves.
+        path: what it executes, None without a stored path.
+        executed: how many segments of the cut it has executed since the start.
+        speed_ratio: the highest joint speed since the start, over its limit.
+        measured: the joints at the end of the cycle before.
+        frozen: the joints that the bus hears instead of the true ones, with a fault.
+    """
+
+    def __init__(
+        self,
+        holdings: Holdings,
+        *,
+        joints: Joints | None = None,
+        hold_roll_rad: float | None = None,
+        time_scale: float = 1.0,
+    ) -> None:
+        self._hold_roll_rad = hold_roll_rad
+        self._time_scale = time_scale
+        self._rush = 1.0
+        self._drifts_since_s: float | None = None
+        self.frozen: Joints | None = None
+        self.load(holdings)
+        self.state = PlantState(joints or middle_of(self.plant.limits))
+        self.measured = self.state.joints
+        self.executed, self.speed_ratio = 0, 0.0
+
+    def load(self, holdings: Holdings) -> None:
+        """The stored path has changed; the arm keeps its place, and what was to be executed is void."""
+        self.plant = Plant(
+            limits=Limits.parse(holdings.limits),
+            calibration=Calibration.parse(holdings.calibration),
+            hold_roll_rad=self._hold_roll_rad,
+        )
+        self.path = StoredPath.of(holdings.path) if holdings.path is not None else None
+        self._approach: Approach | None = None
+
+    def begin(self, permit: Permit) -> None:
+        """The start was accepted: from where the arm stands along the permitted legs."""
+        self._approach = Approach.of(permit)
+        self.state = PlantState(self.state.joints)
+        self.measured = self.state.joints
+        self.executed, self.speed_ratio = 0, 0.0
+
+    def move(self, gap_s: float, *, moving: bool, cutter: bool) -> PlantFault | None:
+        """One cycle of motion. ``state.done`` says afterwards that it stands at the start joints again.
+
+        Args:
+            gap_s: seconds of the clock since the cycle before.
+            moving: whether motion is allowed; without it the arm stands at once.
+            cutter: whether the cutter is switched on.
+
+        Returns:
+            Why the arm stopped by itself, None if it did not.
+        """
+        assert self.path is not None and self._approach is not None  # noqa: S101, PT018 - a start was accepted
+        advance = self.plant.advance(
+            self.state,
+            self.path,
+            self._approach,
+            dt_s=gap_s if moving else 0.0,
+            moving=moving,
+            cutter=cutter,
+            time_scale=self._time_scale * self._rush,
+        )
+        before, self.state, self.measured = self.measured, advance.state, advance.state.joints
+        self.executed += len(advance.executed)
+        self.speed_ratio = max(self.speed_ratio, advance.speed_ratio)
+        return advance.fault or self.plant.too_fast(before, self.measured, gap_s * self._time_scale)
+
+    def reported(self, now_s: float) -> Joints:
+        """The joints as the bus hears them; others than the controller goes by only with a fault."""
+        q0, q1, q2, q3, q4 = self.frozen or self.state.joints
+        if self._drifts_since_s is not None:
+            q0 += math.radians(DRIFT_DEG_S) * (now_s - self._drifts_since_s)
+        return q0, q1, q2, q3, q4
+
+    # ------------------------------------------------------------ what can be wrong with it
+
+    def push_aside(self) -> None:
+        """It stands 2 deg in q0 off where it stood."""
+        q0, q1, q2, q3, q4 = self.state.joints
+        self.state = replace(self.state, joints=(q0 + math.radians(OFF_START_DEG), q1, q2, q3, q4))
+
+    def drift(self, now_s: float) -> None:
+        """From now on q0 creeps away from where the controller believes it to be."""
+        self._drifts_since_s = now_s
+
+    def freeze(self) -> None:
+        """The bus hears these joints from now on, wherever the arm goes."""
+        self.frozen = self.state.joints
+
+    def rush(self) -> None:
+        """From now on the plant runs three times as fast as it says."""
+        self._rush = RUSH
+
+
+def middle_of(limits: Limits) -> Joints:
+    """Each joint in the middle of its limits; a turning joint with half a revolution left on either side of 0 at 0.
+
+    Of limits beyond what a joints frame reports, in the middle of the part where the joint may go; if there is any.
+    """
+
+    def middle(joint: int, low: float, high: float) -> float:
+        if joint != 2 and low <= GOES_RAD and high >= -GOES_RAD:
+            low, high = max(low, -GOES_RAD), min(high, GOES_RAD)
+        return 0.0 if joint != 2 and low <= -math.pi and math.pi <= high else (low + high) / 2.0
+
+    q0, q1, q2, q3, q4 = (
+        middle(joint, float(low), float(high))
+        for joint, (low, high) in enumerate(zip(limits.q_min, limits.q_max, strict=True))
+    )
+    return q0, q1, q2, q3, q4

@@ -1,0 +1,83 @@
+"""What arrives from the bus, as events of the table. Pure but for the random number of a nonce.
+
+Blocks of a path are no events: they go to the upload (``upload``), and its verdict is one.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from cutgate.firmware_sim.state import (
+    AcknowledgeReceived,
+    CollectReceived,
+    Event,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    NonceRequested,
+    OpenReceived,
+    PermitReceived,
+    ResetReceived,
+    Session,
+    StartReceived,
+    StopReceived,
+)
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.frames import RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.states import StopCause
+
+NONCE_BYTES: Final = 16
+JUDGED_WHERE_THE_ARM_STANDS: Final = (records.Permit, records.Start)
+"""Before these the joints are measured anew: between a permit and its start somebody may have moved the arm."""
+
+
+def of_frame(accepted: Accepted) -> Event | None:
+    """What a checked single frame of the runtime means; None of one that says nothing to the table."""
+    match accepted.frame:
+        case RuntimeHeartbeat() as beat:
+            return HeartbeatReceived(beat.code, beat.epoch, beat.cause, accepted.fresh)
+        case RuntimeStop() as stop:
+            return StopReceived(stop.code, stop.cause)
+        case _:
+            return None
+
+
+def of_lateness(violation: Violation) -> Event:
+    """What time alone has brought about: a lost peer, a stalled loop, a transfer that did not end."""
+    lost = violation.cause is StopCause.HEARTBEAT_LOST
+    return HeartbeatLost() if lost else Fault(violation.cause)
+
+
+def belongs(item: RecordReceived, session: Session | None) -> bool:
+    """Whether a checked record is of this session, or asks for one; any other is ignored."""
+    inside = session is not None and item.session == session.tag
+    return inside or isinstance(item.record, records.Open)
+
+
+OF_RECORD: Final[dict[type[records.Record], Callable[[Any, int], Event]]] = {
+    records.Open: OpenReceived,
+    records.Collect: lambda _collect, _sequence: CollectReceived(),
+    records.Permit: PermitReceived,
+    records.Start: StartReceived,
+    records.Reset: ResetReceived,
+    records.Acknowledge: lambda acknowledge, sequence: AcknowledgeReceived(acknowledge.cause, sequence),
+}
+"""Record and its sequence to the event; a nonce request needs a random number as well."""
+
+
+def of_record(item: RecordReceived, random: Callable[[int], bytes]) -> Event | None:
+    """What a checked record means that belongs.
+
+    Args:
+        item: the record.
+        random: the operating system's generator; asked where a nonce is to be given out.
+
+    Returns:
+        The event, None of a record that says nothing to the table.
+    """
+    record = item.record
+    if isinstance(record, records.NonceRequest):
+        return NonceRequested(record.purpose, random(NONCE_BYTES))
+    event = OF_RECORD.get(type(record))
+    return event(record, item.sequence) if event else None

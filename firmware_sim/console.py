@@ -1,0 +1,79 @@
+"""The person at the controller: what can be done there, and the lines that are read there. Pure."""
+
+from dataclasses import replace
+from enum import StrEnum
+from typing import assert_never
+
+from cutgate.firmware_sim.faults import narrower
+from cutgate.firmware_sim.state import BoneMoved, Controller, Event, InputsChanged, LimitsChanged
+from cutgate.protocol.permit import fingerprint
+from cutgate.protocol.states import Refusal, StopCause
+
+
+class Word(StrEnum):
+    """What the person at the simulated controller can do: one operator command a line."""
+
+    HOLD = "hold"
+    RELEASE = "release"
+    ESTOP = "estop"
+    BONE_MOTION = "bone-motion"
+    LIMIT = "limit"
+
+
+def event_of(command: Word, controller: Controller) -> tuple[str, Event]:
+    """What an operator command does: the line that confirms it, and what the table hears."""
+    inputs = controller.inputs
+    match command:
+        case Word.HOLD:
+            return "enabling device pressed", InputsChanged(replace(inputs, device_pressed=True))
+        case Word.RELEASE:
+            return "enabling device released", InputsChanged(replace(inputs, device_pressed=False))
+        case Word.ESTOP:
+            clear = not inputs.emergency_stop_clear
+            line = "emergency stop released" if clear else "emergency stop pressed"
+            return line, InputsChanged(replace(inputs, emergency_stop_clear=clear))
+        case Word.BONE_MOTION:
+            return "bone motion reported", BoneMoved()
+        case Word.LIMIT:
+            return "a joint limit was changed", LimitsChanged(narrower(controller.holdings.limits))
+        case _:
+            assert_never(command)
+
+
+def not_known(text: str) -> str:
+    """The answer to what is no operator command."""
+    return f"{text!r} is not a word here; say one of {', '.join(Word)}"
+
+
+def state_line(controller: Controller) -> str:
+    """The state, and the cause that stands."""
+    cause = "" if controller.cause is StopCause.NONE else f" ({controller.cause.name})"
+    return f"state {controller.state.name}{cause}"
+
+
+def executed_line(segments: int, speed_ratio: float) -> str:
+    """What the arm has done, once it stands at the start joints again."""
+    return f"{segments} segments executed, peak joint speed {speed_ratio:.0%} of its limit"
+
+
+def refusal_line(refusal: Refusal, key: bytes) -> str:
+    """A refusal, and what the person at the controller can do about it, as the runtime's people cannot.
+
+    Args:
+        refusal: why.
+        key: the controller's own.
+    """
+    return f"refused: {refusal.name}{_remedy(refusal, key)}"
+
+
+def _remedy(refusal: Refusal, key: bytes) -> str:
+    match refusal:
+        case Refusal.MAC_INVALID:
+            own = fingerprint(key)
+            return f": the runtime has another key file; this one's fingerprint is {own}, compare it with the runtime's"
+        case Refusal.EMERGENCY_STOP:
+            return ": the emergency stop is pressed; say estop to release it"
+        case Refusal.DEVICE_NOT_RELEASED_AND_PRESSED:
+            return ": say release, then hold"
+        case _:
+            return ""

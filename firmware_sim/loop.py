@@ -1,0 +1,428 @@
+"""The simulated controller's loop: bus, clock, console, memory and arm wired to the table. It decides nothing.
+
+One cycle: look at the clocks, read the bus and the console, feed the table, move the arm if it may move, send the
+heartbeat, flush. The heartbeat is the last act of a cycle in which the table was evaluated.
+"""
+
+import contextlib
+import os
+import select
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Final, assert_never
+
+import can
+
+from cutgate.config.terminal import WordReader
+from cutgate.firmware_sim import arrivals, console, faults, memory, reports
+from cutgate.firmware_sim.arm import Arm
+from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec
+from cutgate.firmware_sim.kinematics import Joints
+from cutgate.firmware_sim.state import (
+    AbortTransfers,
+    CloseLink,
+    Controller,
+    Effect,
+    Event,
+    Fault,
+    JointsMeasured,
+    Memory,
+    OpenLink,
+    PathFinished,
+    Persist,
+    Persisted,
+    PersistFailed,
+    Send,
+    SendFault,
+    Session,
+    Tick,
+)
+from cutgate.firmware_sim.table import step
+from cutgate.firmware_sim.upload import MALFORMED, Upload
+from cutgate.protocol import records
+from cutgate.protocol.cycle import Cycle
+from cutgate.protocol.endpoint import Item, RecordReceived, Undelivered
+from cutgate.protocol.frames import ControllerFault, joint_frames
+from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.port import Port
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+
+HANG_S: Final = 1.0
+BOOT_NONCE_BYTES: Final = 16
+
+
+@dataclass(frozen=True)
+class Options:
+    """How this simulated controller behaves.
+
+    ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
+    ``joints``: where the arm stands at power-up, rad and mm.
+    """
+
+    time_scale: float = 1.0
+    announce_s: float = 0.2
+    faults: tuple[FaultSpec, ...] = ()
+    hold_roll_rad: float | None = None
+    joints: Joints | None = None
+
+
+class Process:
+    """The controller at work.
+
+    Args:
+        controller: its state at power-up.
+        port: its side of the bus.
+        memory_file: non-volatile memory.
+        options: time scale and faults.
+        commands: what is typed at its console, None without one.
+        say: shows one line to the person at the controller.
+        clock: monotonic seconds.
+        random: the operating system's generator.
+        sleep: stands still for so many seconds, for the fault that hangs the loop.
+
+    Attributes:
+        controller: the table's state.
+        arm: where the arm stands and what it executes.
+        upload: the path that is coming in, or is being checked.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        port: Port,
+        memory_file: FilePath,
+        *,
+        options: Options,
+        commands: WordReader[Word] | None = None,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        random: Callable[[int], bytes] = os.urandom,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.controller = controller
+        self.port = port
+        self._memory = memory_file
+        self._memory_works = True
+        self._options = options
+        self._commands = commands
+        self._say = say
+        self._clock = clock
+        self._random = random
+        self._sleep = sleep
+        self._faults = Faults(options.faults)
+        self._silent = False
+        self._undelivered = ""
+        self._cycle = Cycle(port, clock)
+        self._next_announce_s = self._cycle.now_s
+        self.upload = Upload(options.hold_roll_rad)
+        self.arm = Arm(
+            controller.holdings,
+            joints=options.joints,
+            hold_roll_rad=options.hold_roll_rad,
+            time_scale=options.time_scale,
+        )
+
+    # ------------------------------------------------------------ the loop
+
+    def run(self, wake: int) -> None:
+        """Turn until something arrives on ``wake``. A failed bus stops the arm and ends the process."""
+        poller = select.poll()
+        poller.register(wake, select.POLLIN)
+        poller.register(self.port.bus.fileno(), select.POLLIN)
+        if self._console_descriptor is not None:
+            poller.register(self._console_descriptor, select.POLLIN)
+        while True:
+            ready = {descriptor for descriptor, _ in poller.poll(1000.0 * self._wait_s())}
+            if wake in ready:
+                self._feed(Fault(StopCause.OPERATOR_QUIT))
+                self.port.flush_last()
+                return
+            descriptor = self._console_descriptor
+            self.turn(ready)
+            if descriptor is not None and self._console_descriptor is None:  # end of file
+                poller.unregister(descriptor)
+
+    def turn(self, ready: Collection[int] = ()) -> None:
+        """One cycle of the loop. After anything that is raised the arm stands, for nothing else moves it.
+
+        Args:
+            ready: descriptors that can be read.
+
+        Raises:
+            can.CanError: the bus failed.
+        """
+        try:
+            self._turn(ready)
+        except can.CanError:
+            self._feed(Fault(StopCause.BUS_FAILED))
+            raise
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _turn(self, ready: Collection[int]) -> None:
+        cycle = self._cycle
+        cycle.begin()
+        for violation in cycle.late():
+            self._late(violation)
+        for item in cycle.read():
+            self._item(item)
+        self._read_console(ready)
+        self._continue_check()
+        self._feed(Tick())
+        self._move(cycle.gap_s)
+        self._inject()
+        self._speak(cycle.now_s)
+        if not self._silent:
+            self.port.flush()
+
+    def _give_up(self) -> None:
+        """The program itself failed: latch, tell the runtime if the bus still carries it, send nothing else."""
+        self.controller, effects = step(self.controller, Fault(StopCause.INTERNAL_ERROR), self._clock())
+        self.port.endpoint.abort()
+        for effect in effects:
+            if isinstance(effect, SendFault):
+                self._carry_out(effect)
+        if not self._silent:
+            with contextlib.suppress(can.CanError):  # heartbeats cease: the runtime stops within the time-out
+                self.port.flush_last()
+        self._remember(self.controller.memory)
+
+    def _wait_s(self) -> float:
+        if self.upload.check is not None:
+            return 0.0
+        return self._cycle.wait_s(None if self._link_open else self._next_announce_s)
+
+    @property
+    def _console_descriptor(self) -> int | None:
+        return self._commands.descriptor if self._commands is not None else None
+
+    @property
+    def _link_open(self) -> bool:
+        return self.port.endpoint.link.is_open
+
+    # ------------------------------------------------------------ what arrives
+
+    def _late(self, violation: Violation) -> None:
+        self._say(violation.detail)
+        self._feed(arrivals.of_lateness(violation))
+
+    def _item(self, item: Item) -> None:
+        match item:
+            case Accepted():
+                self._feed_any(arrivals.of_frame(item))
+            case Violation(cause=StopCause.LOOP_STALLED):
+                self._late(item)
+            case Violation():
+                self._say(f"refused: {item.detail}")
+                self._feed(Fault(item.cause))
+            case Undelivered(detail) if detail != self._undelivered:  # announcements come five times a second
+                self._undelivered = detail
+                self._say(detail)
+            case RecordReceived() if arrivals.belongs(item, self.controller.session):
+                self._record(item)
+
+    def _record(self, item: RecordReceived) -> None:
+        if isinstance(item.record, records.PathBlock):
+            self._block(item.record)
+            return
+        if isinstance(item.record, arrivals.JUDGED_WHERE_THE_ARM_STANDS):
+            self._measure()
+        self._feed_any(arrivals.of_record(item, self._random))
+
+    def _feed_any(self, event: Event | None) -> None:
+        if event is not None:
+            self._feed(event)
+
+    def _read_console(self, ready: Collection[int]) -> None:
+        if self._commands is None or self._commands.descriptor not in ready:
+            return
+        for command in self._commands.read():
+            if isinstance(command, Word):
+                self.act(command)
+            else:
+                self._say(console.not_known(command))
+
+    def act(self, command: Word) -> None:
+        """Carry out one operator command."""
+        line, event = console.event_of(command, self.controller)
+        self._say(line)
+        self._feed(event)
+
+    # ------------------------------------------------------------ the path
+
+    def _block(self, block: records.PathBlock) -> None:
+        """Store one block; the last one starts the check of the whole path."""
+        if self.controller.state not in (ControllerState.OPEN, ControllerState.LOADED):
+            return
+        try:
+            path = self.upload.add(block)
+        except records.RecordError as error:
+            self._say(f"path refused: {error}")
+            self._feed(MALFORMED)
+            return
+        self._send(records.BlockStored(index=block.index))
+        if path is not None:
+            self.upload.begin_check(path, self.controller.holdings)
+
+    def _continue_check(self) -> None:
+        session = self.controller.session
+        if session is None:  # what ended it has voided the check
+            return
+        checked = self.upload.continue_check(self.controller.holdings, session.approach_clearance_um)
+        if checked is not None:
+            for line in checked.lines:
+                self._say(line)
+            self._feed(checked.event)
+
+    # ------------------------------------------------------------ the table and its effects
+
+    def _feed(self, event: Event) -> None:
+        before = self.controller
+        self.controller, effects = step(before, event, self._clock())
+        if before.state is not self.controller.state or before.cause is not self.controller.cause:
+            self._show(event)
+        if before.holdings.path is not self.controller.holdings.path:
+            self.arm.load(self.controller.holdings)
+        if self.controller.state is ControllerState.CUTTING and before.state is not ControllerState.CUTTING:
+            assert self.controller.permit is not None  # noqa: S101 - NO_PERMIT stands in the rules
+            self.arm.begin(self.controller.permit)
+        for effect in effects:
+            self._carry_out(effect)
+
+    def _show(self, event: Event) -> None:
+        line = console.state_line(self.controller)
+        if isinstance(event, PathFinished):
+            line += f": {console.executed_line(self.arm.executed, self.arm.speed_ratio)}"
+        self._say(line)
+
+    def _carry_out(self, effect: Effect) -> None:
+        endpoint = self.port.endpoint
+        match effect:
+            case Send():
+                self._reply(effect)
+            case SendFault():
+                if self._link_open:
+                    endpoint.send_frame(ControllerFault(effect.code, effect.cause), self._clock())
+            case OpenLink(session=session):
+                self._open_link(session)
+            case CloseLink():
+                endpoint.end_session()
+                self._next_announce_s = self._clock() + self._options.announce_s
+            case AbortTransfers():
+                endpoint.abort()
+                self.upload.void()
+            case Persist(memory=wanted):
+                if not self._silent:
+                    self.port.leave_now()
+                self._feed(Persisted(wanted) if self._remember(wanted) else PersistFailed())
+            case _:
+                assert_never(effect)
+
+    def _open_link(self, session: Session) -> None:
+        endpoint = self.port.endpoint
+        endpoint.stop_sending()  # an announcement that crossed OPEN must not hold up the answer
+        endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
+        endpoint.use_session(session.tag)
+        endpoint.link.open(session.tag, self._clock())
+        self._cycle.next_heartbeat_s = self._clock()
+
+    def _reply(self, effect: Send) -> None:
+        if isinstance(effect.record, records.Reply) and effect.record.refusal is not Refusal.ACCEPTED:
+            self._say(console.refusal_line(effect.record.refusal, self.controller.identity.key))
+        now_s = self._clock()
+        self.port.endpoint.send_record(effect.record, now_s, session=effect.session)
+        if not self._link_open:  # a refusal of OPEN: the next announcement would cut it off
+            self._next_announce_s = max(self._next_announce_s, now_s + self._options.announce_s)
+
+    def _send(self, record: records.Record) -> None:
+        self.port.endpoint.send_record(record, self._clock())
+
+    def _remember(self, wanted: Memory) -> bool:
+        """Write non-volatile memory; False, shown once until it works again, where it cannot be written."""
+        try:
+            memory.save(self._memory, wanted)
+        except memory.ControllerMemoryError as error:
+            if self._memory_works:
+                self._say(str(error))
+            self._memory_works = False
+            return False
+        self._memory_works = True
+        return True
+
+    # ------------------------------------------------------------ the arm
+
+    def _measure(self) -> None:
+        """Where the arm stands, for PERMIT, START and the end of the retract."""
+        self._feed(JointsMeasured(records.joints_to_counts(self.arm.state.joints)))
+
+    def _move(self, gap_s: float) -> None:
+        if self.controller.state is not ControllerState.CUTTING:
+            return
+        fault = self.arm.move(gap_s, moving=self.controller.may_move, cutter=self.controller.cutting_mode)
+        if fault is not None:
+            self._say(f"the arm stopped by itself: {fault.detail}")
+            self._feed(Fault(fault.cause))
+        elif self.arm.state.done:
+            self._measure()
+            self._feed(PathFinished())
+
+    # ------------------------------------------------------------ what is sent
+
+    def _speak(self, now_s: float) -> None:
+        """Heartbeat, joints and progress in a session; announcements outside one."""
+        if self._link_open:
+            if self._cycle.heartbeat_due():
+                self._heartbeat(now_s)
+        elif now_s >= self._next_announce_s:
+            self._announce(now_s)
+
+    def _heartbeat(self, now_s: float) -> None:
+        endpoint = self.port.endpoint
+        endpoint.send_frame(reports.heartbeat(self.controller), now_s)
+        for frame in joint_frames(self.arm.reported(self._clock())):
+            endpoint.send_frame(frame, now_s)
+        progress = reports.progress(self.controller, self.arm.state)
+        if progress is not None:
+            endpoint.send_frame(progress, now_s)
+
+    def _announce(self, now_s: float) -> None:
+        self._next_announce_s = now_s + self._options.announce_s
+        endpoint = self.port.endpoint
+        if endpoint.receiving:  # most likely an OPEN
+            return
+        endpoint.abort()  # an announcement nobody took
+        endpoint.send_record(reports.announcement(self.controller, self._options.time_scale), now_s)
+
+    # ------------------------------------------------------------ faults on demand
+
+    def _inject(self) -> None:
+        for name in self._faults.due(self.controller.state):
+            self._say(f"fault injected: {name}")
+            self._happen(name)
+
+    def _happen(self, name: FaultName) -> None:
+        match name:
+            case FaultName.HANG:
+                self._sleep(HANG_S)
+            case FaultName.SILENT:
+                self._silent = True
+            case FaultName.REBOOT:
+                self._reboot()
+            case _:
+                self.controller = faults.happen(name, self.controller, self.arm, self._clock())
+
+    def _reboot(self) -> None:
+        old = self.controller
+        self.port.endpoint.end_session()
+        self.upload.void()
+        self.controller = Controller.powered_up(
+            replace(old.identity, boot_nonce=self._random(BOOT_NONCE_BYTES)),
+            replace(old.holdings, path=None, ends=None),
+            memory.load(self._memory),
+        )
+        self.arm.load(self.controller.holdings)
+        self._next_announce_s = self._clock()

@@ -1,0 +1,244 @@
+"""The arm as the loop sees it: what a start, a stored path and each fault make of it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cutgate.firmware_sim.approach import own_ends
+from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, Arm, middle_of
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.firmware_sim.plant import Leg, Plant, PlantState
+from cutgate.firmware_sim.state import Holdings
+from cutgate.protocol import records
+from cutgate.protocol.states import StopCause
+from tests.firmware_sim.arms import CALIBRATED, LEFT_LIMITS, LIMITS, PATH, TOOL, TOOL_MM
+from tests.firmware_sim.controllers import PERMIT
+
+HOLDINGS = Holdings(LIMITS.body(), CALIBRATED.body(), TOOL.body())
+WITH_PATH = replace(HOLDINGS, path=PATH.body())
+STANDS = (0.1, 0.2, 300.0, 0.4, 0.5)
+DT_S = 0.02
+
+
+def _permit():
+    check = PathCheck(records.PathCodes.parse(PATH.body()), LIMITS, CALIBRATED, TOOL)
+    check.run()
+    arm = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    ends = own_ends(check.path, arm, LIMITS, check.first_joints, check.last_joints, clearance_um=10_000)
+    bound = records.Approach(
+        ends.entry_um, ends.exit_um, ends.entry_joints_u, ends.exit_joints_u, speed_percent=100
+    )
+    near = (ends.entry_joints_u[0] + 2 * records.UNIT, *ends.entry_joints_u[1:])
+    return replace(PERMIT, start_joints_u=near, approach=bound)
+
+
+GIVEN = _permit()
+AT_START = as_joints(records.joints_to_memory(GIVEN.start_joints_u))
+
+
+def begun(**options):
+    """An arm at its start joints, with a path and an accepted start."""
+    arm = Arm(WITH_PATH, joints=AT_START, **options)
+    arm.begin(GIVEN)
+    return arm
+
+
+def moved(arm, cycles=1, dt_s=DT_S):
+    for _ in range(cycles):
+        assert arm.move(dt_s, moving=True, cutter=True) is None
+    return arm
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [
+        ((-80, 0, 50, -170, 0), (80, 145, 450, 170, 110), (0, 72.5, 250, 0, 55)),
+        ((-36_000, -145, -10, 100, 20), (36_000, 0, 20, 220, 180), (0, -72.5, 5, 160, 100)),
+        ((-180, 0, 0, -100, 0), (500, 180, 1, 700, 180), (0, 90, 0.5, 300, 90)),
+        ((-39, 0, 0, -36_000, 0), (36_000, 180, 1, -139, 180), (1111, 90, 0.5, -1200, 90)),
+    ],
+)
+def test_the_arm_powers_up_in_the_middle_of_its_limits(lower, upper, expected):
+    """0 where a joint has half a turn on either side of it; of limits beyond what the bus reports, where it may go."""
+    limits = records.Limits.quantised(q_min_deg=lower, q_max_deg=upper, speed_deg_s=(57, 57, 200, 114, 114))
+    joints = middle_of(limits)
+    shown = [joint if index == 2 else math.degrees(joint) for index, joint in enumerate(joints)]
+    assert shown == pytest.approx(expected)
+
+
+def test_the_middle_of_the_limits_is_the_middle_of_a_range_that_touches_half_a_revolution():
+    """A degree less on either side, and 0 is not the place."""
+    for lower, upper, expected in ((-180, 180, 0.0), (-179, 180, 0.5), (-180, 179, -0.5), (-200, 182, 0.0)):
+        limits = replace(LIMITS, q_min_u=(lower * records.UNIT, *LIMITS.q_min_u[1:]))
+        limits = replace(limits, q_max_u=(upper * records.UNIT, *limits.q_max_u[1:]))
+        assert math.degrees(middle_of(limits)[0]) == pytest.approx(expected)
+
+
+def test_at_power_up_it_stands_in_the_middle_of_its_limits_or_where_it_is_told_to():
+    assert Arm(HOLDINGS).state == PlantState(middle_of(LIMITS))
+    arm = Arm(HOLDINGS, joints=STANDS)
+    assert arm.state == PlantState(STANDS)
+    assert arm.measured == STANDS
+    assert (arm.executed, arm.speed_ratio, arm.path, arm.frozen) == (0, 0.0, None, None)
+
+
+def test_the_plant_is_the_one_that_the_holdings_describe():
+    assert Arm(HOLDINGS).plant == Plant(LIMITS, CALIBRATED)
+    assert Arm(HOLDINGS, hold_roll_rad=0.3).plant == Plant(LIMITS, CALIBRATED, 0.3)
+
+
+def test_a_stored_path_does_not_move_the_arm_and_takes_the_limits_as_they_are_now():
+    arm = Arm(HOLDINGS, joints=STANDS)
+    arm.load(replace(WITH_PATH, limits=LEFT_LIMITS.body()))
+    assert arm.state == PlantState(STANDS)
+    assert arm.plant.limits == LEFT_LIMITS
+    assert len(arm.path) == len(PATH)
+    arm.load(HOLDINGS)
+    assert arm.path is None
+
+
+def test_a_path_that_is_loaded_anew_voids_the_start():
+    arm = begun()
+    arm.load(WITH_PATH)
+    with pytest.raises(AssertionError):
+        arm.move(DT_S, moving=True, cutter=True)
+
+
+def test_without_a_path_nothing_is_executed():
+    arm = begun()
+    arm.path = None
+    with pytest.raises(AssertionError):
+        arm.move(DT_S, moving=True, cutter=True)
+
+
+def test_a_start_begins_from_where_the_arm_stands_and_counts_anew():
+    arm = moved(begun(), 2000)
+    assert arm.executed == len(PATH) - 1
+    assert arm.state.done
+    assert 0.0 < arm.speed_ratio <= 1.0
+    arm.state = PlantState(STANDS, Leg.EXIT)
+    arm.begin(GIVEN)
+    assert arm.state == PlantState(STANDS)
+    assert arm.measured == STANDS
+    assert (arm.executed, arm.speed_ratio) == (0, 0.0)
+
+
+def test_it_executes_the_permitted_legs_and_comes_back():
+    arm = begun()
+    legs = {moved(arm).state.leg for _ in range(2000)}
+    assert legs == set(Leg)
+    assert arm.state.joints == pytest.approx(AT_START)
+
+
+def test_segments_and_peak_speed_are_counted_over_all_cycles():
+    arm, executed, fastest = begun(), 0, 0.0
+    while not arm.state.done:
+        before = arm.state
+        advance = arm.plant.advance(before, arm.path, arm._approach, dt_s=DT_S, moving=True, cutter=True)
+        moved(arm)
+        executed, fastest = executed + len(advance.executed), max(fastest, advance.speed_ratio)
+        assert (arm.executed, arm.speed_ratio) == (executed, fastest)
+        assert arm.state == advance.state
+        assert arm.measured == arm.state.joints
+
+
+@pytest.mark.parametrize(("moving", "cutter"), [(False, False), (False, True), (True, False), (True, True)])
+def test_it_moves_only_where_motion_is_allowed(moving, cutter):
+    arm = begun()
+    assert arm.move(DT_S, moving=moving, cutter=cutter) is None
+    assert (arm.state.joints != AT_START) is moving
+    assert (arm.state.moving, arm.state.cutter) == (moving, cutter)
+
+
+def test_time_in_which_it_may_not_move_is_not_made_up_for():
+    """Even one that the plant would refuse."""
+    arm = begun()
+    assert arm.move(math.inf, moving=False, cutter=True) is None
+    assert arm.state.joints == AT_START
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])
+def test_a_time_scale_is_that_of_the_plant(scale):
+    slow, scaled = moved(begun(), 1, scale * DT_S), moved(begun(time_scale=scale))
+    assert scaled.state.joints == pytest.approx(slow.state.joints)
+
+
+def test_an_arm_off_its_path_stops_by_itself():
+    arm = begun()
+    arm.push_aside()
+    fault = arm.move(DT_S, moving=True, cutter=True)
+    assert fault.cause is StopCause.TRACKING_DEVIATION
+
+
+@pytest.mark.parametrize(("scale", "gap_s"), [(1.0, 0.02), (4.0, 0.01)])
+def test_whoever_moves_the_measured_joints_too_fast_is_seen(scale, gap_s):
+    """57 deg/s in the plant's time; what it moves by itself in this cycle is counted from the joints before."""
+    for part, seen in ((0.99, False), (1.01, True)):
+        arm = begun(time_scale=scale)
+        moved_rad = part * math.radians(57) * scale * gap_s
+        arm.measured = (AT_START[0] + moved_rad, *AT_START[1:])
+        fault = arm.move(gap_s, moving=False, cutter=True)
+        assert (fault is not None) is seen
+        if fault:
+            assert fault.cause is StopCause.LIMIT_EXCEEDED
+        assert arm.measured == AT_START
+
+
+# ---------------------------------------------------------------- what can be wrong with it
+
+
+def test_the_bus_hears_where_it_stands():
+    arm = Arm(HOLDINGS, joints=STANDS)
+    assert arm.reported(77.0) == STANDS
+
+
+def test_an_arm_that_was_pushed_aside_stands_2_deg_off_in_q0():
+    arm = Arm(HOLDINGS, joints=STANDS)
+    arm.push_aside()
+    assert OFF_START_DEG == 2.0
+    assert arm.state == PlantState((STANDS[0] + math.radians(2.0), *STANDS[1:]))
+    assert arm.measured == STANDS
+
+
+def test_an_arm_that_drifts_is_reported_1_deg_further_each_second_and_knows_nothing_of_it():
+    arm = Arm(HOLDINGS, joints=STANDS)
+    arm.drift(100.0)
+    assert DRIFT_DEG_S == 1.0
+    for after_s in (0.0, 1.0, 3.0):
+        assert arm.reported(100.0 + after_s) == pytest.approx(
+            (STANDS[0] + math.radians(after_s), *STANDS[1:])
+        )
+    assert arm.state.joints == STANDS
+
+
+def test_a_drift_that_began_when_the_clock_stood_at_0_is_one():
+    arm = Arm(HOLDINGS, joints=STANDS)
+    arm.drift(0.0)
+    assert arm.reported(1.0)[0] == pytest.approx(STANDS[0] + math.radians(1.0))
+
+
+def test_frozen_joints_are_heard_while_the_arm_goes_on():
+    arm = begun()
+    arm.freeze()
+    moved(arm, 50)
+    assert arm.reported(0.0) == AT_START
+    assert not np.allclose(arm.state.joints, AT_START)
+
+
+def test_an_arm_that_rushes_runs_three_times_as_fast_and_within_its_own_speed_limits():
+    arm = begun(time_scale=0.5)
+    arm.rush()
+    slow = moved(begun(), 1, 1.5 * DT_S)
+    assert RUSH == 3.0
+    arm.move(DT_S, moving=True, cutter=True)
+    assert arm.state.joints == pytest.approx(slow.state.joints)
+
+
+def test_the_speed_of_a_rushing_arm_is_judged_by_the_time_scale_that_it_says():
+    """On a joint line at its speed limit its own check sees three times as much."""
+    arm = begun()
+    arm.rush()
+    assert arm.move(0.01, moving=True, cutter=True).cause is StopCause.LIMIT_EXCEEDED

@@ -1,0 +1,124 @@
+"""What arrives, as events of the table: each frame and record exactly one, and nothing of another session."""
+
+from dataclasses import replace
+
+import pytest
+
+from cutgate.firmware_sim import arrivals
+from cutgate.firmware_sim.state import (
+    AcknowledgeReceived,
+    CollectReceived,
+    Fault,
+    HeartbeatLost,
+    HeartbeatReceived,
+    NonceRequested,
+    OpenReceived,
+    PermitReceived,
+    ResetReceived,
+    StartReceived,
+    StopReceived,
+)
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.frames import ControllerFault, RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.link import Accepted, Violation
+from cutgate.protocol.records import Channel, Side
+from cutgate.protocol.states import FaultCode, Purpose, RuntimeCode, StopCause, StopCode
+from tests.firmware_sim.controllers import OPEN, OPENED, SIGNED_PERMIT, SIGNED_RESET, SIGNED_START, TAG
+
+BEAT = RuntimeHeartbeat(RuntimeCode.CUT, 7, StopCause.OPERATOR_STOP)
+BLOCK = records.split(bytes(100))[0]
+
+
+def received(record, *, session=TAG, sequence=9):
+    return RecordReceived(record, record.CHANNEL, session, sequence, 20, bytes(32))
+
+
+def no_random(_count):
+    raise AssertionError("no random number is needed")
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_heartbeat_keeps_what_it_says_and_whether_it_is_fresh(fresh):
+    accepted = Accepted(BEAT, 3, fresh=fresh)
+    assert arrivals.of_frame(accepted) == HeartbeatReceived(
+        RuntimeCode.CUT, 7, StopCause.OPERATOR_STOP, fresh
+    )
+
+
+def test_a_stop_keeps_its_code_and_its_cause():
+    accepted = Accepted(RuntimeStop(StopCode.END, StopCause.SESSION_ENDED), 3)
+    assert arrivals.of_frame(accepted) == StopReceived(StopCode.END, StopCause.SESSION_ENDED)
+
+
+def test_any_other_frame_says_nothing_to_the_table():
+    assert arrivals.of_frame(Accepted(ControllerFault(FaultCode.STOPPED, StopCause.NONE), 3)) is None
+
+
+@pytest.mark.parametrize("cause", StopCause)
+def test_what_is_late_is_a_lost_peer_or_a_fault_of_its_cause(cause):
+    expected = HeartbeatLost() if cause is StopCause.HEARTBEAT_LOST else Fault(cause)
+    assert arrivals.of_lateness(Violation(cause, "late")) == expected
+
+
+@pytest.mark.parametrize(
+    ("record", "session", "here", "belongs"),
+    [
+        (records.Collect(), TAG, OPENED.session, True),
+        (records.Collect(), TAG + 1, OPENED.session, False),
+        (records.Collect(), 0, OPENED.session, False),
+        (records.Collect(), TAG, None, False),
+        (OPEN, 0, None, True),
+        (OPEN, 0, OPENED.session, True),
+        (BLOCK, TAG, OPENED.session, True),
+        (BLOCK, TAG, None, False),
+    ],
+)
+def test_only_what_is_of_this_session_or_asks_for_one_belongs(record, session, here, belongs):
+    assert arrivals.belongs(received(record, session=session), here) is belongs
+
+
+def test_a_record_of_a_session_that_a_stop_has_voided_still_belongs():
+    """The table refuses it, with the reason."""
+    voided = replace(OPENED.session, live=False)
+    assert arrivals.belongs(received(records.Collect()), voided)
+
+
+@pytest.mark.parametrize(
+    ("record", "event"),
+    [
+        (OPEN, OpenReceived(OPEN, 9)),
+        (records.Collect(), CollectReceived()),
+        (SIGNED_PERMIT, PermitReceived(SIGNED_PERMIT, 9)),
+        (SIGNED_START, StartReceived(SIGNED_START, 9)),
+        (SIGNED_RESET, ResetReceived(SIGNED_RESET, 9)),
+        (records.Acknowledge(StopCause.SECOND_NODE), AcknowledgeReceived(StopCause.SECOND_NODE, 9)),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_each_record_is_its_event_with_its_sequence(record, event):
+    assert arrivals.of_record(received(record), no_random) == event
+
+
+@pytest.mark.parametrize("purpose", Purpose)
+def test_a_nonce_is_16_bytes_of_the_systems_generator(purpose):
+    asked = []
+    event = arrivals.of_record(
+        received(records.NonceRequest(purpose)), lambda count: asked.append(count) or b"n" * count
+    )
+    assert event == NonceRequested(purpose, b"n" * 16)
+    assert asked == [16]
+
+
+def test_a_block_of_a_path_is_no_event():
+    assert arrivals.of_record(received(BLOCK), no_random) is None
+
+
+def test_every_record_of_the_runtime_but_a_block_has_its_event():
+    sent = {kind for kind in records.RECORDS.values() if kind.SENDER is Side.RUNTIME}
+    assert {*arrivals.OF_RECORD, records.NonceRequest, records.PathBlock} == sent
+    assert {kind.CHANNEL for kind in arrivals.OF_RECORD} == {Channel.CONTROL}
+
+
+def test_the_arm_is_measured_for_what_depends_on_where_it_stands():
+    assert set(arrivals.JUDGED_WHERE_THE_ARM_STANDS) == {records.Permit, records.Start}

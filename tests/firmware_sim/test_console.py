@@ -1,0 +1,89 @@
+"""The person at the controller: every operator command, and every line that is read there."""
+
+from dataclasses import replace
+
+import pytest
+
+from cutgate.firmware_sim import console
+from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.state import BoneMoved, Inputs, InputsChanged, LimitsChanged
+from cutgate.protocol import permit, records
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from tests.firmware_sim.controllers import KEY, LIMITS, POWERED_UP
+
+OWN = permit.fingerprint(KEY)
+PRESSED_AND_STOPPED = replace(POWERED_UP, inputs=Inputs(device_pressed=True, emergency_stop_clear=False))
+
+
+@pytest.mark.parametrize(
+    ("command", "controller", "line", "inputs"),
+    [
+        (Word.HOLD, POWERED_UP, "enabling device pressed", Inputs(True, True)),
+        (Word.HOLD, PRESSED_AND_STOPPED, "enabling device pressed", Inputs(True, False)),
+        (Word.RELEASE, POWERED_UP, "enabling device released", Inputs(False, True)),
+        (Word.RELEASE, PRESSED_AND_STOPPED, "enabling device released", Inputs(False, False)),
+        (Word.ESTOP, POWERED_UP, "emergency stop pressed", Inputs(False, False)),
+        (Word.ESTOP, PRESSED_AND_STOPPED, "emergency stop released", Inputs(True, True)),
+    ],
+)
+def test_a_wired_input_changes_alone_and_is_confirmed(command, controller, line, inputs):
+    assert console.event_of(command, controller) == (line, InputsChanged(inputs))
+
+
+def test_bone_motion_is_what_the_sensor_would_say():
+    assert console.event_of(Word.BONE_MOTION, POWERED_UP) == ("bone motion reported", BoneMoved())
+
+
+def test_a_changed_limit_is_one_degree_narrower():
+    upper = (LIMITS.q_max_u[0] - records.UNIT, *LIMITS.q_max_u[1:])
+    narrow = LimitsChanged(replace(LIMITS, q_max_u=upper).body())
+    assert console.event_of(Word.LIMIT, POWERED_UP) == ("a joint limit was changed", narrow)
+
+
+def test_the_operator_commands_are_these():
+    assert list(Word) == ["hold", "release", "estop", "bone-motion", "limit"]
+
+
+def test_what_is_no_operator_command_is_answered_with_those_there_are():
+    assert (
+        console.not_known("hop")
+        == "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit"
+    )
+    assert console.not_known("\x1b[2J").startswith(r"'\x1b[2J' is not a word here")
+
+
+def test_the_state_is_shown_with_the_cause_that_stands():
+    assert console.state_line(POWERED_UP) == "state INHIBITED"
+    stopped = replace(POWERED_UP, state=ControllerState.FAULT, cause=StopCause.SECOND_NODE)
+    assert console.state_line(stopped) == "state FAULT (SECOND_NODE)"
+
+
+def test_what_was_executed_is_shown_in_whole_percent():
+    assert console.executed_line(20, 0.6789) == "20 segments executed, peak joint speed 68% of its limit"
+
+
+@pytest.mark.parametrize(
+    ("refusal", "line"),
+    [
+        (Refusal.NO_NONCE, "refused: NO_NONCE"),
+        (
+            Refusal.MAC_INVALID,
+            f"refused: MAC_INVALID: the runtime has another key file; this one's fingerprint is {OWN}, compare it with the runtime's",
+        ),
+        (
+            Refusal.EMERGENCY_STOP,
+            "refused: EMERGENCY_STOP: the emergency stop is pressed; say estop to release it",
+        ),
+        (
+            Refusal.DEVICE_NOT_RELEASED_AND_PRESSED,
+            "refused: DEVICE_NOT_RELEASED_AND_PRESSED: say release, then hold",
+        ),
+    ],
+)
+def test_a_refusal_says_what_the_person_at_the_controller_can_do(refusal, line):
+    assert console.refusal_line(refusal, KEY) == line
+
+
+def test_every_refusal_is_named():
+    for refusal in Refusal:
+        assert console.refusal_line(refusal, KEY).startswith(f"refused: {refusal.name}")

@@ -137,7 +137,6 @@ def middle_of(limits: Limits) -> Joints:
         return 0.0 if joint != 2 and low <= -math.pi and math.pi <= high else (low + high) / 2.0
 
     q0, q1, q2, q3, q4 = (
-        middle(joint, float(low), float(high))
-        for joint, (low, high) in enumerate(zip(limits.q_min, limits.q_max, strict=True))
+        middle(joint, float(limits.q_min[joint]), float(limits.q_max[joint])) for joint in range(5)
     )
     return q0, q1, q2, q3, q4

@@ -34,13 +34,10 @@ JUDGED_WHERE_THE_ARM_STANDS: Final = (records.Permit, records.Start)
 
 def of_frame(accepted: Accepted) -> Event | None:
     """What a checked single frame of the runtime means; None of one that says nothing to the table."""
-    match accepted.frame:
-        case RuntimeHeartbeat() as beat:
-            return HeartbeatReceived(beat.code, beat.epoch, beat.cause, accepted.fresh)
-        case RuntimeStop() as stop:
-            return StopReceived(stop.code, stop.cause)
-        case _:
-            return None
+    frame = accepted.frame
+    if isinstance(frame, RuntimeHeartbeat):
+        return HeartbeatReceived(frame.code, frame.epoch, frame.cause, accepted.fresh)
+    return StopReceived(frame.code, frame.cause) if isinstance(frame, RuntimeStop) else None
 
 
 def of_lateness(violation: Violation) -> Event:

@@ -48,7 +48,6 @@ class Upload:
     def void(self) -> None:
         """Nothing has come, nothing is checked: a path is of one session, from its first block."""
         self._assembly = Assembly()
-        self._body = b""
         self.check: PathCheck | None = None
 
     def add(self, block: PathBlock) -> PathCodes | None:

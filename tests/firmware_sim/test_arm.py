@@ -13,6 +13,7 @@ from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState
 from cutgate.firmware_sim.state import Holdings
 from cutgate.protocol import records
+from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.protocol.states import StopCause
 from tests.firmware_sim.arms import CALIBRATED, LEFT_LIMITS, LIMITS, PATH, TOOL, TOOL_MM
 from tests.firmware_sim.controllers import PERMIT
@@ -71,10 +72,23 @@ def test_the_arm_powers_up_in_the_middle_of_its_limits(lower, upper, expected):
 
 def test_the_middle_of_the_limits_is_the_middle_of_a_range_that_touches_half_a_revolution():
     """A degree less on either side, and 0 is not the place."""
-    for lower, upper, expected in ((-180, 180, 0.0), (-179, 180, 0.5), (-180, 179, -0.5), (-200, 182, 0.0)):
+    for lower, upper, expected in (
+        (-180, 180, 0.0),
+        (-179, 180, 0.5),
+        (-180, 179, -0.5),
+        (-200, 182, 0.0),
+        (-200, 180, 0.0),
+    ):
         limits = replace(LIMITS, q_min_u=(lower * records.UNIT, *LIMITS.q_min_u[1:]))
         limits = replace(limits, q_max_u=(upper * records.UNIT, *limits.q_max_u[1:]))
         assert math.degrees(middle_of(limits)[0]) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_limits_that_begin_where_the_bus_reports_no_further_leave_one_place(side):
+    far = sorted((side * ROTATION_DEG_GOES * records.UNIT, side * 9000 * records.UNIT))
+    limits = replace(LIMITS, q_min_u=(far[0], *LIMITS.q_min_u[1:]), q_max_u=(far[1], *LIMITS.q_max_u[1:]))
+    assert math.degrees(middle_of(limits)[0]) == pytest.approx(side * ROTATION_DEG_GOES)
 
 
 def test_at_power_up_it_stands_in_the_middle_of_its_limits_or_where_it_is_told_to():

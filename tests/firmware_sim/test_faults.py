@@ -23,6 +23,10 @@ def test_a_fault_without_a_state_happens_when_a_path_is_loaded():
     assert FaultSpec.parse("hang") == FaultSpec(FaultName.HANG, ControllerState.LOADED)
 
 
+def test_a_fault_that_was_asked_for_stays_the_same():
+    assert FaultSpec.__dataclass_params__.frozen
+
+
 @pytest.mark.parametrize("text", ["", "explode@loaded", "HANG@loaded", "@loaded", " hang@loaded"])
 def test_an_unknown_fault_is_refused_with_those_there_are(text):
     with pytest.raises(ValueError, match="use one of flip-path-bit, off-start, hang"):

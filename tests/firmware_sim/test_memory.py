@@ -43,6 +43,10 @@ def test_the_memory_lies_beside_its_key():
     assert memory.beside(Path("keys/a.key")) == Path("keys/a.key.sim-memory.json")
 
 
+def test_a_file_is_read_up_to_100_bytes_for_each_registration_that_can_be_remembered():
+    assert memory.BYTES_MAX == 100 * REGISTRATIONS_MAX
+
+
 def test_a_new_controller_remembers_nothing(file):
     assert memory.load(file) == Memory()
 

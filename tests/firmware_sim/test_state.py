@@ -1,13 +1,23 @@
 """What the controller's state says about itself."""
 
+from dataclasses import is_dataclass
+
 import pytest
 
+from cutgate.firmware_sim import state
 from cutgate.firmware_sim.state import Controller, DeviceCycle, Inputs, Memory
 from cutgate.protocol.states import ControllerState, StopCause
 from tests.altering import altered
 from tests.firmware_sim.controllers import CUTTING, EVERY_STATE, POWERED_UP
 
 ONE, TWO, THREE = bytes(range(32)), bytes(32), b"x" * 32
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in vars(state).values() if isinstance(kind, type) and is_dataclass(kind)]
+)
+def test_what_was_decided_on_is_not_altered_afterwards(kind):
+    assert kind.__dataclass_params__.frozen
 
 
 def test_power_up_is_inhibited():
@@ -39,23 +49,29 @@ def test_motion_needs_every_part_of_its_level(field, value):
 
 @pytest.mark.parametrize("name", EVERY_STATE)
 def test_the_cutter_may_spin_only_permitted_or_cutting(name):
-    state = EVERY_STATE[name]
-    assert state.cutting_mode is (state.state in (ControllerState.PERMITTED, ControllerState.CUTTING))
-    assert state.may_move is (name == "cutting")
+    controller = EVERY_STATE[name]
+    spins = controller.state in (ControllerState.PERMITTED, ControllerState.CUTTING)
+    assert controller.cutting_mode is spins
+    assert controller.may_move is (name == "cutting")
 
 
 @pytest.mark.parametrize("cause", StopCause)
 def test_at_power_up_a_fault_that_was_latched_still_is_and_nothing_else_is_left(cause):
     memory = Memory(frozenset({ONE}), frozenset({TWO}), cause)
-    state = Controller.powered_up(POWERED_UP.identity, POWERED_UP.holdings, memory)
+    controller = Controller.powered_up(POWERED_UP.identity, POWERED_UP.holdings, memory)
     latched = cause is not StopCause.NONE
-    assert state.state is (ControllerState.FAULT if latched else ControllerState.INHIBITED)
-    assert state.cause is cause
-    assert state.memory == state.written == memory
-    assert (state.identity, state.holdings) == (POWERED_UP.identity, POWERED_UP.holdings)
-    assert (state.session, state.permit, state.issued, state.awaiting) == (None, None, None, None)
-    assert (state.epoch, state.device, state.cut_ordered) == (0, DeviceCycle.UNSEEN, False)
-    assert (state.permit_issued_at_s, state.started_at_s) == (0.0, 0.0)
+    assert controller.state is (ControllerState.FAULT if latched else ControllerState.INHIBITED)
+    assert controller.cause is cause
+    assert controller.memory == controller.written == memory
+    assert (controller.identity, controller.holdings) == (POWERED_UP.identity, POWERED_UP.holdings)
+    assert (controller.session, controller.permit, controller.issued, controller.awaiting) == (
+        None,
+        None,
+        None,
+        None,
+    )
+    assert (controller.epoch, controller.device, controller.cut_ordered) == (0, DeviceCycle.UNSEEN, False)
+    assert (controller.permit_issued_at_s, controller.started_at_s) == (0.0, 0.0)
 
 
 def test_nothing_is_known_of_what_is_written_until_it_is():

@@ -66,9 +66,9 @@ def _nonce_rules(purpose: Purpose) -> tuple[Rule, ...]:
     )
 
 
-def _holds_path(case: Case) -> bool:
-    held = case.controller.holdings.path
-    return held is not None and digest(held) == _permit(case).path_digest
+def _path_as_permitted(case: Case) -> bool:
+    path = case.controller.holdings.path
+    return path is not None and digest(path) == _permit(case).path_digest
 
 
 def _permit(case: Case) -> records.Permit:
@@ -79,15 +79,15 @@ def _permit(case: Case) -> records.Permit:
     return case.controller.permit
 
 
-# What is held is hashed anew for every permit and again for every start.
-HELD_RULES: tuple[Rule, ...] = (
+# What the controller has stored is hashed anew for every permit and again for every start.
+HOLDINGS_RULES: tuple[Rule, ...] = (
     (Refusal.LIMITS_DIGEST, lambda c: digest(c.controller.holdings.limits) == _permit(c).limits_digest),
     (
         Refusal.CALIBRATION_DIGEST,
         lambda c: digest(c.controller.holdings.calibration) == _permit(c).calibration_digest,
     ),
     (Refusal.TOOL_DIGEST, lambda c: digest(c.controller.holdings.tool) == _permit(c).tool_digest),
-    (Refusal.PATH_DIGEST, _holds_path),
+    (Refusal.PATH_DIGEST, _path_as_permitted),
     (
         Refusal.REGISTRATION_WITHDRAWN,
         lambda c: _permit(c).registration_digest not in c.controller.memory.withdrawn,
@@ -101,22 +101,23 @@ ALIVE_RULES: tuple[Rule, ...] = (
 
 
 def _same_branch(case: Case) -> bool:
-    held = case.controller.holdings.path
-    if held is None:
+    stored = case.controller.holdings.path
+    if stored is None:
         return False
-    path = PathHeader.of(held)
+    path = PathHeader.of(stored)
     return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
 
 
 def at_start(case: Case) -> bool:
     """The arm stands at the bound start joints, within the start tolerance and inside its limits."""
-    session, held, measured_u = case.controller.session, case.controller.holdings, case.controller.measured_u
+    session, measured_u = case.controller.session, case.controller.measured_u
+    holdings = case.controller.holdings
     if session is None or measured_u is None:
         return False
     bound_u = _permit(case).start_joints_u
-    off_mm, off_deg = start_offset(records.Calibration.parse(held.calibration), measured_u, bound_u)
+    off_mm, off_deg = start_offset(records.Calibration.parse(holdings.calibration), measured_u, bound_u)
     return (
-        inside(records.Limits.parse(held.limits), bound_u, within_deg=ROTATION_DEG_STANDS)
+        inside(records.Limits.parse(holdings.limits), bound_u, within_deg=ROTATION_DEG_STANDS)
         and 0.0 <= off_mm <= session.start_tolerance_mm
         and 0.0 <= off_deg <= session.start_tolerance_deg
     )
@@ -124,9 +125,29 @@ def at_start(case: Case) -> bool:
 
 def _own_approach(case: Case) -> bool:
     """Entry and exit are where the controller's own kinematics put them, and inside its limits."""
-    held, bound = case.controller.holdings, case.request.approach
-    limits = records.Limits.parse(held.limits)
-    return agrees(held.ends, bound) and inside(limits, bound.entry_joints_u, bound.exit_joints_u)
+    holdings, bound = case.controller.holdings, case.request.approach
+    limits = records.Limits.parse(holdings.limits)
+    return agrees(holdings.ends, bound) and inside(limits, bound.entry_joints_u, bound.exit_joints_u)
+
+
+def _registration_as_opened(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.registration_digest == session.registration
+
+
+def _configuration_as_opened(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.configuration_digest == session.configuration
+
+
+def _verifier_as_opened(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.verifier_version == session.verifier
+
+
+def _lifetime_as_opened(case: Case) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.lifetime_s == session.permit_lifetime_s
 
 
 def _speed_as_opened(case: Case) -> bool:
@@ -198,26 +219,12 @@ PERMIT_RULES: tuple[Rule, ...] = (
     *ALIVE_RULES,
     *_nonce_rules(Purpose.PERMIT),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
-    *HELD_RULES,
+    *HOLDINGS_RULES,
     # OPEN carries no code; the permit does, so what it names again must be the same.
-    (
-        Refusal.REGISTRATION_DIGEST,
-        lambda c: (s := c.controller.session) is not None and c.request.registration_digest == s.registration,
-    ),
-    (
-        Refusal.CONFIGURATION_DIGEST,
-        lambda c: (
-            (s := c.controller.session) is not None and c.request.configuration_digest == s.configuration
-        ),
-    ),
-    (
-        Refusal.VERIFIER,
-        lambda c: (s := c.controller.session) is not None and c.request.verifier_version == s.verifier,
-    ),
-    (
-        Refusal.TIMING_OUT_OF_BOUNDS,
-        lambda c: (s := c.controller.session) is not None and c.request.lifetime_s == s.permit_lifetime_s,
-    ),
+    (Refusal.REGISTRATION_DIGEST, _registration_as_opened),
+    (Refusal.CONFIGURATION_DIGEST, _configuration_as_opened),
+    (Refusal.VERIFIER, _verifier_as_opened),
+    (Refusal.TIMING_OUT_OF_BOUNDS, _lifetime_as_opened),
     (Refusal.BRANCH, _same_branch),
     (Refusal.APPROACH, _own_approach),
     (Refusal.APPROACH_SPEED, _speed_as_opened),
@@ -236,7 +243,7 @@ START_RULES: tuple[Rule, ...] = (
     (Refusal.PERMIT_EXPIRED, _permit_alive),
     (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == _permit(c).digest),
     (Refusal.START_JOINTS, lambda c: c.request.start_joints_u == _permit(c).start_joints_u),
-    *HELD_RULES,
+    *HOLDINGS_RULES,
     (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),
     (Refusal.NOT_AT_START, at_start),
 )

@@ -193,14 +193,14 @@ class Worker:
         poller = select.poll()
         for descriptor in (wake, self.fileno()):
             poller.register(descriptor, select.POLLIN)
-        while (left_s := until_s - time.monotonic()) > 0.0:
+        while True:  # what is there already counts, however late it is by now
+            left_s = max(0.0, until_s - time.monotonic())
             ready = {descriptor for descriptor, _ in poller.poll(left_s * 1000.0)}
             if wake in ready:
                 return None
             answer = self.poll() if ready else None
-            if answer is not None:
+            if answer is not None or left_s <= 0.0:
                 return answer
-        return None
 
     @property
     def _code(self) -> str:

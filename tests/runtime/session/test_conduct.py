@@ -22,7 +22,9 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
         raise OSError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(conduct.Worker, "start", none_left)
-    state = SimpleNamespace(job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING)
+    state = SimpleNamespace(
+        job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING
+    )
     with pytest.raises(OSError, match="temporarily unavailable"):
         conduct.conduct(None, None, state, b"", None, "a/b", log, None, None, fd=False)
     found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())

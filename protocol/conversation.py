@@ -1,4 +1,34 @@
-"""The records of the conversation: announce, open, upload, nonce, permit, start, reset, replies."""
+"""The records of the conversation: announce, open, upload, nonce, permit, start, reset, replies.
+
+A sound session, in its order (``>`` from the runtime, ``<`` from the controller; heartbeats go on beside it)::
+
+    <  Announce                                outside a session, again and again
+    >  Open                                    <  Opened, with the tag of the session; or Reply, which says why not
+    >  Collect                                 <  Limits, Calibration, Tool
+    >  PathBlock, one after the other          <  BlockStored for each, then PathStored with the digest
+    >  NonceRequest(PERMIT)                    <  Nonce, with the epoch
+    >  Permit, signed                          <  Reply
+    >  NonceRequest(START)                     <  Nonce
+    >  Start, signed                           <  Reply
+
+A request is answered by one Reply that names its type and sequence. ``Acknowledge`` says that the operator has seen the
+cause that stands; ``Reset``, signed under a nonce of its own, leaves a latched fault. A stop voids every nonce and permit
+and starts a new epoch, so that the next request begins with its NonceRequest again.
+
+Every record checks itself when it is made, so one that exists can be sent, and ``parse`` gives it back or raises
+:class:`RecordError`; ``permit.sign`` fills in the code of a signed one::
+
+    >>> from cutgate.protocol.states import Purpose
+    >>> request = NonceRequest(Purpose.START)
+    >>> request.body().hex(), NonceRequest.parse(request.body()) == request
+    ('02', True)
+    >>> Acknowledge(cause=99)
+    Traceback (most recent call last):
+    cutgate.protocol.wire.RecordError: ...
+    >>> boot_nonce, runtime_nonce = bytes(range(16)), bytes(16)
+    >>> nonce_serves(boot_nonce, runtime_nonce), hex(session_tag(boot_nonce, runtime_nonce))
+    (True, '0xdd8ade9a')
+"""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Self

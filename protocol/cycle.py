@@ -2,6 +2,25 @@
 
 A loop that stood still must not act on what queued meanwhile, a heartbeat is sent only by a cycle that has looked at
 its clock, and nothing is waited for beyond the time at which something would be too late.
+
+A loop that stood still for longer than the time-out of its open link throws away what queued meanwhile, and says so
+before anything else::
+
+    >>> import can
+    >>> from cutgate.protocol.endpoint import Endpoint
+    >>> from cutgate.protocol.wire import Side
+    >>> bus = can.Bus(channel="cycle", interface="virtual")
+    >>> port = Port(bus, Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0))
+    >>> times_s = iter([0.0, 0.02, 0.02, 0.32])
+    >>> cycle = Cycle(port, clock=lambda: next(times_s))
+    >>> port.endpoint.link.open(7, cycle.now_s)
+    >>> cycle.begin()
+    >>> list(cycle.late()), cycle.read(), cycle.heartbeat_due()
+    ([], [], True)
+    >>> cycle.begin()
+    >>> [violation.cause.name for violation in cycle.late()]
+    ['LOOP_STALLED', 'HEARTBEAT_LOST']
+    >>> bus.shutdown()
 """
 
 from collections.abc import Callable, Iterator

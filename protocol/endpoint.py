@@ -3,6 +3,52 @@
 Joins the single frames (``link``) with the two ISO-TP channels (``transfer``) and their envelopes (``records``).
 What is to be sent waits here until the bus has taken it: stop and fault first, then the heartbeat, joints and progress,
 then control, then bulk records. So a stop overtakes what waits, and what it voids never leaves.
+
+How an :class:`Endpoint` is used:
+
+- Give every frame from the bus to :meth:`Endpoint.receive` and act on the items it returns, in order.
+- Once a cycle, before that, look at the clock with :meth:`Endpoint.expire`.
+- :meth:`Endpoint.send_frame` and :meth:`Endpoint.send_record` queue; nothing leaves by itself. At the end of a cycle
+  whoever owns the bus flushes, with :meth:`Endpoint.hand_out`: also where nothing was queued, for a transfer that
+  comes in is answered there. ``port.Port`` does so.
+- A session: both sides agree on its tag in records outside one (Open and Opened). Then :meth:`Endpoint.use_timing`
+  where the timing was agreed as well, :meth:`Endpoint.use_session`, and ``link.open``; the link is closed by
+  ``use_timing``. :meth:`Endpoint.end_session` at its end.
+- Whatever stops motion queues its stop or fault frame and then calls :meth:`Endpoint.abort`: what was under way never
+  leaves, the stop does.
+
+A request and its answer, carried by hand until nothing waits any longer::
+
+    >>> from cutgate.protocol.states import Purpose
+    >>> runtime, controller = (
+    ...     Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0) for side in Side
+    ... )
+    >>> for one in (runtime, controller):
+    ...     one.use_session(7)
+    ...     one.link.open(7, now_s=0.0)
+    >>> def carried(sender: Endpoint, receiver: Endpoint) -> list[Item]:
+    ...     items: list[Item] = []
+    ...     while frames := sender.outgoing():
+    ...         items += [item for frame in frames for item in receiver.receive(*frame, now_s=0.01)]
+    ...         for frame in receiver.outgoing():  # flow control
+    ...             sender.receive(*frame, now_s=0.01)
+    ...     return items
+    >>> sequence, _envelope = runtime.send_record(records.NonceRequest(Purpose.PERMIT), now_s=0.01)
+    >>> for item in carried(runtime, controller):
+    ...     print(item.record, item.sequence == sequence)
+    NonceRequest(purpose=<Purpose.PERMIT: 1>) True
+    >>> _ = controller.send_record(records.Nonce(Purpose.PERMIT, bytes(16), epoch=3), now_s=0.01)
+    >>> [item.record.epoch for item in carried(controller, runtime)]
+    [3]
+
+What a stop voids does not leave any more::
+
+    >>> from cutgate.protocol.states import StopCode
+    >>> _ = runtime.send_record(records.NonceRequest(Purpose.START), now_s=0.02)
+    >>> runtime.send_frame(RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP), now_s=0.02)
+    >>> runtime.abort()
+    >>> [item.frame.cause.name for item in carried(runtime, controller)]
+    ['OPERATOR_STOP']
 """
 
 from bisect import insort
@@ -73,13 +119,13 @@ class _Waiting:
     Attributes:
         frame: what it says.
         can_id, data: what leaves.
-        turn: how many heartbeats were made before it, its own included.
+        cycle: how many heartbeats were made before it, its own included.
     """
 
     frame: Frame
     can_id: int
     data: bytes
-    turn: int
+    cycle: int
 
     @property
     def urgency(self) -> int:
@@ -114,7 +160,7 @@ class Endpoint:
             for channel in Channel
         }
         self._waiting: list[_Waiting] = []
-        self._turn = 0
+        self._cycle = 0
         self._sent = dict.fromkeys(Channel, 0)
         self._seen = dict.fromkeys(Channel, 0)
         self._opening = b""
@@ -122,7 +168,11 @@ class Endpoint:
     # ------------------------------------------------------------ sessions
 
     def use_session(self, tag: int) -> None:
-        """Records carry this tag from now on; sequences begin anew. What waits of another session never leaves in one."""
+        """Records carry this tag from now on; sequences begin anew. What waits of another session never leaves in one.
+
+        Then open the link with the same tag: records and single frames are two things. Transfers in progress go on;
+        :meth:`stop_sending` or :meth:`abort` first where they must not.
+        """
         self.session = tag
         if tag != NO_SESSION:
             self._waiting.clear()
@@ -130,7 +180,11 @@ class Endpoint:
         self._seen = dict.fromkeys(Channel, 0)
 
     def use_timing(self, *, heartbeat_s: float, timeout_s: float) -> None:
-        """Take over what OPEN agreed on; the link is closed by it."""
+        """Take over what OPEN agreed on; the link is closed by it, and to be opened after it.
+
+        Raises:
+            ValueError: the time-out is not 3 to 255 heartbeats.
+        """
         self.link = Link(self.side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=self.link.fd)
 
     def end_session(self) -> None:
@@ -172,7 +226,21 @@ class Endpoint:
         is_error: bool = False,
         now_s: float,
     ) -> list[Item]:
-        """What one frame from the bus brings: nothing, an accepted frame, records, or a reason to stop."""
+        """What one frame from the bus brings; raises nothing, whatever it is. Flush afterwards: it may want an answer.
+
+        Args:
+            can_id: its identifier.
+            data: its bytes.
+            is_extended: whether that is an extended identifier.
+            is_remote: whether it is a remote frame.
+            is_fd: whether it is an FD frame.
+            is_error: whether it is an error frame, which carries nothing.
+            now_s: when it was read.
+
+        Returns:
+            Nothing, an accepted frame, records, a reason to stop (:class:`Violation`), or what may be told and stops
+            nothing.
+        """
         outcome = self.link.receive(
             can_id,
             data,
@@ -231,7 +299,10 @@ class Endpoint:
         ]
 
     def expire(self, now_s: float) -> list[Violation]:
-        """What time alone has brought about: a lost peer, a transfer that did not end."""
+        """What time alone has brought about: a lost peer, a transfer that did not end. To be called in every cycle.
+
+        A late transfer is void with that; a lost peer is reported again until the session is ended.
+        """
         found = []
         lost = self.link.expire(now_s)
         if lost is not None:
@@ -245,22 +316,25 @@ class Endpoint:
     # ------------------------------------------------------------ sending
 
     def send_frame(self, frame: Frame, now_s: float) -> None:
-        """Queue a single frame; it leaves before any transfer, in place of what it makes obsolete.
+        """Queue a single frame; it leaves with the next flush, before any transfer, in place of what it makes obsolete.
 
         Rules, for what has not left yet:
         - A stop or fault that waits is not queued again.
         - A heartbeat leaves in no other place than the last one made, and none that is older than a stop. With it go the
-          joints and the progress of its turn, for a sample has the counter of its heartbeat.
+          joints and the progress of its cycle, for a sample has the counter of its heartbeat.
         - A joint sample of which nothing has left gives way to the next one; one begun is finished first.
+
+        Raises:
+            FrameError: the frame is the other side's.
         """
         match frame:
             case RuntimeStop() | ControllerFault():
                 if any(waiting.frame == frame for waiting in self._waiting):
                     return
-                self._take_back_turn()
+                self._take_back_cycle()
             case RuntimeHeartbeat() | ControllerHeartbeat():
-                self._take_back_turn()
-                self._turn += 1
+                self._take_back_cycle()
+                self._cycle += 1
             case Joints01():
                 unbegun = list(
                     dropwhile(lambda waiting: not isinstance(waiting.frame, Joints01), self._waiting)
@@ -272,19 +346,21 @@ class Endpoint:
             case _:
                 pass
         can_id, data = self.link.encode(frame, now_s)
-        insort(self._waiting, _Waiting(frame, can_id, data, self._turn), key=lambda waiting: waiting.urgency)
+        insort(self._waiting, _Waiting(frame, can_id, data, self._cycle), key=lambda waiting: waiting.urgency)
 
     @property
     def heartbeat_waits(self) -> bool:
-        """Whether a heartbeat has not left: the next turn's takes its place."""
+        """Whether a heartbeat has not left: the next cycle's takes its place."""
         return any(
             isinstance(waiting.frame, RuntimeHeartbeat | ControllerHeartbeat) for waiting in self._waiting
         )
 
-    def _take_back_turn(self) -> None:
-        """Unmake the last heartbeat, if it has not left, and what was made in its turn."""
+    def _take_back_cycle(self) -> None:
+        """Unmake the last heartbeat, if it has not left, and what was made in its cycle."""
         if self.heartbeat_waits:
-            for made in self._drop(lambda waiting: waiting.turn == self._turn):  # a stop is of an earlier one
+            for made in self._drop(
+                lambda waiting: waiting.cycle == self._cycle
+            ):  # a stop is of an earlier one
                 self.link.take_back(made.can_id)
 
     def _drop(self, obsolete: Callable[[_Waiting], bool]) -> list[_Waiting]:
@@ -294,7 +370,19 @@ class Endpoint:
         return dropped
 
     def send_record(self, record: Record, now_s: float, *, session: int | None = None) -> tuple[int, bytes]:
-        """Queue a record on its channel; the sequence it goes out with, and the envelope's bytes."""
+        """Queue a record on its channel; it leaves with the next flushes, behind those queued before it.
+
+        Args:
+            record: what to send.
+            now_s: when; it must not stand still on the bus for longer than the time-out of transfers.
+            session: the tag it carries; the endpoint's own where not given.
+
+        Returns:
+            The sequence it goes out with, which a reply names, and the envelope's bytes.
+
+        Raises:
+            RecordError: the record does not belong in such a session, or outside one.
+        """
         channel = record.CHANNEL
         self._sent[channel] += 1
         payload = records.pack(record, self.session if session is None else session, self._sent[channel])
@@ -306,7 +394,14 @@ class Endpoint:
         return self.link.fd and can_id in BULK_IDS
 
     def hand_out(self, take: Take) -> bool:
-        """Give away what waits, most urgent first, until it is not taken; True if nothing waits any longer."""
+        """Give away what waits, most urgent first, until it is not taken; at the end of every cycle.
+
+        Args:
+            take: sends a frame. What was not taken stays, and is offered again.
+
+        Returns:
+            Whether nothing waits any longer.
+        """
         while self._waiting:
             if not take(self._waiting[0].can_id, self._waiting[0].data):
                 return False
@@ -314,7 +409,7 @@ class Endpoint:
         return all(transfer.hand_out(take) for transfer in self._transfers.values())
 
     def outgoing(self) -> list[tuple[int, bytes]]:
-        """Everything that may leave now, most urgent first; each frame is handed out once."""
+        """Everything that may leave now, most urgent first; each frame is handed out once, and is the caller's to send."""
         frames: list[tuple[int, bytes]] = []
 
         def take(can_id: int, data: bytes) -> bool:

@@ -2,6 +2,42 @@
 
 Pure: the caller brings each frame and the time. What is accepted has passed identifier, CRC (with data ID and
 session tag), counter and content; what is not says why, and whether motion must stop for it.
+
+How a :class:`Link` is used, one on either side:
+
+- :meth:`Link.open` with the session's tag, once both sides have agreed on it; :meth:`Link.close` at its end.
+- Every frame from the bus goes through :meth:`Link.receive`, which raises nothing and returns one of five outcomes:
+  :class:`Accepted` may be acted on, a :class:`Violation` stops motion, :class:`Discarded` and :class:`Unlisted`
+  change nothing, and what is :class:`ForTransfer` belongs to that channel's transfer.
+- Before a frame leaves, :meth:`Link.encode` gives it counter, echo and CRC. It sends nothing; whoever finds out that
+  the frame never left says so with :meth:`Link.take_back` before the next one of its identifier is made.
+- Once a cycle, before anything is acted on, look at the clock with :meth:`Link.expire`.
+
+``endpoint.Endpoint`` does all of this. A peer is fresh once it answers: its first heartbeat answers nothing, enables
+nothing, and the second does::
+
+    >>> from cutgate.protocol.states import ControllerState, RuntimeCode
+    >>> runtime, controller = (Link(side, timeout_s=0.1, heartbeat_s=0.02) for side in Side)
+    >>> for link in (runtime, controller):
+    ...     link.open(tag=7, now_s=0.0)
+    >>> inhibit = RuntimeHeartbeat(RuntimeCode.INHIBIT, epoch=0)
+    >>> first = controller.receive(*runtime.encode(inhibit, now_s=0.01), now_s=0.01)
+    >>> first.frame.code.name, first.fresh
+    ('INHIBIT', False)
+    >>> answer = ControllerHeartbeat(
+    ...     state=ControllerState.OPEN,
+    ...     epoch=0,
+    ...     cause=StopCause.NONE,
+    ...     device_pressed=False,
+    ...     emergency_stop_ok=True,
+    ...     cutting_mode=False,
+    ... )
+    >>> runtime.receive(*controller.encode(answer, now_s=0.02), now_s=0.02).fresh
+    True
+    >>> controller.receive(*runtime.encode(inhibit, now_s=0.03), now_s=0.03).fresh
+    True
+    >>> controller.expire(now_s=0.13), controller.expire(now_s=0.14).name
+    (None, 'HEARTBEAT_LOST')
 """
 
 import math
@@ -49,7 +85,7 @@ class JointSample:
 
     Attributes:
         measured_s: the joints are no older than this, by the receiver's own clock: what the heartbeat of their counter
-            echoes was sent then, so that the peer's turn in which both were made came later. Where that heartbeat was
+            echoes was sent then, so that the peer's cycle in which both were made came later. Where that heartbeat was
             lost or proved nothing, one before it says so; minus infinity where none does.
     """
 
@@ -160,11 +196,15 @@ class Link:
         self._sequences: dict[int, Sequence] = {}
         self._corruption = CorruptionWatch()
         self._parts: dict[int, tuple[int, Frame]] = {}
-        self._turns: dict[int, int] = {}
+        self._cycles: dict[int, int] = {}
         self._proved: deque[tuple[int, float]] = deque(maxlen=COUNTER_MODULUS)
 
     def open(self, tag: int, now_s: float) -> None:
-        """Begin a session: counters from 0, nothing seen, nothing fresh. Raises ValueError for tag 0."""
+        """Begin a session: counters from 0, nothing seen, nothing fresh. From now on the peer's time-out runs.
+
+        Raises:
+            ValueError: the tag is 0, which means no session, or is none.
+        """
         if not 0 < tag < 1 << 32:
             raise ValueError(
                 f"session tag is {tag}, must be in 1..4294967295: the runtime draws another nonce"
@@ -193,7 +233,8 @@ class Link:
     def encode(self, frame: Frame, now_s: float) -> tuple[int, bytes]:
         """Identifier and bytes to send now. Fills in the echo; the three joint frames share a counter.
 
-        Without a session the frame carries tag 0, which no open link accepts.
+        Encode in the order in which the frames are to leave, the three joint frames in theirs. Without a session the
+        frame carries tag 0, which no open link accepts.
 
         Raises:
             FrameError: the frame is the other side's.
@@ -238,7 +279,20 @@ class Link:
         is_error: bool = False,
         now_s: float,
     ) -> Outcome:
-        """Judge one frame from the bus."""
+        """Judge one frame from the bus, whatever it is; raises nothing.
+
+        Args:
+            can_id: its identifier.
+            data: its bytes.
+            is_extended: whether that is an extended identifier.
+            is_remote: whether it is a remote frame.
+            is_fd: whether it is an FD frame.
+            is_error: whether it is an error frame, which carries nothing.
+            now_s: when it was read.
+
+        Returns:
+            What becomes of it. After a violation the link stays open, and goes on judging.
+        """
         if is_error:
             return Discarded("error frame")
         if not is_extended and can_id in SENT_BY[self.side]:
@@ -301,11 +355,11 @@ class Link:
         match frame:
             case RuntimeHeartbeat() | ControllerHeartbeat():
                 self._peer_counter = data[2]
-                turn, fresh = self._turn_of(can_id, data[2], lost), self._refresh(frame.echo, now_s)
+                cycle, fresh = self._cycle_of(can_id, data[2], lost), self._refresh(frame.echo, now_s)
                 if fresh:
-                    self._proved.append((turn, self._sent_s.get(frame.echo, -math.inf)))
+                    self._proved.append((cycle, self._sent_s.get(frame.echo, -math.inf)))
             case Joints01() | Joints23() | Joint4():
-                self._parts[can_id] = (self._turn_of(can_id, data[2], lost), frame)
+                self._parts[can_id] = (self._cycle_of(can_id, data[2], lost), frame)
                 sample = self._complete(now_s)
         return Accepted(frame, data[2], lost, fresh, sample)
 
@@ -329,27 +383,27 @@ class Link:
         self._count(stale_heartbeats=1)
         return False
 
-    def _turn_of(self, can_id: int, counter: int, lost: int) -> int:
-        """The sender's turn since the session was opened: its counter, counted on where that rolls over."""
-        before = self._turns.get(can_id, counter - 1)
-        self._turns[can_id] = before + 1 + lost
-        return self._turns[can_id]
+    def _cycle_of(self, can_id: int, counter: int, lost: int) -> int:
+        """The sender's cycle since the session was opened: its counter, counted on where that rolls over."""
+        before = self._cycles.get(can_id, counter - 1)
+        self._cycles[can_id] = before + 1 + lost
+        return self._cycles[can_id]
 
     def _complete(self, now_s: float) -> JointSample | None:
-        """The sample, once all three parts of one turn are here."""
+        """The sample, once all three parts of one cycle are here."""
         parts = [self._parts.get(IDS[kind]) for kind in (Joints01, Joints23, Joint4)]
-        turns, frames = {part[0] for part in parts if part}, [part[1] for part in parts if part]
+        cycles, frames = {part[0] for part in parts if part}, [part[1] for part in parts if part]
         match frames:
-            case [Joints01() as first, Joints23() as second, Joint4() as third] if len(turns) == 1:
-                (turn,) = turns
-                joints, measured_s = joint_values(first, second, third), self._no_older_than(turn)
-                self.sample = JointSample(joints, turn % COUNTER_MODULUS, now_s, measured_s)
+            case [Joints01() as first, Joints23() as second, Joint4() as third] if len(cycles) == 1:
+                (cycle,) = cycles
+                joints, measured_s = joint_values(first, second, third), self._no_older_than(cycle)
+                self.sample = JointSample(joints, cycle % COUNTER_MODULUS, now_s, measured_s)
                 return self.sample
         return None
 
-    def _no_older_than(self, turn: int) -> float:
-        """The last moment that is proved to lie before this turn of the peer."""
-        return next((sent_s for proved, sent_s in reversed(self._proved) if proved <= turn), -math.inf)
+    def _no_older_than(self, cycle: int) -> float:
+        """The last moment that is proved to lie before this cycle of the peer."""
+        return next((sent_s for proved, sent_s in reversed(self._proved) if proved <= cycle), -math.inf)
 
     def _count(self, **more: int) -> None:
         self.statistics = replace(
@@ -361,7 +415,10 @@ class Link:
         return self._refreshed_s is not None and 0.0 <= now_s - self._refreshed_s <= self.timeout_s
 
     def expire(self, now_s: float) -> StopCause | None:
-        """HEARTBEAT_LOST once an open link has had no refresh for longer than the time-out."""
+        """HEARTBEAT_LOST once an open link has had no refresh for longer than the time-out, and at every call after it.
+
+        It closes nothing: that is the caller's.
+        """
         since_s = self._since_s
         lost = since_s is not None and not 0.0 <= now_s - since_s <= self.timeout_s
         return StopCause.HEARTBEAT_LOST if lost else None

@@ -1,7 +1,35 @@
 """The thin shell between an endpoint and a CAN bus; both sides use it.
 
-It reads a bounded number of frames a turn, sends what the endpoint has queued, and shows every frame that passes
-to a recorder. A bus that takes no more has not failed: what waits goes next turn. It decides nothing.
+It reads a bounded number of frames a cycle, sends what the endpoint has queued, and shows every frame that passes
+to a recorder. A bus that takes no more has not failed: what waits goes in the next cycle. It decides nothing.
+
+How a :class:`Port` is used: :meth:`Port.read` once a cycle; queue what is to be sent at ``port.endpoint``; then
+:meth:`Port.flush` as the last act of the cycle, always. While :attr:`Port.waits` says that something is left, the
+next cycle begins within :data:`RETRY_S`. :meth:`Port.leave_now` before anything that may take long, as writing a
+file; :meth:`Port.flush_last` before the loop ends. ``cycle.Cycle`` says when.
+
+Two ports on one bus::
+
+    >>> from cutgate.protocol.endpoint import Accepted
+    >>> from cutgate.protocol.frames import RuntimeStop
+    >>> from cutgate.protocol.states import StopCause, StopCode
+    >>> from cutgate.protocol.wire import Side
+    >>> buses = [can.Bus(channel="port", interface="virtual") for _side in Side]
+    >>> runtime, controller = (
+    ...     Port(bus, Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0))
+    ...     for side, bus in zip(Side, buses, strict=True)
+    ... )
+    >>> for port in (runtime, controller):
+    ...     port.endpoint.link.open(7, now_s=0.0)
+    >>> runtime.endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP), now_s=0.01)
+    >>> controller.read(now_s=0.01)  # queued is not sent
+    []
+    >>> runtime.flush()
+    True
+    >>> [item.frame.cause.name for item in controller.read(now_s=0.01) if isinstance(item, Accepted)]
+    ['OPERATOR_STOP']
+    >>> for bus in buses:
+    ...     bus.shutdown()
 """
 
 import time
@@ -14,10 +42,10 @@ import can
 from cutgate.protocol.endpoint import Endpoint, Item
 
 READ_FRAMES_MAX = 512
-"""Frames read in one turn; more wait for the next, so that clocks are looked at in between."""
+"""Frames read in one cycle; more wait for the next, so that clocks are looked at in between."""
 DISCARD_FRAMES_MAX = 100_000
 RETRY_S = 0.001
-"""So soon a loop turns again while something waits: nothing wakes it when a full transmit queue has room again."""
+"""So soon the next cycle begins while something waits: nothing wakes it when a full transmit queue has room again."""
 LAST_TRIES = 100
 """So often, `RETRY_S` apart, the last words are tried: about as long as the other side waits for a heartbeat."""
 

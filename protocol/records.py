@@ -2,6 +2,23 @@
 
 `type u8 | reserved u8 = 0 | length u16 of body | session u32 | sequence u32 | body | crc32 u32 over all before`,
 little endian, at most 4095 bytes.
+
+:func:`pack` before a record is given to its channel's transfer, :func:`unpack` after a transfer has brought one whole.
+Who unpacks says from whom and on which channel it came, and then looks at session and sequence, which are right only
+in a conversation (``endpoint.Endpoint`` does)::
+
+    >>> envelope = pack(Collect(), session=7, sequence=1)
+    >>> envelope.hex(" ", 4)
+    '04000000 07000000 01000000 6c93aaca'
+    >>> found = unpack(envelope, sender=Side.RUNTIME, channel=Channel.CONTROL)
+    >>> found.record, found.session, found.sequence
+    (Collect(), 7, 1)
+    >>> unpack(envelope, sender=Side.CONTROLLER)
+    Traceback (most recent call last):
+    cutgate.protocol.wire.RecordError: Collect is never sent by the controller
+    >>> pack(Collect(), session=0, sequence=1)
+    Traceback (most recent call last):
+    cutgate.protocol.wire.RecordError: Collect must not be sent outside a session
 """
 
 import struct

@@ -3,6 +3,35 @@
 The state machine is `isotp.TransportLayerLogic`. Its own timers read a clock of their own and are set out of the
 way; the deadline stands here, against the caller's time. Errors are values: nothing is raised, nothing is logged.
 A failed transfer never yields a record; what was queued behind a failed one is dropped with it.
+
+How a :class:`Transfer` is used, one on either side of a channel:
+
+- :meth:`Transfer.send` queues a record, :meth:`Transfer.feed` takes a frame that came on ``rx_id``. Neither sends
+  anything: after both, give :meth:`Transfer.hand_out` the bus, for what is fed may have to be answered.
+- After :meth:`Transfer.feed`, take what is whole by now (:meth:`Transfer.received`) and what went wrong
+  (:meth:`Transfer.errors`).
+- Once a cycle, look at the clock with :meth:`Transfer.expire`, which voids what stands still.
+- Whatever stops motion voids what is under way: :meth:`Transfer.abort`.
+
+One record, carried over a bus that loses nothing::
+
+    >>> sender, receiver = Transfer(0x600, 0x601), Transfer(0x601, 0x600)
+    >>> sender.send(b"longer than a frame", now_s=0.0)
+    >>> while sender.sending:
+    ...     for _can_id, data in sender.outgoing():
+    ...         receiver.feed(data)
+    ...     for _can_id, data in receiver.outgoing():  # a flow control: without it the sender waits
+    ...         sender.feed(data)
+    >>> receiver.received(), receiver.errors(), sender.errors()
+    ([b'longer than a frame'], [], [])
+
+A record whose flow control never comes is given up, the time-out after it was queued::
+
+    >>> sender.send(b"longer than a frame", now_s=0.0)
+    >>> sender.expire(now_s=0.9), sender.busy
+    (None, True)
+    >>> sender.expire(now_s=1.1).reason, sender.busy
+    ('transfer on 0x600 stood still for more than 1.0 s', False)
 """
 
 import logging
@@ -142,7 +171,15 @@ class Transfer:
         self._errors.append(TransferError(str(error), lost=lost, refused=isinstance(error, _SENDING_ENDED)))
 
     def send(self, payload: bytes, now_s: float) -> None:
-        """Queue a record; records leave one after the other. Raises ValueError unless 1..4095 bytes."""
+        """Queue a record; records leave one after the other. Then hand out what may go.
+
+        Args:
+            payload: the record's envelope.
+            now_s: when; from here on it must not stand still for longer than the time-out.
+
+        Raises:
+            ValueError: not 1..4095 bytes.
+        """
         if not 1 <= len(payload) <= PAYLOAD_BYTES_MAX:
             raise ValueError(f"payload is {len(payload)} bytes, must be 1..{PAYLOAD_BYTES_MAX}")
         if not self.sending:
@@ -151,7 +188,7 @@ class Transfer:
         self._run()
 
     def feed(self, data: bytes) -> None:
-        """Take one frame received on `rx_id`."""
+        """Take one frame received on `rx_id`, whatever it is. Then hand out, and take what was received and the errors."""
         if len(data) not in self._lengths:
             wanted = ", ".join(map(str, self._lengths))
             self._errors.append(TransferError(f"frame is {len(data)} bytes, must be {wanted}", lost=False))
@@ -195,7 +232,14 @@ class Transfer:
                 return
 
     def hand_out(self, take: Callable[[int, bytes], bool]) -> bool:
-        """Give away the frames to send now, in order, until one is not taken; True if none waits any longer."""
+        """Give away the frames to send now, in order, until one is not taken.
+
+        Args:
+            take: sends a frame, by identifier and bytes; False if it cannot now. What was not taken is offered again.
+
+        Returns:
+            Whether none waits any longer.
+        """
         while self._outbox:
             can_id, data = self._outbox[0]
             if not take(can_id, data):
@@ -205,7 +249,7 @@ class Transfer:
         return True
 
     def outgoing(self) -> list[tuple[int, bytes]]:
-        """Frames to send now, in order; each is handed out once."""
+        """Frames to send now, in order; each is handed out once, and lost if the caller does not send it."""
         frames: list[tuple[int, bytes]] = []
 
         def take(can_id: int, data: bytes) -> bool:
@@ -245,7 +289,10 @@ class Transfer:
     def expire(self, now_s: float) -> TransferError | None:
         """Void everything once a transfer in progress has stood still for longer than the time-out.
 
-        To be called every loop turn: progress is dated by the first call after it.
+        To be called in every cycle: progress is dated by the first call after it.
+
+        Returns:
+            What was lost; None while nothing is late. Nothing is left to do for it but to tell of it.
         """
         sent = self._sent if self.sending else None
         came = len(self._logic.rx_buffer) if self.receiving else None

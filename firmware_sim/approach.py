@@ -41,17 +41,17 @@ class Ends:
     exit_joints_u: tuple[int, ...]
 
 
-def beyond_um(path: PathCodes, pose: Pose, clearance_um: int) -> int:
+def standoff_um(path: PathCodes, pose: Pose, clearance_um: int) -> int:
     """From a pose along its axis to the clearance beyond every tip of the path, up to whole um.
 
-    In parts: large temporary arrays would cost ten times the arithmetic, in one turn of the loop.
+    In parts: large temporary arrays would cost ten times the arithmetic, in one cycle of the loop.
     """
     parts = (path.poses[at : at + PART_POSES, :3] / 1000.0 for at in range(0, len(path), PART_POSES))
     farthest_mm = max(float(((tips_mm - pose.tip) @ pose.axis).max()) for tips_mm in parts)
     return math.ceil(clearance_um + 1000.0 * farthest_mm)
 
 
-def pose_beyond(pose: Pose, distance_um: int) -> Pose:
+def pose_at_standoff(pose: Pose, distance_um: int) -> Pose:
     """The pose so far from another one along its tool axis, toward the holder."""
     (x, y, z), (i, j, k) = pose
     mm = distance_um / 1000.0
@@ -69,9 +69,9 @@ def own_ends(
     found = []
     for name, index, joints in (("entry", 0, first), ("exit", -1, last)):
         pose = pose_of(path, index)
-        distance_um = beyond_um(path, pose, clearance_um)
+        distance_um = standoff_um(path, pose, clearance_um)
         try:
-            reached = follow(arm, pose, pose_beyond(pose, distance_um), joints)
+            reached = follow(arm, pose, pose_at_standoff(pose, distance_um), joints)
         except KinematicsError as error:
             raise KinematicsError(
                 f"{name} pose, {distance_um / 1000:.3f} mm along the tool: {error}"

@@ -28,7 +28,7 @@ class FaultName(StrEnum):
     SILENT = "silent"
     """No frame leaves any more."""
     CHANGE_LIMIT = "change-limit"
-    """A joint limit changes without a word."""
+    """A joint limit changes unnoticed."""
     REBOOT = "reboot"
     """Power is lost and comes back: a new boot nonce, nothing loaded; its memory is kept."""
     DRIFT = "drift"

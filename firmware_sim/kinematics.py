@@ -29,7 +29,7 @@ VERTICAL_SIN: Final = 1e-9
 GOES_RAD: Final = math.radians(ROTATION_DEG_GOES)
 """How far, either way, shoulder and roll may go: the bus must always be able to report them."""
 FOLLOW_STEP_RAD: Final = 0.3
-"""`follow` halves a step until no joint turns by more, so that the nearest turn is the right one."""
+"""`follow` halves a step until no joint turns by more, so that the nearest revolution is the right one."""
 _FOLLOW_DEPTH: Final = 40
 
 
@@ -200,8 +200,8 @@ def wrap_many(angles_rad: Floats) -> Floats:
     return wrapped
 
 
-def nearest_turns(joints: Joints, previous: Joints) -> Joints:
-    """The same pose with q0 and q3 on the turns nearest to the joints before."""
+def on_nearest_revolutions(joints: Joints, previous: Joints) -> Joints:
+    """The same pose with q0 and q3 on the revolutions nearest to the joints before."""
     q0, q1, q2, q3, q4 = joints
     return (
         previous[0] + wrap(q0 - previous[0]),
@@ -212,7 +212,7 @@ def nearest_turns(joints: Joints, previous: Joints) -> Joints:
     )
 
 
-def turn_rad(start: Vector3, end: Vector3) -> float:
+def angle_between(start: Vector3, end: Vector3) -> float:
     """The angle between two unit vectors, exact for small and for large ones."""
     apart = math.dist(start, end)
     together = math.hypot(*(a + b for a, b in zip(start, end, strict=True)))
@@ -222,16 +222,16 @@ def turn_rad(start: Vector3, end: Vector3) -> float:
 def interpolate(start: Pose, end: Pose, fraction: float) -> Pose:
     """The pose at a fraction of a segment: tip on the line, axis at constant rate on the great circle.
 
-    At 0 and 1 it is exactly the start and the end. The axes must be less than half a turn apart.
+    At 0 and 1 it is exactly the start and the end. The axes must be less than half a revolution apart.
     """
     if fraction in {0.0, 1.0}:
         return end if fraction else start
     x, y, z = (a + fraction * (b - a) for a, b in zip(start.tip, end.tip, strict=True))
-    turn = turn_rad(start.axis, end.axis)
-    if turn < 1e-7:  # sin x = x to the last bit
+    angle_rad = angle_between(start.axis, end.axis)
+    if angle_rad < 1e-7:  # sin x = x to the last bit
         weight_start, weight_end = 1.0 - fraction, fraction
     else:
-        weight_start, weight_end = math.sin((1.0 - fraction) * turn), math.sin(fraction * turn)
+        weight_start, weight_end = math.sin((1.0 - fraction) * angle_rad), math.sin(fraction * angle_rad)
     u = tuple(weight_start * a + weight_end * b for a, b in zip(start.axis, end.axis, strict=True))
     length = math.hypot(*u)
     return Pose((x, y, z), (u[0] / length, u[1] / length, u[2] / length))
@@ -248,8 +248,8 @@ def follow(arm: Arm, start: Pose, end: Pose, joints: Joints) -> Joints:
     at, step = 0.0, 1.0
     while at < 1.0:
         to = min(1.0, at + step)
-        reached = nearest_turns(inverse(arm, interpolate(start, end, to)), joints)
-        if largest_turn(joints, reached) <= FOLLOW_STEP_RAD:
+        reached = on_nearest_revolutions(inverse(arm, interpolate(start, end, to)), joints)
+        if largest_rotation(joints, reached) <= FOLLOW_STEP_RAD:
             at, joints, step = to, reached, 2.0 * step
         else:
             step /= 2.0
@@ -260,7 +260,7 @@ def follow(arm: Arm, start: Pose, end: Pose, joints: Joints) -> Joints:
     return joints
 
 
-def largest_turn(a: Joints, b: Joints) -> float:
+def largest_rotation(a: Joints, b: Joints) -> float:
     """The largest difference of a turning joint, rad."""
     return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(a[3] - b[3]), abs(a[4] - b[4]))
 

@@ -30,7 +30,7 @@ from cutgate.protocol.records import UNIT, Calibration, Limits, PathCodes, Recor
 from cutgate.protocol.states import Refusal
 
 SURE_STEP_RAD: Final = 1.0
-"""Between poses further apart in q0 the nearest turn is not taken on trust; the segment is followed."""
+"""Between poses further apart in q0 the nearest revolution is not taken on trust; the segment is followed."""
 
 
 class PathVerdict(NamedTuple):
@@ -39,7 +39,7 @@ class PathVerdict(NamedTuple):
     Attributes:
         refusal: the answer.
         pose: the first pose it is about; 0 where it is about the header.
-        detail: value and bound in words; empty when accepted.
+        detail: value and bound as text; empty when accepted.
     """
 
     refusal: Refusal
@@ -145,9 +145,9 @@ class PathCheck:
         return PathVerdict(Refusal.POSE_OUTSIDE_LIMITS, begin + row, detail)
 
     def _unwind(self, joints: Floats, begin: int) -> dict[int, str]:
-        """Put q0 and q3 of these rows on the turns that follow continuously from the pose before, in place.
+        """Put q0 and q3 of these rows on the revolutions that follow continuously from the pose before, in place.
 
-        The azimuth of the axis sweeps less than half a turn on a great circle, so its nearest turn is certain. q0 is
+        The azimuth of the axis sweeps less than half a revolution on a great circle, so its nearest one is certain. q0 is
         certain where it changes little; elsewhere the segment is followed. q3 = azimuth - q0 - q1 with both.
 
         Returns:
@@ -167,12 +167,12 @@ class PathCheck:
             except KinematicsError as error:
                 change[row] = math.nan
                 broken[int(row) + 1 - back] = str(error)
-        q0 = _on_turn_near(rows[:, 0], rows[0, 0] + np.concatenate(([0.0], np.cumsum(change))))
+        q0 = _on_revolution_near(rows[:, 0], rows[0, 0] + np.concatenate(([0.0], np.cumsum(change))))
         if not self._vertical:
             azimuth = np.arctan2(axes[:, 1], axes[:, 0])
             swept = np.concatenate(([0.0], np.cumsum(wrap_many(np.diff(azimuth)))))
             q3 = rows[0, 3] + swept - (q0 - q0[0]) - (rows[:, 1] - rows[0, 1])
-            joints[:, 3] = _on_turn_near(rows[:, 3], q3)[back:]
+            joints[:, 3] = _on_revolution_near(rows[:, 3], q3)[back:]
         joints[:, 0] = q0[back:]
         return broken
 
@@ -207,7 +207,7 @@ def _is_vertical(axes: Floats) -> NDArray[np.bool_]:
     return vertical
 
 
-def _on_turn_near(angles: Floats, near: Floats) -> Floats:
-    """The same directions, moved by full turns to lie nearest to the given angles: no rounding adds up."""
+def _on_revolution_near(angles: Floats, near: Floats) -> Floats:
+    """The same directions, moved by full revolutions to lie nearest to the given angles: no rounding adds up."""
     moved: Floats = angles + math.tau * np.round((near - angles) / math.tau)
     return moved

@@ -13,20 +13,20 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from cutgate.firmware_sim.approach import Approach, pose_beyond
+from cutgate.firmware_sim.approach import Approach, pose_at_standoff
 from cutgate.firmware_sim.kinematics import (
     Arm,
     Joints,
     KinematicsError,
     Pose,
+    angle_between,
     as_joints,
     calibrated_arm,
     interpolate,
     inverse,
-    largest_turn,
+    largest_rotation,
     limit_text,
-    nearest_turns,
-    turn_rad,
+    on_nearest_revolutions,
 )
 from cutgate.protocol.path import HEADER_BYTES, POSE_BYTES, PathHeader, decode_axes
 from cutgate.protocol.records import BLOCK_BYTES, Calibration, Limits, block_of_pose
@@ -250,7 +250,7 @@ class Plant:
         return _Motion(self, path, approach, standing).run(budget_s)
 
     def too_fast(self, before: Joints, after: Joints, plant_s: float) -> PlantFault | None:
-        """A fault if a measured joint turned faster than its limit between two turns, whoever moved it."""
+        """A fault if a measured joint turned faster than its limit between two cycles, whoever moved it."""
         for joint, (old, new, limit) in enumerate(
             zip(before, after, as_joints(self.limits.speed), strict=True)
         ):
@@ -318,30 +318,30 @@ class _Motion:
                 return self._joint_line(bound.start, bound.entry)
             case Leg.ENTRY:
                 first = path.pose(0)
-                return self._straight(pose_beyond(first, bound.entry_um), first)
+                return self._straight(pose_at_standoff(first, bound.entry_um), first)
             case Leg.CUT:
                 return self._straight(path.pose(index), path.pose(index + 1))
             case Leg.EXIT:
                 last = path.pose(len(path) - 1)
-                return self._straight(last, pose_beyond(last, bound.exit_um))
-            case Leg.RETRACT:
+                return self._straight(last, pose_at_standoff(last, bound.exit_um))
+            case _:  # retract
                 return self._joint_line(bound.exit, bound.start)
 
     def _straight(self, start: Pose, end: Pose) -> _Stretch:
         """Tip on a line, axis on a great circle, at the path's feed."""
-        turn = turn_rad(start.axis, end.axis)
-        longest_mm = max(math.dist(start.tip, end.tip), self._path.tool_length_mm * turn)
-        steps = max(1.0, math.ceil(longest_mm / STEP_MM), math.ceil(turn / STEP_RAD))
+        angle_rad = angle_between(start.axis, end.axis)
+        longest_mm = max(math.dist(start.tip, end.tip), self._path.tool_length_mm * angle_rad)
+        steps = max(1.0, math.ceil(longest_mm / STEP_MM), math.ceil(angle_rad / STEP_RAD))
 
         def joints(fraction: float, near: Joints) -> Joints:
-            return nearest_turns(inverse(self._arm, interpolate(start, end, fraction)), near)
+            return on_nearest_revolutions(inverse(self._arm, interpolate(start, end, fraction)), near)
 
         return _Stretch(joints, longest_mm / self._path.feed_mm_s, 1.0 / steps)
 
     def _joint_line(self, start: Joints, end: Joints) -> _Stretch:
-        """All joints linear in one parameter, the slowest at the bound part of its speed limit; no turn is left out."""
+        """All joints linear in one parameter, the slowest at the bound part of its speed limit; no revolution is left out."""
         slowest_s = max(abs(b - a) / v for a, b, v in zip(start, end, self._speed, strict=True))
-        steps = max(1.0, math.ceil(2.0 * largest_turn(start, end) / STEP_TURN_RAD))
+        steps = max(1.0, math.ceil(2.0 * largest_rotation(start, end) / STEP_TURN_RAD))
 
         def joints(fraction: float, _near: Joints) -> Joints:
             if fraction in {0.0, 1.0}:
@@ -360,14 +360,14 @@ class _Motion:
         reserve = 1.0 - 1e-9  # for rounding; a part whose time is not proportional needs more the next time
         while size > SHORTEST_STEP:
             step = self._part(stretch, 1.0 if at + size > 1.0 - SHORTEST_STEP else at + size)
-            if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
+            if largest_rotation(step.joints, self._state.joints) > STEP_TURN_RAD:
                 size *= 0.5
             elif step.time_s > left_s:
                 size *= reserve * left_s / step.time_s
                 reserve = 0.95
             else:
                 return step
-        if largest_turn(step.joints, self._state.joints) > STEP_TURN_RAD:
+        if largest_rotation(step.joints, self._state.joints) > STEP_TURN_RAD:
             raise KinematicsError(f"a joint jumps at fraction {at:.9f}: the path runs through a singularity")
         return None
 
@@ -403,12 +403,12 @@ class _Motion:
         """A fault if the arm is not where its progress says, whatever the leg."""
         place = self._stretch().joints(self._state.fraction, self._state.joints)
         slide_mm = abs(place[2] - self._state.joints[2])
-        turn = largest_turn(place, self._state.joints)
-        if slide_mm <= OFF_PATH_MM and turn <= OFF_PATH_RAD:
+        angle_rad = largest_rotation(place, self._state.joints)
+        if slide_mm <= OFF_PATH_MM and angle_rad <= OFF_PATH_RAD:
             return None
         return PlantFault(
             StopCause.TRACKING_DEVIATION,
-            f"the arm is {slide_mm:.3f} mm and {math.degrees(turn):.3f} deg off its place on {self._place}, "
+            f"the arm is {slide_mm:.3f} mm and {math.degrees(angle_rad):.3f} deg off its place on {self._place}, "
             f"at most {OFF_PATH_MM} mm and {math.degrees(OFF_PATH_RAD):.3f} deg",
         )
 

@@ -127,7 +127,7 @@ class Controller:
     permit_issued_at_s: float = 0.0
     device: DeviceCycle = DeviceCycle.UNSEEN
     cut_ordered: bool = False
-    """The runtime's heartbeat has said CUT since the start; without it nothing moves."""
+    """The runtime's heartbeat has ordered CUT since the start; without it nothing moves."""
     started_at_s: float = 0.0
     heartbeat_fresh: bool = False
     measured_u: tuple[int, ...] | None = None
@@ -231,7 +231,7 @@ class AcknowledgeReceived:
 
 @dataclass(frozen=True)
 class HeartbeatReceived:
-    """A checked runtime heartbeat. ``fresh`` is the link's word: its echo proves that it is young."""
+    """A checked runtime heartbeat. ``fresh``: its echo proves to the link that it is young."""
 
     code: RuntimeCode
     epoch: int

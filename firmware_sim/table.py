@@ -74,7 +74,7 @@ Outcome = tuple[Controller, tuple[Effect, ...]]
 def step(state: Controller, event: Event, now_s: float) -> Outcome:
     """One transition. An event that the table does not list for this state changes nothing.
 
-    What must be remembered is written after everything else of the step has left, and in every turn until it is.
+    What must be remembered is written after everything else of the step has left, and in every cycle until it is.
     """
     handler = TABLE.get((state.state, type(event))) or EVERYWHERE.get(type(event))
     after, effects = handler(state, event, now_s) if handler else (state, ())
@@ -123,7 +123,7 @@ def _void(state: Controller) -> Controller:
 def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
     """Stop; if the cause says that the bone is elsewhere, no registration named before holds any more.
 
-    A withdrawal withdraws the earlier ones as well: it is the operator's only word for a bone that has moved, and then
+    A withdrawal withdraws the earlier ones as well: it is the operator's only command for a bone that has moved, and then
     they are no better. Too much costs another registration, too little a cut in the wrong place.
     """
     if cause in WITHDRAWING:
@@ -132,8 +132,8 @@ def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
 
 
 def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
-    ends = event.code is StopCode.END and event.cause not in WITHDRAWING
-    if ends and state.state is not ControllerState.CUTTING:
+    is_end = event.code is StopCode.END and event.cause not in WITHDRAWING
+    if is_end and state.state is not ControllerState.CUTTING:
         return end_session(state)
     return stop_and_withdraw(state, event.cause)
 
@@ -225,11 +225,11 @@ def open_session(state: Controller, event: OpenReceived) -> Outcome:
 
 def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcome:
     assert state.session is not None  # noqa: S101 - OPEN and LOADED have a session
-    tag, held = state.session.tag, state.holdings
+    tag, holdings = state.session.tag, state.holdings
     return state, (
-        Send(records.Limits.parse(held.limits), tag),
-        Send(records.Calibration.parse(held.calibration), tag),
-        Send(records.Tool.parse(held.tool), tag),
+        Send(records.Limits.parse(holdings.limits), tag),
+        Send(records.Calibration.parse(holdings.calibration), tag),
+        Send(records.Tool.parse(holdings.tool), tag),
     )
 
 
@@ -328,7 +328,7 @@ def persisted(state: Controller, event: Persisted, _now_s: float) -> Outcome:
 
 
 def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:
-    """What waited is refused; what must not be forgotten is written again in every turn, and nothing starts before."""
+    """What waited is refused; what must not be forgotten is written again in every cycle, and nothing starts before."""
     awaiting, unknown = state.awaiting, replace(state, awaiting=None, written=None)
     match awaiting.event if awaiting else None:
         case OpenReceived(request, sequence) | ResetReceived(request, sequence):

@@ -80,7 +80,7 @@ class Upload:
 
         Args:
             holdings: what the controller holds now; entry and exit are inside these limits.
-            clearance_um: how far beyond every tip entry and exit stand, as the session has agreed.
+            clearance_um: the least standoff of entry and exit from every tip, as the session has agreed.
 
         Returns:
             The verdict, once; None while there is more to check, or nothing.

@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.approach import Approach, inside, own_ends, start_offset
+from cutgate.firmware_sim import approach
+from cutgate.firmware_sim.approach import Approach, Ends, agrees, inside, own_ends, start_offset
 from cutgate.firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
 from cutgate.firmware_sim.path_check import PathCheck
-from cutgate.protocol.records import joints_to_counts, joints_to_memory
+from cutgate.protocol.records import UNIT, joints_to_counts, joints_to_memory
 from cutgate.protocol.states import Refusal
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, WIDE, line_path
-from tests.firmware_sim.controllers import PERMIT
+from tests.firmware_sim.controllers import ENDS, PERMIT
 
 
 def ends_of(path, *, limits=LIMITS, calibration=NOMINAL, clearance_um=10_000):
@@ -84,6 +85,67 @@ def test_bound_joints_must_be_such_as_the_bus_reports_whatever_the_limits(joint)
     assert not inner(2601, within_deg=2600)
 
 
+@pytest.mark.parametrize("joint", range(5))
+def test_joints_on_their_limits_are_inside_and_one_count_further_they_are_not(joint):
+    def moved(limit, by):
+        return tuple(count + by * (j == joint) for j, count in enumerate(limit))
+
+    low, high = LIMITS.q_min_u, LIMITS.q_max_u
+    middle = tuple((a + b) // 2 for a, b in zip(low, high, strict=True))
+    assert inside(LIMITS, low, high, middle)
+    for outside in (moved(low, -1), moved(high, 1)):
+        assert not inside(LIMITS, outside)
+        assert not inside(LIMITS, middle, outside)
+        assert not inside(LIMITS, outside, middle)
+
+
+def test_entry_and_exit_that_the_arm_cannot_reach_agree_with_nothing():
+    assert not agrees(None, PERMIT.approach)
+
+
+@pytest.mark.parametrize("field", ["entry_um", "exit_um"])
+def test_distances_agree_within_one_um(field):
+    for off, agreed in ((-2, False), (-1, True), (0, True), (1, True), (2, False)):
+        bound = replace(PERMIT.approach, **{field: getattr(ENDS, field) + off})
+        assert agrees(ENDS, bound) is agreed
+
+
+@pytest.mark.parametrize("joint", range(5))
+@pytest.mark.parametrize("field", ["entry_joints_u", "exit_joints_u"])
+def test_joints_agree_within_a_hundredth_of_a_degree_or_mm(field, joint):
+    own = getattr(ENDS, field)
+    for off, agreed in ((-10_001, False), (-10_000, True), (10_000, True), (10_001, False)):
+        counts = tuple(count + off * (j == joint) for j, count in enumerate(own))
+        assert agrees(ENDS, replace(PERMIT.approach, **{field: counts})) is agreed
+
+
+def test_entry_and_exit_stay_as_they_were_found():
+    assert Ends.__dataclass_params__.frozen
+    assert Approach.__dataclass_params__.frozen
+
+
+def test_a_path_is_looked_at_in_parts_and_to_its_end(monkeypatch):
+    """The farthest tip may be in any of them."""
+    assert approach.PART_POSES == 4096
+    tips = [(500.0, 0.0, 100.0), (500.0, 1.0, 100.0), (500.0, 2.0, 100.0), (500.0, 3.0, 140.0)]
+    for order in (tips, tips[::-1]):
+        path = type(PATH).quantised(
+            order, np.tile((0.6, 0.0, 0.8), (4, 1)), feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right"
+        )
+        whole = ends_of(path)
+        for poses in (1, 2, 3, 4):
+            monkeypatch.setattr(approach, "PART_POSES", poses)
+            assert ends_of(path) == whole
+        farthest = max(whole.entry_um, whole.exit_um)
+        assert farthest == pytest.approx(10_000 + 1000 * 40.0 * 0.8, abs=2)
+
+
+def test_an_entry_to_which_the_arm_cannot_be_followed_is_named():
+    path = line_path((700.0, 0.0, 100.0), (700.0, 20.0, 100.0), polar=(60, 60), azimuth=(0, 0))
+    with pytest.raises(KinematicsError, match=r"^entry pose, 250\.000 mm along the tool: .*out of reach.*$"):
+        ends_of(path, clearance_um=250_000)
+
+
 joint = st.floats(-1.0, 1.0)
 
 
@@ -106,6 +168,30 @@ def test_the_offset_bounds_the_wrist_centre_anywhere_on_the_joint_line(start, of
         for counts in (measured_u, bound_u)
     ]
     assert math.dist(*places) <= mm + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "swept_mm"),
+    [
+        ((1, 0), (450 + 1.5) + (430 - 0.75)),
+        ((0, 1), 430 - 0.75),
+        ((1, -1), 450 + 1.5),
+        ((-1, 0), (450 + 1.5) + (430 - 0.75)),
+        ((0, -2), 2 * (430 - 0.75)),
+    ],
+)
+def test_the_offset_is_swept_by_the_calibrated_links_and_the_slide(off_deg, swept_mm):
+    """Two degrees at the elbow move the forearm alone; what both joints do together moves it by their sum."""
+    measured = (off_deg[0] * UNIT, off_deg[1] * UNIT, 3 * UNIT, 0, 0)
+    mm, deg = start_offset(CALIBRATED, measured, (0,) * 5)
+    assert mm == pytest.approx(math.hypot(swept_mm * math.radians(1), 3.0))
+    assert deg == max(map(abs, off_deg))
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3, 4])
+def test_the_turning_joint_furthest_off_counts(joint):
+    measured = tuple(-5 * UNIT if j == joint else UNIT for j in range(5))
+    assert start_offset(NOMINAL, measured, (0,) * 5)[1] == 5.0
 
 
 def test_the_offset_of_a_wrist_joint_is_its_turn():

@@ -13,6 +13,7 @@ from cutgate.firmware_sim.kinematics import (
     OutOfReachError,
     Pose,
     SingularError,
+    angle_between,
     as_joints,
     calibrated_arm,
     follow,
@@ -21,8 +22,7 @@ from cutgate.firmware_sim.kinematics import (
     inverse,
     inverse_many,
     limit_text,
-    nearest_turns,
-    turn_rad,
+    on_nearest_revolutions,
     wrap,
     wrap_many,
 )
@@ -85,7 +85,7 @@ def test_forward_is_the_chain_of_the_joints_matrices(arm_and_joints):
 @given(arms_and_joints())
 def test_inverse_undoes_forward(arm_and_joints):
     arm, joints = arm_and_joints
-    found = nearest_turns(inverse(arm, forward(arm, joints)), joints)
+    found = on_nearest_revolutions(inverse(arm, forward(arm, joints)), joints)
     np.testing.assert_allclose(found, joints, atol=1e-8)
 
 
@@ -166,7 +166,7 @@ def test_wrap_is_the_half_open_turn(angle, wrapped):
 
 def test_turns_are_kept():
     start = (3.0 + 2 * math.tau, 1.0, 2.0, -3.0 - math.tau, 0.5)
-    assert nearest_turns((-3.0, 1.1, 2.1, 3.0, 0.6), start) == pytest.approx(
+    assert on_nearest_revolutions((-3.0, 1.1, 2.1, 3.0, 0.6), start) == pytest.approx(
         (-3.0 + 3 * math.tau, 1.1, 2.1, 3.0 - 2 * math.tau, 0.6)
     )
 
@@ -174,7 +174,7 @@ def test_turns_are_kept():
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 2.0, math.radians(179.0)])
 def test_the_turn_of_an_axis_is_exact_for_small_and_large_angles(angle):
     end = (math.sin(angle), 0.0, math.cos(angle))
-    assert turn_rad((0.0, 0.0, 1.0), end) == pytest.approx(angle, rel=1e-12, abs=1e-16)
+    assert angle_between((0.0, 0.0, 1.0), end) == pytest.approx(angle, rel=1e-12, abs=1e-16)
 
 
 @given(st.floats(0, 1), st.floats(0, 3.1), ANGLE, ANGLE)
@@ -203,7 +203,7 @@ def test_joints_are_followed_through_more_than_half_a_turn():
     joints = inverse(arm, start)
     dense = joints
     for fraction in np.linspace(0, 1, 4001):
-        dense = nearest_turns(inverse(arm, interpolate(start, end, float(fraction))), dense)
+        dense = on_nearest_revolutions(inverse(arm, interpolate(start, end, float(fraction))), dense)
     assert abs(dense[0] - joints[0]) > 2.5
     np.testing.assert_allclose(follow(arm, start, end, joints), dense, atol=1e-9)
 

@@ -266,7 +266,7 @@ def test_every_way_to_cut_the_work_gives_the_same_verdict(seed, at_once):
         assert inspection.verdict.pose <= int(np.argmax(outside))
 
 
-def test_seven_thousand_poses_take_no_turn_of_the_loop_long():
+def test_seven_thousand_poses_take_no_cycle_of_the_loop_long():
     path = pocket(poses=7000, length_mm=17_500.0)
     inspection = PathCheck(path, LIMITS, NOMINAL, TOOL)
     parts = []

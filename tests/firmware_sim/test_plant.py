@@ -18,7 +18,7 @@ from cutgate.firmware_sim.kinematics import (
     forward,
     interpolate,
     inverse,
-    nearest_turns,
+    on_nearest_revolutions,
 )
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import BlockError, Leg, Plant, PlantFault, PlantState, StoredPath
@@ -64,11 +64,11 @@ def way(plant, path, start=None, *, out_um=(30_000, 40_000), speed=0.25):
         plant.calibration, tool_mm=TOOL_MM, elbow=path.elbow, hold_roll_rad=plant.hold_roll_rad
     )
     joints = first = first_joints(plant, path)
-    entry = nearest_turns(inverse(arm, out(path.pose(0), out_um[0])), first)
+    entry = on_nearest_revolutions(inverse(arm, out(path.pose(0), out_um[0])), first)
     try:
         for index in range(len(path)):
-            joints = nearest_turns(inverse(arm, path.pose(index)), joints)
-        leave = nearest_turns(inverse(arm, out(path.pose(len(path) - 1), out_um[1])), joints)
+            joints = on_nearest_revolutions(inverse(arm, path.pose(index)), joints)
+        leave = on_nearest_revolutions(inverse(arm, out(path.pose(len(path) - 1), out_um[1])), joints)
     except KinematicsError:
         leave = entry  # never reached
     return Approach(start or entry, entry, leave, *out_um, speed)

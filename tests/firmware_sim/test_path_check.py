@@ -76,6 +76,25 @@ def test_the_first_joints_are_known_afterwards():
     assert inspection.first_joints == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize("at_once", [1, 1000])
+def test_the_last_joints_are_known_once_the_path_is_accepted(at_once):
+    inspection = PathCheck(PATH, LIMITS, CALIBRATED, TOOL)
+    while not inspection.step(at_once):
+        assert inspection.last_joints is None
+    arm = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    expected = inverse(arm, Pose(tuple(PATH.tips_mm[-1]), tuple(PATH.axes[-1])))
+    assert inspection.last_joints == pytest.approx(expected, abs=1e-9)
+    assert inspection.path is PATH
+
+
+def test_a_path_that_is_refused_has_no_last_joints_and_its_first_only_inside_the_limits():
+    for first, last, known in ((500.0, 1500.0, True), (1500.0, 500.0, False)):
+        inspection = PathCheck(line_path((first, 0, 100), (last, 0, 100)), LIMITS, NOMINAL, TOOL)
+        assert inspection.run().refusal is Refusal.POSE_OUTSIDE_LIMITS
+        assert inspection.last_joints is None
+        assert (inspection.first_joints is not None) is known
+
+
 @given(
     wrong=st.integers(0, 199),
     kind=st.sampled_from(["code", "turn"]),

@@ -280,6 +280,28 @@ def test_a_path_through_the_column_stops_the_arm():
     assert steps[-1].state.fraction < 0.5 + 1e-6
 
 
+@pytest.mark.parametrize("joint", range(5))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_measured_joint_is_too_fast_beyond_its_limit_and_what_its_rounding_explains(joint, sign):
+    limit, before = float(LIMITS.speed[joint]), (0.1, 0.2, 300.0, 0.4, 0.5)
+
+    def after(moved):
+        return tuple(at + sign * moved * (j == joint) for j, at in enumerate(before))
+
+    for time_s in (0.0, 0.02, 1.0):
+        assert PLANT.too_fast(before, after(limit * time_s + 0.9e-6), time_s) is None
+        fault = PLANT.too_fast(before, after(limit * time_s + 1.1e-6), time_s)
+        assert fault.cause is StopCause.LIMIT_EXCEEDED
+        assert fault.detail == (
+            f"q{joint} moved by {limit * time_s + 1.1e-6:.6f} in {time_s:.6f} s, at most {limit:.6f} a second"
+        )
+
+
+def test_a_measured_joint_that_is_no_number_is_too_fast():
+    fault = PLANT.too_fast((0.0,) * 5, (0.0, math.nan, 0.0, 0.0, 0.0), 1.0)
+    assert fault.detail.startswith("q1 moved by nan")
+
+
 @pytest.mark.parametrize(("offset", "moves"), [((0, 0, 0.4, 0, 0), True), ((0, 0, 1.1, 0, 0), False),
                                                ((0.002, 0, 0, -0.002, 0), True), ((0, 0.01, 0, 0, 0), False)])  # fmt: skip
 def test_an_arm_off_its_path_does_not_move(offset, moves):

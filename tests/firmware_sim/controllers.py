@@ -178,9 +178,9 @@ DONE = fed(CUTTING, PathFinished())
 
 LATCHED = fed(POWERED_UP, Fault(StopCause.SECOND_NODE))
 """A latched fault without a session; epoch 1."""
-HELD = fed(LATCHED, OpenReceived(OPEN, 1), alive(epoch=2))
+OPEN_LATCHED = fed(LATCHED, OpenReceived(OPEN, 1), alive(epoch=2))
 """A session with a latched controller; epoch 2."""
-ACKNOWLEDGED = fed(HELD, AcknowledgeReceived(StopCause.SECOND_NODE, 2))
+ACKNOWLEDGED = fed(OPEN_LATCHED, AcknowledgeReceived(StopCause.SECOND_NODE, 2))
 RESETTING = fed(ACKNOWLEDGED, NonceRequested(Purpose.RESET, RESET_NONCE))
 SIGNED_RESET = permits.sign(KEY, replace(RESET, epoch=2))
 
@@ -195,7 +195,7 @@ EVERY_STATE: dict[str, Controller] = {
     "cutting": CUTTING,
     "done": DONE,
     "latched": LATCHED,
-    "held": HELD,
+    "latched, session open": OPEN_LATCHED,
     "acknowledged": ACKNOWLEDGED,
     "resetting": RESETTING,
     "stopped": fed(CUTTING, HOLD, Fault(StopCause.BUS_FAILED)),

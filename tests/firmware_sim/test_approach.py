@@ -119,6 +119,17 @@ def test_joints_agree_within_a_hundredth_of_a_degree_or_mm(field, joint):
         assert agrees(ENDS, replace(PERMIT.approach, **{field: counts})) is agreed
 
 
+def test_another_number_of_joints_is_an_error_and_no_comparison_of_some():
+    six = (*ENDS.entry_joints_u, 0)
+    for own in (replace(ENDS, entry_joints_u=six), replace(ENDS, exit_joints_u=six)):
+        with pytest.raises(ValueError, match=r"zip\(\) argument 2"):
+            agrees(own, PERMIT.approach)
+    with pytest.raises(ValueError, match=r"zip\(\) argument 2"):
+        inside(LIMITS, (*LIMITS.q_min_u, 0))
+    with pytest.raises(ValueError, match=r"zip\(\) argument 2"):
+        start_offset(NOMINAL, (0,) * 5, (0,) * 6)
+
+
 def test_entry_and_exit_stay_as_they_were_found():
     assert Ends.__dataclass_params__.frozen
     assert Approach.__dataclass_params__.frozen

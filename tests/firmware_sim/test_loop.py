@@ -81,8 +81,8 @@ class Bus:
 class Bench:
     """One controller and the ends of its wires."""
 
-    def __init__(self, directory, *, limits=LIMITS, words=True, **options):
-        self.bus, self.said = Bus(), []
+    def __init__(self, directory, *, limits=LIMITS, typed=True, **options):
+        self.bus, self.shown = Bus(), []
         self.file = directory / "memory.json"
         reading, self.typing = os.pipe2(os.O_NONBLOCK)
         self.wake, self.waking = os.pipe2(os.O_NONBLOCK)
@@ -97,8 +97,8 @@ class Bench:
             Port(self.bus, endpoint),
             self.file,
             options=Options(**options),
-            commands=WordReader(reading, Word) if words else None,
-            say=self.said.append,
+            commands=WordReader(reading, Word) if typed else None,
+            say=self.shown.append,
             clock=Clock(),
         )
 
@@ -156,9 +156,9 @@ def test_a_time_scale_is_announced(bench):
     assert (announce.plant_speed_permille, announce.time_scale) == (20_000, 20.0)
 
 
-@pytest.mark.parametrize("words", [True, False])
-def test_the_loop_runs_until_it_is_woken_to_end(bench, words):
-    one = bench(words=words)
+@pytest.mark.parametrize("typed", [True, False])
+def test_the_loop_runs_until_it_is_woken_to_end(bench, typed):
+    one = bench(typed=typed)
     one.end_after(5)
     one.process.run(one.wake)
     assert one.process.controller.cause is StopCause.OPERATOR_QUIT
@@ -177,7 +177,7 @@ def test_the_loop_hears_the_terminal_and_its_end(bench):
     one.end_after(9)
     one.process.run(one.wake)
     assert one.process.controller.inputs.device_pressed
-    assert one.said[:2] == [
+    assert one.shown[:2] == [
         "enabling device pressed",
         "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit",
     ]
@@ -230,13 +230,13 @@ def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
 
 def test_words_change_the_wired_inputs(bench):
     one = bench()
-    for word, pressed, clear in (
+    for command, pressed, clear in (
         (Word.HOLD, True, True),
         (Word.ESTOP, True, False),
         (Word.RELEASE, False, False),
         (Word.ESTOP, False, True),
     ):
-        one.process.act(word)
+        one.process.act(command)
         inputs = one.process.controller.inputs
         assert (inputs.device_pressed, inputs.emergency_stop_clear) == (pressed, clear)
     assert one.process.controller.cause is StopCause.EMERGENCY_STOP
@@ -298,7 +298,7 @@ def test_a_memory_that_cannot_be_written_is_said_once_latches_and_is_written_as_
     controller = one.process.controller
     assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
     assert len(attempts) == 5, "once for the motion, once for the latch, then in every turn"
-    assert len([line for line in one.said if "cannot be written" in line]) == 1
+    assert len([line for line in one.shown if "cannot be written" in line]) == 1
     monkeypatch.undo()
     one.process.turn()
     assert (
@@ -360,7 +360,7 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
         assert one.process.controller.state is ControllerState.LOADED
         assert (one.process.controller.holdings.ends is not None) is reaches
         assert (
-            any("no approach: entry pose, 200.000 mm along the tool: q2" in line for line in one.said)
+            any("no approach: entry pose, 200.000 mm along the tool: q2" in line for line in one.shown)
             is not reaches
         )
 
@@ -380,7 +380,7 @@ def in_session(one):
 def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
     one = bench(faults=(FaultSpec(FaultName.FLIP_PATH_BIT, ControllerState.INHIBITED),))
     one.process.turn()
-    assert one.said == ["fault injected: flip-path-bit"]
+    assert one.shown == ["fault injected: flip-path-bit"]
     assert one.process.controller.holdings.path is None
 
 
@@ -428,7 +428,7 @@ def test_a_path_begun_before_a_stop_is_not_completed_after_it(bench):
     one.process.controller = _opened(one.process.controller)
     one.process._block(last)
     assert one.process.upload.check is None
-    assert "path refused" in one.said[-1]
+    assert "path refused" in one.shown[-1]
 
 
 def test_where_the_arm_stands_is_measured_anew_for_a_start(bench):

@@ -31,10 +31,10 @@ from tests.firmware_sim.controllers import (
     ACKNOWLEDGED,
     CUTTING,
     EVERY_STATE,
-    HELD,
     LATCHED,
     NOW,
     OPEN,
+    OPEN_LATCHED,
     POWERED_UP,
     REGISTRATION,
     RESETTING,
@@ -284,7 +284,7 @@ def test_in_every_state_what_is_not_written_yet_is_written_in_the_next_turn(name
 
 
 def test_a_held_fault_opens_no_session_under_a_new_name_while_the_memory_fails():
-    ended = fed(HELD, HeartbeatLost())
+    ended = fed(OPEN_LATCHED, HeartbeatLost())
     assert ended.memory.latched is LATCHED.cause
     opening, _ = step(ended, OpenReceived(OPEN_OTHER, 1), NOW)
     after, effects = step(opening, PersistFailed(), NOW)

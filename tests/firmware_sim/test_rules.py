@@ -76,7 +76,7 @@ OFF_START = [
     ("controller.measured_u", _joints(3, 360_000_000), Refusal.START_JOINTS),
 ]
 
-HELD = [
+HOLDINGS = [
     ("controller.holdings.limits", OTHER_BYTES, Refusal.LIMITS_DIGEST),
     ("controller.holdings.calibration", b"other", Refusal.CALIBRATION_DIGEST),
     ("controller.holdings.tool", b"other", Refusal.TOOL_DIGEST),
@@ -102,7 +102,7 @@ ALIVE = [
 ]
 
 PERMIT_CASES = [
-    *HELD,
+    *HOLDINGS,
     *ALIVE,
     ("request.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
     ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
@@ -169,7 +169,7 @@ PERMIT_CASES = [
 ]
 
 START_CASES = [
-    *HELD,
+    *HOLDINGS,
     *ALIVE,
     ("controller.permit", None, Refusal.NO_PERMIT),
     *(
@@ -264,7 +264,7 @@ def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, va
 
 
 OPEN_CASE = Case(POWERED_UP, OPEN, NOW)
-ACKNOWLEDGE_CASE = Case(controllers.HELD, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW)
+ACKNOWLEDGE_CASE = Case(controllers.OPEN_LATCHED, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW)
 ALMOST_FULL = frozenset(number.to_bytes(32, "big") for number in range(1, REGISTRATIONS_MAX))
 OPEN_CASES = [
     ("controller.session", OPENED.session, Refusal.SESSION_IN_USE),

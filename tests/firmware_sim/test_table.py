@@ -65,7 +65,6 @@ from tests.firmware_sim.controllers import (
     EMERGENCY_STOP,
     ENDS,
     EVERY_STATE,
-    HELD,
     HOLD,
     KEY,
     LATCHED,
@@ -73,6 +72,7 @@ from tests.firmware_sim.controllers import (
     LOADED,
     NOW,
     OPEN,
+    OPEN_LATCHED,
     OPENED,
     OTHER_LIMITS,
     PATH,
@@ -458,7 +458,7 @@ def test_a_latched_fault_is_left_only_by_acknowledge_and_then_reset():
             C.OPEN,
         ),
     ):
-        after = fed(HELD, *sequence)
+        after = fed(OPEN_LATCHED, *sequence)
         assert after.state is wanted
         assert not after.may_move
         assert not after.cutting_mode
@@ -483,8 +483,8 @@ def test_a_session_opened_with_a_latched_controller_says_so():
 @pytest.mark.parametrize(
     ("state", "cause", "refusal"),
     [
-        (HELD, StopCause.SECOND_NODE, Refusal.ACCEPTED),
-        (HELD, StopCause.OPERATOR_STOP, Refusal.WRONG_CAUSE),
+        (OPEN_LATCHED, StopCause.SECOND_NODE, Refusal.ACCEPTED),
+        (OPEN_LATCHED, StopCause.OPERATOR_STOP, Refusal.WRONG_CAUSE),
         (LATCHED, StopCause.SECOND_NODE, Refusal.VOIDED_BY_STOP),
         (EVERY_STATE["stopped"], StopCause.BUS_FAILED, Refusal.VOIDED_BY_STOP),
     ],

@@ -84,9 +84,9 @@ def survey(work: Work, grid: Grid, cores: int, done: Callable[[int], None]) -> l
         cores: how many processes; with one, this one.
         done: told how many positions are judged since the last call.
     """
-    hopeless = reach.hopeless(work.problem, certified.verify(work.problem))
-    if hopeless is not None:
-        return [_hopeless(hopeless, *where) for where in _everywhere(grid)]
+    unrecoverable = reach.unrecoverable(work.problem, certified.verify(work.problem))
+    if unrecoverable is not None:
+        return [_unrecoverable(unrecoverable, *where) for where in _everywhere(grid)]
     found: list[Position | Vector] = []
     chunks: list[tuple[list[int], float, list[Vector]]] = []
     for yaw in grid.yaw_deg:
@@ -112,7 +112,7 @@ def _everywhere(grid: Grid) -> Iterator[tuple[float, float, float, float]]:
             yield from ((x, y, yaw, lift) for y in grid.y_mm for x in grid.x_mm)
 
 
-def _hopeless(b: Boundary, x: float, y: float, yaw: float, lift: float) -> Position:
+def _unrecoverable(b: Boundary, x: float, y: float, yaw: float, lift: float) -> Position:
     ratio = None if b.certified is None else b.certified / b.deadband
     return Position(x, y, yaw, lift, False, "pose", b.name, b.unit, b.certified, b.deadband, ratio)
 

@@ -18,10 +18,10 @@ GOES_RAD = math.radians(ROTATION_DEG_GOES)
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One choice of whole turns for a lifted joint.
+    """One choice of whole turns for an unwrapped joint.
 
     Attributes:
-        shift: added to the canonical lifted angle, rad, a multiple of a turn.
+        shift: added to the canonical unwrapped angle, rad, a multiple of a turn.
         turns: the turns reported, ``q = wrap(q) + 360 deg * turns`` at the first pose.
         fits: whether the attained range lies within the limits, and the enclosed one where the joint may go.
         margin: smaller distance of the attained range to the limits, rad.
@@ -58,8 +58,8 @@ def candidates(
     Args:
         geometry: canonical arm.
         joint: 0 (shoulder) or 3 (roll).
-        start: lifted canonical angle at the first pose, rad.
-        reach: least and largest lifted angle over the path, rad.
+        start: unwrapped canonical angle at the first pose, rad.
+        reach: least and largest unwrapped angle over the path, rad.
         asked: turns to take whatever they are worth, or None for all that fit.
         proven: finite bounds that enclose ``reach``; it itself if left out.
 
@@ -105,8 +105,8 @@ def winding(geometry: Geometry, joint: int, start: float, reach: tuple[float, fl
     Args:
         geometry: canonical arm.
         joint: 0 (shoulder) or 3 (roll).
-        start: lifted canonical angle at the first pose, rad.
-        reach: least and largest lifted angle over the path, rad.
+        start: unwrapped canonical angle at the first pose, rad.
+        reach: least and largest unwrapped angle over the path, rad.
     """
     away = 360.0 * _reported(geometry, joint, start)
     offset = float(geometry.offset[joint])

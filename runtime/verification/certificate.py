@@ -160,7 +160,11 @@ def recheck(problem: Problem, certificate: Certificate) -> tuple[str, ...]:
     proof = _Proof(problem, geometry, pieces, branch, extremes(geometry, segments, pieces.poses))
     least = proof.least(segments, pieces)
     proven = proof.named(least)
-    return (*proof.astray(pieces), *proof.beyond(least), *_compared(proof, proven, certificate.bounds))
+    return (
+        *proof.unfit_start(pieces),
+        *proof.out_of_frame(least),
+        *_compared(proof, proven, certificate.bounds),
+    )
 
 
 def _compared(proof: _Proof, proven: dict[str, float], stated: dict[str, float]) -> tuple[str, ...]:
@@ -212,8 +216,8 @@ class _Proof:
         self.scope = Scope(
             np.isfinite(self.target),
             reachable=not geometry.workspace.empty,
-            wound=chain.wound,
-            roll_defined=chain.wound and azimuth_defined(limits),
+            winding_known=chain.winding_known,
+            roll_defined=chain.winding_known and azimuth_defined(limits),
             shoulder_shift=self.q0.shift if self.full else None,
             alone=True,
         )
@@ -281,12 +285,12 @@ class _Proof:
         }
         return -limited[name]
 
-    def astray(self, pieces: Chain) -> tuple[str, ...]:
+    def unfit_start(self, pieces: Chain) -> tuple[str, ...]:
         """What no distance says: where the path starts. From there left and right keep the shoulder in its limits."""
         out = []
         if not bool(pieces.points.inside[0]):
             out.append("the path starts outside the planar workspace")
-        if not pieces.wound:
+        if not pieces.winding_known:
             out.append("the intervals leave open on which side of the column the wrist centre passes")
         if not self.q0.fits:
             out.append(f"the shoulder does not start within its limits in turn {self.turns[0]}")
@@ -294,7 +298,7 @@ class _Proof:
             out.append(f"the roll is not held in turn {self.turns[1]}")
         return tuple(out)
 
-    def beyond(self, least: Floats) -> tuple[str, ...]:
+    def out_of_frame(self, least: Floats) -> tuple[str, ...]:
         """Joints of which it is not proven that a joints frame can carry them, whatever their limits."""
         g, found = self.geometry, []
         for joint, column, shift in ((0, Q0_MIN, self.q0.shift), (3, ROLL_MIN, self.roll.shift)):

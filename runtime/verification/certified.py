@@ -52,7 +52,7 @@ from cutgate.runtime.verification.quantities import (
     slide_and_pitch,
     wrist_length,
 )
-from cutgate.runtime.verification.report.reasons import held_beyond, sentences, unfit
+from cutgate.runtime.verification.report.reasons import roll_out_of_frame, sentences, unfit
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,
@@ -132,7 +132,7 @@ class _Verification:
         self.budget = 0
         self.windings: list[Winding] = []
         self.held = held_roll(problem, limits)
-        self.roll_defined = chain.wound and azimuth_defined(limits)
+        self.roll_defined = chain.winding_known and azimuth_defined(limits)
         self.tip_at = np.concatenate(
             ([0.0], np.cumsum(np.linalg.norm(np.diff(segments.tip, axis=0), axis=1)))
         )
@@ -197,7 +197,7 @@ class _Verification:
         scope = Scope(
             wanted,
             reachable=not self.geometry.workspace.empty,
-            wound=self.chain.wound,
+            winding_known=self.chain.winding_known,
             roll_defined=self.roll_defined,
             shoulder_shift=shift,
         )
@@ -211,10 +211,10 @@ class _Verification:
     # -- branches -----------------------------------------------------------------------------
 
     def _shoulder(self, first: Survey, values: dict[str, Enclosed]) -> Candidate | None:
-        """Choose the turn of q0; fills left and right where they count by the lifted q0."""
+        """Choose the turn of q0; fills left and right where they count by the unwrapped q0."""
         asked = None if self.problem.branch is None else self.problem.branch[0]
         start = float(self.chain.points.shoulder[0])
-        if not (self.chain.wound and math.isfinite(start)):
+        if not (self.chain.winding_known and math.isfinite(start)):
             return None
         full = self.geometry.workspace.full_turn
         if not all(values[name].attained >= 0.0 for name in (SIDES[:LEFT] if full else SIDES)):
@@ -229,7 +229,7 @@ class _Verification:
         others = self._worst_ratio(values, leave_out=("left", "right"))
         best: tuple[float, Candidate, dict[str, Enclosed]] | None = None
         for option in candidates(self.geometry, 0, start, reach, asked, proven):
-            sides = self._lifted_sides(option, reach)
+            sides = self._unwrapped_sides(option, reach)
             ratio = min([others, *(v.certified / self.geometry.arm_mm for v in sides.values())])
             if best is None or ratio > best[0]:
                 best = (ratio, option, sides)
@@ -243,14 +243,14 @@ class _Verification:
         return best[1] if best[1].fits else None
 
     def _shoulder_range(self, first: Survey) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Least and largest lifted q0 as found and, where its limits do not say so themselves, as proven."""
+        """Least and largest unwrapped q0 as found and, where its limits do not say so themselves, as proven."""
         if self._first_columns()[Q0_MIN]:
             return _range(first.attained, Q0_MIN), _range(first.certified, Q0_MIN)
         points = self.chain.points.shoulder
         found = (float(points.min()), float(points.max()))
         return found, found
 
-    def _lifted_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, Enclosed]:
+    def _unwrapped_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, Enclosed]:
         """Left and right for one choice of turns; left out where the path stays half a turn away."""
         g = self.geometry
         slack = GAP_RAD  # the range is attained, its bound may be that much wider
@@ -334,7 +334,7 @@ class _Verification:
         left_out = set()
         if self.held is not None:
             left_out = {"wrist_singularity", "pitch_min"} - set(values)
-        if self.geometry.workspace.full_turn and self.chain.wound:
+        if self.geometry.workspace.full_turn and self.chain.winding_known:
             left_out |= {"left", "right"} - set(values)
         for name in BOUNDARIES:
             source = MIRRORED.get(name, name) if self.geometry.side < 0 else name
@@ -383,7 +383,7 @@ class _Verification:
             out.append(f"{turn} shoulder and roll within their limits along the whole path")
             wanted = {"q0": None, "q3": None} if asked is None else {"q0": asked[0], "q3": asked[1]}
             if self.held is not None and not abs(self.held) <= GOES_RAD:
-                out.append(held_beyond(self.held))
+                out.append(roll_out_of_frame(self.held))
             out += [text for found in self.windings if (text := unfit(found, wanted[found.joint]))]
         return tuple(out)
 

@@ -257,14 +257,14 @@ class Dense:
 
     # -- the whole path ------------------------------------------------------------------------
 
-    def lift(self, x):
+    def unwrap(self, x):
         """Continuous shoulder and roll of samples from the nearest known ones."""
         near = np.clip(np.searchsorted(self.place, x.segment + x.s), 0, len(self.place) - 1)
-        lifted = []
+        unwrapped = []
         for joint, known in ((0, self.q0), (3, self.q3)):
             raw = x.q[:, joint]
-            lifted.append(raw + 2 * math.pi * np.round((known[near] - raw) / (2 * math.pi)))
-        return lifted
+            unwrapped.append(raw + 2 * math.pi * np.round((known[near] - raw) / (2 * math.pi)))
+        return unwrapped
 
     def minima(self, columns=None):
         """Least value of each column on the path, (k,): the lowest samples, then closer around them."""
@@ -286,7 +286,7 @@ class Dense:
         for _ in range(ZOOM_ROUNDS):
             inner = first[:, None] + (last - first)[:, None] * part
             x = self.at(np.repeat(segment, ZOOM_POINTS), inner.ravel(), strays)
-            found = columns(x, *self.lift(x))
+            found = columns(x, *self.unwrap(x))
             found = np.where(np.isnan(found), np.inf, found)
             best = np.minimum(best, found.min(axis=0))
             own = found.reshape(len(row), ZOOM_POINTS, -1)[window, :, column]
@@ -297,7 +297,7 @@ class Dense:
             )
         return best
 
-    def lifted(self, joint, turns, followed=None):
+    def unwrapped(self, joint, turns, followed=None):
         """A joint followed continuously; its turns count the reported joint at the first pose."""
         start = (self.q0 if joint == 0 else self.q3)[0]
         followed = (self.q0 if joint == 0 else self.q3) if followed is None else followed
@@ -305,23 +305,23 @@ class Dense:
         wrapped = -((-first + math.pi) % (2 * math.pi) - math.pi)
         return followed + (wrapped + 2 * math.pi * turns - first)
 
-    def lifted_sides(self, q0_turns, x=None, q0=None):
+    def unwrapped_sides(self, q0_turns, x=None, q0=None):
         """Left and right of a shoulder of a turn or more, (m, 2): they count within half a turn of their limit."""
         x = self.samples if x is None else x
-        q0 = self.lifted(0, q0_turns, q0)
+        q0 = self.unwrapped(0, q0_turns, q0)
         out = []
         for side, beyond in ((2, q0 - self.hi[0]), (3, self.lo[0] - q0)):
             signed = np.where(beyond <= 0, x.sides[:, side], -x.sides[:, side])
             out.append(np.where(np.abs(beyond) <= math.pi, signed, np.inf))
         return np.stack(out, axis=1)
 
-    def least_lifted_sides(self, q0_turns):
+    def least_unwrapped_sides(self, q0_turns):
         """Their least values on the path, mm."""
-        return self.minima(lambda x, q0, q3: self.lifted_sides(q0_turns, x, q0))
+        return self.minima(lambda x, q0, q3: self.unwrapped_sides(q0_turns, x, q0))
 
     def roll_margins(self, least, roll_turns):
         """Both margins of the roll in deg for a choice of turns, from the minima of its columns."""
-        shift = math.degrees(self.lifted(3, roll_turns)[0] - self.q3[0])
+        shift = math.degrees(self.unwrapped(3, roll_turns)[0] - self.q3[0])
         low, high = least[COLUMNS.index("roll_min")], least[COLUMNS.index("roll_max")]
         return low + shift - math.degrees(self.lo[3]), high - shift + math.degrees(self.hi[3])
 
@@ -332,7 +332,7 @@ class Dense:
         if not (math.isfinite(low) and math.isfinite(high)):
             return []
         start = math.degrees((self.q0 if joint == 0 else self.q3)[0])
-        shift = math.degrees(self.lifted(joint, 0)[0]) - start
+        shift = math.degrees(self.unwrapped(joint, 0)[0]) - start
         first = math.ceil((math.degrees(self.lo[joint]) - low - shift) / 360)
         return list(range(first, math.floor((math.degrees(self.hi[joint]) - high - shift) / 360) + 1))
 

@@ -25,7 +25,7 @@ Range = tuple[float, float]
 
 STEP: Final = 0.01
 """Joints are told to move to whole steps of this, deg or mm ..."""
-BEYOND: Final = 0.001
+CLEARANCE: Final = 0.001
 """... and at least so far beyond what must be kept, that no rounding undoes it."""
 TRIED: Final = 4000
 """Places of the shoulder that are looked at, between its limits."""
@@ -147,7 +147,7 @@ def _move(joint: int, joints: Floats, ends: list[float]) -> str:
     """What to do: by how much, which way, and whereto."""
     scale, unit = (1.0, "mm") if joint == 2 else (math.degrees(1.0), "deg")
     stands, low, high = (float(value) * scale for value in (joints[joint], *ends))
-    least, most = math.ceil((low + BEYOND) / STEP) * STEP, math.floor((high - BEYOND) / STEP) * STEP
+    least, most = math.ceil((low + CLEARANCE) / STEP) * STEP, math.floor((high - CLEARANCE) / STEP) * STEP
     if not least <= most:
         return "let the arm start from elsewhere"
     to = min(max(stands, least), most)

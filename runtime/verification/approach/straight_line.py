@@ -64,7 +64,7 @@ def first_and_last_joints(problem: Problem) -> Floats:
     """Reported joints at the first and the last pose, followed along the path in its branch; NaN if unknown. (2, 5)."""
     geometry, segments = canonical(problem)
     chain = build(geometry, segments)
-    if not chain.wound or problem.branch is None:
+    if not chain.winding_known or problem.branch is None:
         return np.full((2, 5), np.nan)
     both = chain.points.take(np.array((0, len(chain))))
     true = np.stack((both.shoulder, both.elbow, both.height, both.roll, both.pitch), axis=1)

@@ -1,4 +1,4 @@
-"""The path as one chain of intervals whose joint angles are lifted continuously."""
+"""The path as one chain of intervals whose joint angles are unwrapped continuously."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Intervals:
         segment: segment numbers.
         s0: fraction where the interval starts.
         s1: fraction where it ends.
-        a: attained values at s0, lifted.
-        b: attained values at s1, lifted continuously from a.
+        a: attained values at s0, unwrapped.
+        b: attained values at s1, unwrapped continuously from a.
         bound: lower bounds inherited from the parent, shape (m, columns).
     """
 
@@ -80,15 +80,15 @@ class Chain:
         segment: segment of each interval, shape (m,).
         s0: its first fraction.
         s1: its last fraction.
-        points: attained, lifted values at the m + 1 places between them.
-        wound: whether the winding about the column is known everywhere.
+        points: attained, unwrapped values at the m + 1 places between them.
+        winding_known: whether the winding about the column is known everywhere.
     """
 
     segment: Ints
     s0: Floats
     s1: Floats
     points: Points
-    wound: bool
+    winding_known: bool
 
     def __len__(self) -> int:
         return len(self.segment)
@@ -135,7 +135,7 @@ def sweep(first: Floats, second: Floats) -> Floats:
 
 
 def build(geometry: Geometry, segments: Segments, effort: Effort | None = None) -> Chain:
-    """Evaluate all poses and lift bearing and azimuth along the path.
+    """Evaluate all poses and unwrap bearing and azimuth along the path.
 
     The bearing's sweep over an interval is the angle between its ends if the hull of its curve leaves
     the column out; intervals of which that is not known are split until it is.
@@ -152,7 +152,7 @@ def build(geometry: Geometry, segments: Segments, effort: Effort | None = None) 
         splittable = (chain.s1 - chain.s0 > SMALLEST_SPLIT) & (size > geometry.pad_mm)
         split = np.flatnonzero(_unclear(geometry, segments, chain) & splittable)
         if len(split) == 0:
-            return _lifted(geometry, segments, chain)
+            return _unwrapped(geometry, segments, chain)
         chain = _split(geometry, segments, chain, split, (chain.s0[split] + chain.s1[split]) / 2)
 
 
@@ -176,15 +176,15 @@ def cut(geometry: Geometry, segments: Segments, segment: Ints, fraction: Floats)
     new = at(geometry, segments, segment, fraction)
     points = _insert(chain.points, segment + 1, new)
     starts, ends = np.insert(chain.s0, segment + 1, fraction), np.insert(chain.s1, segment, fraction)
-    pieces = Chain(np.insert(chain.segment, segment, segment), starts, ends, points, wound=False)
-    return _lifted(geometry, segments, pieces)
+    pieces = Chain(np.insert(chain.segment, segment, segment), starts, ends, points, winding_known=False)
+    return _unwrapped(geometry, segments, pieces)
 
 
 def _whole(geometry: Geometry, segments: Segments) -> Chain:
-    """Every segment one interval; nothing lifted yet."""
+    """Every segment one interval; nothing unwrapped yet."""
     n = len(segments)
     points = join([at_poses(geometry, segments, slice(i, i + BLOCK)) for i in range(0, n + 1, BLOCK)])
-    return Chain(np.arange(n, dtype=np.int64), np.zeros(n), np.ones(n), points, wound=False)
+    return Chain(np.arange(n, dtype=np.int64), np.zeros(n), np.ones(n), points, winding_known=False)
 
 
 def _split(geometry: Geometry, segments: Segments, chain: Chain, rows: Ints, middle: Floats) -> Chain:
@@ -195,7 +195,7 @@ def _split(geometry: Geometry, segments: Segments, chain: Chain, rows: Ints, mid
         np.insert(chain.s0, rows + 1, middle),
         np.insert(chain.s1, rows, middle),
         _insert(chain.points, rows + 1, new),
-        wound=False,
+        winding_known=False,
     )
 
 
@@ -218,16 +218,18 @@ def _lengths(centre: Floats) -> Floats:
     return out
 
 
-def _lifted(geometry: Geometry, segments: Segments, chain: Chain) -> Chain:
+def _unwrapped(geometry: Geometry, segments: Segments, chain: Chain) -> Chain:
     """Follow bearing and azimuth continuously from interval to interval."""
     points = chain.points
-    bearing = _lift(points.bearing, sweep(points.centre[:-1], points.centre[1:]))
-    azimuth = _lift(points.azimuth, sweep(points.axis_xy[:-1], points.axis_xy[1:]))
-    wound = not bool(_unclear(geometry, segments, chain).any())
-    return replace(chain, points=replace(points, bearing=bearing, azimuth=azimuth), wound=wound)
+    bearing = _unwrap(points.bearing, sweep(points.centre[:-1], points.centre[1:]))
+    azimuth = _unwrap(points.azimuth, sweep(points.axis_xy[:-1], points.axis_xy[1:]))
+    winding_known = not bool(_unclear(geometry, segments, chain).any())
+    return replace(
+        chain, points=replace(points, bearing=bearing, azimuth=azimuth), winding_known=winding_known
+    )
 
 
-def _lift(raw: Floats, steps: Floats) -> Floats:
+def _unwrap(raw: Floats, steps: Floats) -> Floats:
     """Add whole turns so that the angle follows its steps; whole numbers, so nothing accumulates."""
     turns = np.cumsum(np.rint((steps - np.diff(raw)) / TURN))
     return raw + TURN * np.concatenate(([0.0], turns))
@@ -236,7 +238,7 @@ def _lift(raw: Floats, steps: Floats) -> Floats:
 def halve(
     geometry: Geometry, segments: Segments, parents: Intervals, bounds: Floats, where: Floats
 ) -> Intervals:
-    """Cut intervals in two at a fraction of each, lifting the new points from their left ends."""
+    """Cut intervals in two at a fraction of each, unwrapping the new points from their left ends."""
     cut = parents.s0 + where * (parents.s1 - parents.s0)
     middle = at(geometry, segments, parents.segment, cut)
     a = parents.a

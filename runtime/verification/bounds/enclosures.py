@@ -29,7 +29,7 @@ COLUMNS = ACCELERATION + 5
 joint accelerations."""
 
 HALF_TURN = math.pi + 1e-9
-"""The contract counts a lifted shoulder limit up to half a turn away; the rest is for rounding."""
+"""The contract counts an unwrapped shoulder limit up to half a turn away; the rest is for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +39,15 @@ class Scope:
     Attributes:
         wanted: columns to bound, shape (COLUMNS,).
         reachable: whether the joint limits leave any planar workspace at all.
-        wound: whether the winding about the column is known.
+        winding_known: whether the winding about the column is known.
         roll_defined: whether besides the azimuth of the axis is defined.
-        shoulder_shift: added to the lifted q0 where left and right count by lifted q0, else None.
+        shoulder_shift: added to the unwrapped q0 where left and right count by unwrapped q0, else None.
         alone: whether each interval has to be bounded without what is known of the larger one it was cut from.
     """
 
     wanted: Bools
     reachable: bool
-    wound: bool
+    winding_known: bool
     roll_defined: bool
     shoulder_shift: float | None = None
     alone: bool = False
@@ -57,7 +57,7 @@ class Scope:
         """Columns that have no meaning on this path, shape (COLUMNS,)."""
         out = np.zeros(COLUMNS, dtype=np.bool_)
         out[:ROLL_MIN] = not self.reachable
-        out[[Q0_MIN, Q0_MAX, SPEED, SPEED + 1, ACCELERATION, ACCELERATION + 1]] = not self.wound
+        out[[Q0_MIN, Q0_MAX, SPEED, SPEED + 1, ACCELERATION, ACCELERATION + 1]] = not self.winding_known
         out[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = not self.roll_defined
         return out
 
@@ -70,15 +70,15 @@ def attained(geometry: Geometry, scope: Scope, points: Points) -> Floats:
     )[:, :LEFT]
     if scope.shoulder_shift is not None:
         q0 = points.shoulder + scope.shoulder_shift
-        for column, beyond in ((LEFT, q0 - geometry.upper[0]), (RIGHT, geometry.lower[0] - q0)):
+        for column, excess in ((LEFT, q0 - geometry.upper[0]), (RIGHT, geometry.lower[0] - q0)):
             d = points.distances[:, column]
-            out[:, column] = np.where(np.abs(beyond) <= HALF_TURN, np.where(beyond <= 0.0, d, -d), np.inf)
+            out[:, column] = np.where(np.abs(excess) <= HALF_TURN, np.where(excess <= 0.0, d, -d), np.inf)
     elif not geometry.workspace.full_turn:
         out[:, LEFT:ROLL_MIN] = sides[:, LEFT:]
     if scope.roll_defined:
         out[:, ROLL_MIN] = points.roll - points.widening[:, 0]
         out[:, ROLL_MAX] = -(points.roll + points.widening[:, 1])
-    if scope.wound:
+    if scope.winding_known:
         out[:, Q0_MIN] = points.shoulder
         out[:, Q0_MAX] = -points.shoulder
     out[np.isnan(out)] = np.inf
@@ -112,7 +112,7 @@ def lower_bounds(
     if scope.wanted[ROLL_MIN:].any() or scope.shoulder_shift is not None:
         angles = angles_of(geometry, segments, parts, motion)
         if scope.shoulder_shift is not None:
-            bounds[:, LEFT:ROLL_MIN] = _lifted_bounds(
+            bounds[:, LEFT:ROLL_MIN] = _unwrapped_bounds(
                 geometry, scope.shoulder_shift, parts, (motion, angles), bounds[:, LEFT:ROLL_MIN]
             )
         _bound_angles(parts, angles, bounds)
@@ -175,10 +175,14 @@ def _bound_angles(parts: Intervals, angles: Angles, bounds: Floats) -> None:
     """
     a, b = parts.a, parts.b
     middle = (a.heading + b.heading) / 2
-    sway, bow = angles.heading / 2, (angles.azimuth2 + angles.heading2) / 8
+    first_order, second_order = angles.heading / 2, (angles.azimuth2 + angles.heading2) / 8
     with np.errstate(invalid="ignore"):
-        least = np.fmax(np.minimum(a.roll, b.roll) - bow, np.minimum(a.azimuth, b.azimuth) - middle - sway)
-        most = np.fmin(np.maximum(a.roll, b.roll) + bow, np.maximum(a.azimuth, b.azimuth) - middle + sway)
+        least = np.fmax(
+            np.minimum(a.roll, b.roll) - second_order, np.minimum(a.azimuth, b.azimuth) - middle - first_order
+        )
+        most = np.fmin(
+            np.maximum(a.roll, b.roll) + second_order, np.maximum(a.azimuth, b.azimuth) - middle + first_order
+        )
         bounds[:, ROLL_MIN] = least - angles.widening[:, 0] - angles.pad - angles.azimuth_pad
         bounds[:, ROLL_MAX] = -(most + angles.widening[:, 1] + angles.pad + angles.azimuth_pad)
         low, high = _shoulder_range(parts, angles)
@@ -187,16 +191,16 @@ def _bound_angles(parts: Intervals, angles: Angles, bounds: Floats) -> None:
 
 def _shoulder_range(parts: Intervals, angles: Angles) -> tuple[Floats, Floats]:
     qa, qb = parts.a.shoulder, parts.b.shoulder
-    middle, sway, bow = (qa + qb) / 2, angles.shoulder / 2, angles.shoulder2 / 8
-    low = np.fmax(np.minimum(qa, qb) - bow, middle - sway) - angles.pad
-    high = np.fmin(np.maximum(qa, qb) + bow, middle + sway) + angles.pad
+    middle, first_order, second_order = (qa + qb) / 2, angles.shoulder / 2, angles.shoulder2 / 8
+    low = np.fmax(np.minimum(qa, qb) - second_order, middle - first_order) - angles.pad
+    high = np.fmin(np.maximum(qa, qb) + second_order, middle + first_order) + angles.pad
     return low, high
 
 
-def _lifted_bounds(
+def _unwrapped_bounds(
     geometry: Geometry, shift: float, parts: Intervals, known: tuple[Motion, Angles], near: Floats
 ) -> Floats:
-    """Left and right of a shoulder with a full turn or more: they count by the lifted q0."""
+    """Left and right of a shoulder with a full turn or more: they count by the unwrapped q0."""
     motion, angles = known
     far = (parts.a.distances + parts.b.distances)[:, LEFT:] / 2 + (motion.chord / 2 + motion.sag)[:, None]
     low, high = _shoulder_range(parts, angles)

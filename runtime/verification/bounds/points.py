@@ -25,7 +25,7 @@ class Points:
         pitch: q4, rad.
         distances: unsigned distance to the four arcs, shape (m, 4).
         inside: whether the planar workspace holds the point (for full turns: the annulus).
-        bearing: polar angle of the wrist centre; continuous along the path once lifted.
+        bearing: polar angle of the wrist centre; continuous along the path once unwrapped.
         azimuth: of the tool axis; likewise.
         elbow: q1, rad; NaN out of reach.
         beta: angle from upper link to the line shoulder-wrist; NaN out of reach.

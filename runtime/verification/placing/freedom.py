@@ -267,17 +267,17 @@ class Placing:
             slack = radii[:, None] / (link * np.minimum(*sines))
         slack = np.where(radii[:, None] == 0.0, 0.0, slack)
         if joint == 0:
-            angle, spare = shoulder, np.zeros((len(rows), 2))
+            angle, margin = shoulder, np.zeros((len(rows), 2))
         else:
             angle = self._azimuth_of(rows) - shoulder - elbow
-            spare = self._roll_spare(r, rows, proving=proving)
-        lower, upper = float(g.lower[joint]) + spare[..., 0], float(g.upper[joint]) - spare[..., 1]
+            margin = self._roll_margin(r, rows, proving=proving)
+        lower, upper = float(g.lower[joint]) + margin[..., 0], float(g.upper[joint]) - margin[..., 1]
         return (lower - slack - angle) / TURN, (upper + slack - angle) / TURN, clear
 
     def _azimuth_of(self, rows: Ints) -> Floats:
         return np.zeros(len(rows)) if self._azimuth is None else self._azimuth[rows]
 
-    def _roll_spare(self, r: Floats, rows: Ints, *, proving: bool) -> Floats:
+    def _roll_margin(self, r: Floats, rows: Ints, *, proving: bool) -> Floats:
         """What the roll keeps from its limits, shape (..., rows, 2); for a proof not more than the least of it."""
         g, sine = self.geometry, self._sine[rows]
         keep = g.wrist_rad + self.reserve.roll_rad
@@ -299,10 +299,10 @@ class Placing:
         clear = np.all(far > self._ball + radii[:, None] + self.pad_mm, axis=1)
         first = np.arctan2(anchors[:, :1, 1], anchors[:, :1, 0])
         steps = sweep(anchors[:, :-1], anchors[:, 1:])
-        lifted = first + np.concatenate((np.zeros_like(first), np.cumsum(steps, axis=1)), axis=1)
+        unwrapped = first + np.concatenate((np.zeros_like(first), np.cumsum(steps, axis=1)), axis=1)
         block = self._block[rows]
         points = self.centres[rows][None, :, :] + shifts[:, None, :]
-        return lifted[:, block] + sweep(anchors[:, block], points), clear
+        return unwrapped[:, block] + sweep(anchors[:, block], points), clear
 
     def _sides_allow(self, shifts: Floats, radii: Floats, rows: Ints, least: Floats, most: Floats) -> Bools:
         """Whether some whole turn of a shoulder of a turn or more leaves every point off left and right, (k,).
@@ -394,8 +394,8 @@ def _blocks(geometry: Geometry, segments: Segments, points: Points, effort: Effo
         effort.spend(BUILD_BLOCK + size // 8)
         stop = min(i + size, last)
         away = np.hypot(*(points.centre[i : stop + 1] - points.centre[i]).T)
-        beyond = np.flatnonzero(away > largest)
-        stop = i + max(int(beyond[0]) - 1, 1) if len(beyond) else stop
+        outside = np.flatnonzero(away > largest)
+        stop = i + max(int(outside[0]) - 1, 1) if len(outside) else stop
         size = stop - i  # blocks are much alike: no more than twice the last is looked at
         start.append(i)
         ball.append(float(away[: stop - i + 1].max() + sag[i:stop].max()))

@@ -283,8 +283,8 @@ class _Combined:
         return min(b.certified for b in cured if b.name in ARM_BOUNDARIES and b.certified is not None)
 
     def _shown(self, yaw_deg: float, shift: Vector, clearance: float, shortest: _Shortest) -> Guidance:
-        beyond = _down(clearance - self.verdict.deadband_arm_mm, 0.01)
-        text = f"the whole moved path keeps at least {beyond:.2f} mm beyond the arm deadband (proved)"
+        kept = _down(clearance - self.verdict.deadband_arm_mm, 0.01)
+        text = f"the whole moved path keeps at least {kept:.2f} mm beyond the arm deadband (proved)"
         alone = yaw_deg == 0.0
         if alone:
             text += f"; {shortest.sentence}"

@@ -143,7 +143,7 @@ def _placing(problem: Problem, yaw_deg: float) -> Placing:
     return Placing(moved(problem, yaw_deg, pivot_of(problem), (0.0, 0.0, 0.0)), Reserve(), roll=False)
 
 
-def hopeless(problem: Problem, verdict: Verdict) -> Boundary | None:
+def unrecoverable(problem: Problem, verdict: Verdict) -> Boundary | None:
     """The boundary that no position cures, as no move and no turn about the vertical changes it; or None."""
     names = unchanged_by_moves(problem, verdict)
     return min((verdict.boundaries[name] for name in names), key=_ratio, default=None)

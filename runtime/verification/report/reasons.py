@@ -108,7 +108,7 @@ def _boundary(b: Boundary, remedy: str, left: Sequence[str]) -> str:
 FRAME = f"+-{ROTATION_DEG_GOES} deg, what a joints frame carries with one revolution to spare"
 
 
-def held_beyond(held_rad: float) -> str:
+def roll_out_of_frame(held_rad: float) -> str:
     """Why a declared roll cannot be held."""
     return f"the roll is held at {math.degrees(held_rad):.3f} deg, must be within {FRAME}; declare another hold_roll_deg"
 

@@ -58,7 +58,7 @@ class Case:
                 ("roll_min", "roll_max"), self.dense.roll_margins(self.least, branch.roll_turns), strict=True
             )
         if self.dense.full:
-            sides = (np.inf, np.inf) if branch is None else self.dense.least_lifted_sides(branch.q0_turns)
+            sides = (np.inf, np.inf) if branch is None else self.dense.least_unwrapped_sides(branch.q0_turns)
             found |= zip(("left", "right"), sides, strict=True)
         return found
 
@@ -68,11 +68,11 @@ class Case:
         dense, least = self.dense, self.least
         if not self.inside:
             return None
-        lifted = {"left", "right"} if dense.full else set()
-        arm = min(least[i] for i, n in enumerate(COLUMNS) if n in ARM and n not in lifted)
+        unwrapped = {"left", "right"} if dense.full else set()
+        arm = min(least[i] for i, n in enumerate(COLUMNS) if n in ARM and n not in unwrapped)
         if dense.full:
             turns = dense.turns_that_fit(0, least)
-            arm = min(arm, max((dense.least_lifted_sides(k).min() for k in turns), default=-math.inf))
+            arm = min(arm, max((dense.least_unwrapped_sides(k).min() for k in turns), default=-math.inf))
         wrist = min(least[i] for i, n in enumerate(COLUMNS) if n in WRIST[:3])
         roll = max(
             (min(dense.roll_margins(least, k)) for k in dense.turns_that_fit(3, least)), default=-math.inf

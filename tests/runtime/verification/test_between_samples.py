@@ -24,7 +24,7 @@ FREE = {
     "speed": np.full(5, 1e12),
 }
 
-spare = pytest.mark.parametrize("spare", [LITTLE, -LITTLE])
+margin = pytest.mark.parametrize("margin", [LITTLE, -LITTLE])
 symmetries = pytest.mark.parametrize("elbow", ["right", "left"])
 
 
@@ -47,7 +47,7 @@ def sampled(path):
     )
 
 
-def check(path, name, deadband, spare, elbow):
+def check(path, name, deadband, margin, elbow):
     """The samples keep the deadband; the gate decides by the sign of what is really to spare."""
     swap = {"left": "right", "right": "left"}
     if elbow == "left":
@@ -56,28 +56,28 @@ def check(path, name, deadband, spare, elbow):
     assert sampled(path)[name] >= deadband, "the samples do not admit, the case is too coarse"
     verdict = certified.verify(path)
     found = verdict.boundaries[name]
-    assert found.violated is (spare < 0)
-    assert found.certified <= deadband + spare + 1e-9
-    assert deadband + spare - 1e-9 <= found.clearance <= found.certified + 0.01
-    if spare < 0:
-        assert found.clearance == pytest.approx(deadband + spare, abs=2e-8)
+    assert found.violated is (margin < 0)
+    assert found.certified <= deadband + margin + 1e-9
+    assert deadband + margin - 1e-9 <= found.clearance <= found.certified + 0.01
+    if margin < 0:
+        assert found.clearance == pytest.approx(deadband + margin, abs=2e-8)
     return verdict
 
 
 @symmetries
-@spare
-def test_a_straight_segment_that_passes_the_inner_circle(elbow, spare):
+@margin
+def test_a_straight_segment_that_passes_the_inner_circle(elbow, margin):
     """Radius 105, foot of the column half a step from the samples: 0.025^2 / (2 * 110) = 2.8e-6 mm are missed."""
-    y = 105.0 + 5.0 + spare
+    y = 105.0 + 5.0 + margin
     tips, axes = wrist_path([[-20.0, y, 0.0], [20.0, y, 0.0]], LEVEL)
     path = problem(tips, axes, arm=Arm(500.0, 395.0, "right"), **FREE)
-    assert check(path, "inner", 5.0, spare, elbow).admissible is (spare > 0)
+    assert check(path, "inner", 5.0, margin, elbow).admissible is (margin > 0)
 
 
 @symmetries
-@spare
+@margin
 @pytest.mark.parametrize(("name", "q0_deg", "q1_deg"), [("left", 40.0, 17.0), ("right", -40.0, 150.0)])
-def test_a_straight_segment_that_passes_the_end_of_a_side(elbow, spare, name, q0_deg, q1_deg):
+def test_a_straight_segment_that_passes_the_end_of_a_side(elbow, margin, name, q0_deg, q1_deg):
     """Half a step from the foot 0.025^2 / (2 * 5) = 6e-5 mm are missed.
 
     Seen from within the nearest of all boundaries is never a corner, whose angle is under 180 deg: the circle
@@ -92,16 +92,16 @@ def test_a_straight_segment_that_passes_the_end_of_a_side(elbow, spare, name, q0
     tilted = 7 * DEG
     toward = math.cos(tilted) * off / np.linalg.norm(off) - math.sin(tilted) * into_the_arc
     beside = np.array([-toward[1], toward[0]])
-    foot = corner + (5.0 + spare) * toward
+    foot = corner + (5.0 + margin) * toward
     centres = np.hstack((np.array([foot - 0.2 * beside, foot + 0.2 * beside]), np.zeros((2, 1))))
     tips, axes = wrist_path(centres, LEVEL)
     arc = limited(q0=(-40 * DEG, 40 * DEG), q1=(17 * DEG, 150 * DEG))
-    check(problem(tips, axes, arm=Arm(500.0, 500.0, "right"), **arc), name, 5.0, spare, elbow)
+    check(problem(tips, axes, arm=Arm(500.0, 500.0, "right"), **arc), name, 5.0, margin, elbow)
 
 
 @symmetries
-@pytest.mark.parametrize("spare", [LITTLE, -0.9e-6])
-def test_a_leaning_slide_stretches_what_the_turning_axis_does(elbow, spare):
+@pytest.mark.parametrize("margin", [LITTLE, -0.9e-6])
+def test_a_leaning_slide_stretches_what_the_turning_axis_does(elbow, margin):
     """The axis dips and rises in the plane x, z: seen along the slide, x bulges by l sqrt(1 + 0.02^2) (1 - cos phi).
 
     Tool 300, phi = +-0.00683: 0.0070014 mm with the stretch of 1.0002, 1.4e-6 mm less without it; half a step
@@ -112,44 +112,44 @@ def test_a_leaning_slide_stretches_what_the_turning_axis_does(elbow, spare):
     axes = axis(np.array([dip - half, dip + half]), 0.0)
     crest = tool * math.hypot(1.0, lean)
     path = problem(
-        [[900.0 - 5.0 - spare - crest, 0.0, 0.0]] * 2,
+        [[900.0 - 5.0 - margin - crest, 0.0, 0.0]] * 2,
         axes,
         tool_length_mm=tool,
         calibration=Calibration(slide_tilt=np.array([lean, 0.0])),
         **limited(q0=(-3.0, 3.0), q1=(0.0, 2.5)),
     )
-    assert check(path, "outer", 5.0, spare, elbow).admissible is (spare > 0)
+    assert check(path, "outer", 5.0, margin, elbow).admissible is (margin > 0)
 
 
 @symmetries
-@spare
-def test_the_height_between_two_poses_while_the_axis_turns(elbow, spare):
+@margin
+def test_the_height_between_two_poses_while_the_axis_turns(elbow, margin):
     """Tip at rest, tool 160: z = 160 cos q4 is greatest in the middle, at q4 = 20 deg.
 
     Half a step turns the axis by 0.025 / 160 rad: 160 cos 20 deg * (0.025 / 160)^2 / 2 = 1.8e-6 mm are missed.
     """
-    top = 160 * math.cos(20 * DEG) + 5.0 + spare
+    top = 160 * math.cos(20 * DEG) + 5.0 + margin
     path = problem(
         [[450.0, 0.0, 0.0]] * 2, over_the_crest(20.0, 40.0), **limited(q0=(-3.0, 3.0), q2=(-1e3, top))
     )
-    assert check(path, "top", 5.0, spare, elbow).admissible is (spare > 0)
+    assert check(path, "top", 5.0, margin, elbow).admissible is (margin > 0)
 
 
 @symmetries
-@spare
+@margin
 @pytest.mark.parametrize("name", ["pitch_min", "pitch_max"])
-def test_the_pitch_inside_a_great_circle(elbow, spare, name):
+def test_the_pitch_inside_a_great_circle(elbow, margin, name):
     """Least (or, pointing down, largest) pitch in the middle, 10 deg from the vertical.
 
     Half a step away the pitch differs by (0.025 / 160)^2 / (2 tan 10 deg) = 6.9e-8 rad = 4e-6 deg, which are missed.
     """
     up = name == "pitch_min"
     axes = over_the_crest(10.0, 40.0) * (1.0, 1.0, 1.0 if up else -1.0)
-    limit = (8.0 - spare) * DEG
+    limit = (8.0 - margin) * DEG
     pitch = (limit, math.pi) if up else (0.0, math.pi - limit)
     path = problem([[450.0, 0.0, 0.0]] * 2, axes, **limited(q0=(-3.0, 3.0), q4=pitch))
-    verdict = check(path, name, 2.0, spare, elbow)
-    assert verdict.admissible is (spare > 0)
+    verdict = check(path, name, 2.0, margin, elbow)
+    assert verdict.admissible is (margin > 0)
 
 
 def over_the_crest(pitch_deg, half_deg):

@@ -70,7 +70,7 @@ def test_what_is_stated_holds_at_every_sampled_pose(seed):
         rolls = dense.roll_margins(least, verdict.branch.roll_turns)
         sampled |= dict(zip(("roll_min", "roll_max"), rolls, strict=True))
         if dense.full:
-            sides = dense.least_lifted_sides(verdict.branch.q0_turns)
+            sides = dense.least_unwrapped_sides(verdict.branch.q0_turns)
             sampled |= dict(zip(("left", "right"), sides, strict=True))
         for name, bound in proof.bounds.items():
             if name in sampled:
@@ -246,10 +246,10 @@ def test_a_roll_held_where_no_joints_frame_reports_it_is_neither_admitted_nor_pr
 
 def test_a_shoulder_of_less_than_a_turn_beyond_the_frame_is_followed_as_well():
     """Limits of 40 deg about 2261 deg: the path must stay on this side of it."""
-    for beyond, fits in ((-15.0, True), (15.0, False)):
+    for past_deg, fits in ((-15.0, True), (15.0, False)):
         case = winding(0.02, 0)
         start = certified.verify(case).windings[0].least_deg
-        turn = (2261.0 + beyond - start) * DEG
+        turn = (2261.0 + past_deg - start) * DEG
         c, s = math.cos(turn), math.sin(turn)
         around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         limits = [

@@ -84,7 +84,7 @@ def test_a_path_beside_the_thin_gap_is_admitted():
     assert verdict.admissible, verdict.reasons
 
 
-def test_a_lifted_limit_counts_only_within_half_a_turn():
+def test_a_unwrapped_limit_counts_only_within_half_a_turn():
     tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
     far = certified.verify(problem(tips, axes, **limits(q0=(-400, 400), q1=(10, 150))))
     near = certified.verify(problem(tips, axes, **limits(q0=(-100, 400), q1=(10, 150))))
@@ -320,7 +320,7 @@ def test_a_shoulder_of_a_full_turn_out_of_reach_has_no_branch():
     assert verdict.boundaries["outer"].clearance < 0
 
 
-def test_a_lifted_limit_that_decides_is_refused_in_mm():
+def test_a_unwrapped_limit_that_decides_is_refused_in_mm():
     tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
     free = certified.verify(problem(tips, axes, **limits(q0=(-900, 900), q1=(10, 150))))
     assert free.admissible

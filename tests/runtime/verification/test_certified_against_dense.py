@@ -97,14 +97,14 @@ def test_a_boundary_is_violated_exactly_from_its_clearance_on(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_shoulder_that_leaves_its_lifted_limits_is_bounded_from_below(seed):
+def test_a_shoulder_that_leaves_its_unwrapped_limits_is_bounded_from_below(seed):
     """The branch is asked for, so the path may leave its limit: the bound then holds outside as well."""
     rng = np.random.default_rng([20260103, seed])
     left = 0
     for _ in range(12):
         problem = random_problem(rng, calibrated=False, segments=4, spinning=True, wide=True)
         free = Dense(problem, 150)
-        q0 = free.lifted(0, 0)
+        q0 = free.unwrapped(0, 0)
         lower, upper = problem.lower.copy(), problem.upper.copy()
         upper[0] = (q0.min() + q0.max()) / 2
         lower[0] = upper[0] - 6.4
@@ -115,7 +115,7 @@ def test_a_shoulder_that_leaves_its_lifted_limits_is_bounded_from_below(seed):
             continue
         left += 1
         assert not verdict.admissible
-        assert b.certified <= dense.least_lifted_sides(0)[0] + judge.ORACLE
+        assert b.certified <= dense.least_unwrapped_sides(0)[0] + judge.ORACLE
         assert verdict.branch is None
     assert left > 3
 

@@ -80,7 +80,7 @@ def turns_at_the_end(problem):
     dense = Dense(problem, 80)
     turns = []
     for joint, k in zip((0, 3), problem.branch, strict=True):
-        last = dense.lifted(joint, k)[-1] - problem.calibration.joint_offset[joint]
+        last = dense.unwrapped(joint, k)[-1] - problem.calibration.joint_offset[joint]
         turns.append(math.ceil((last - math.pi) / (2 * math.pi)))
     return tuple(turns)
 

@@ -225,8 +225,8 @@ def roll_range(case):
 
 
 def ranged(reference, least):
-    """The same, lifted as the reported roll of turn 0."""
-    shift = float(reference.lifted(3, 0)[0] - reference.q3[0])
+    """The same, unwrapped as the reported roll of turn 0."""
+    shift = float(reference.unwrapped(3, 0)[0] - reference.q3[0])
     low, high = (math.radians(least[COLUMNS.index(name)]) for name in ENDS)
     return low + shift, shift - high
 
@@ -326,7 +326,7 @@ def test_no_wrist_and_axis_within_the_errors_of_an_admitted_path_come_nearer_to_
         q0, q3 = (np.unwrap(np.stack(angles), axis=0) for angles in zip(*followed, strict=True))
         assert np.isfinite(q3).all(), seed
         strayed = q3[-1] - q3[0]
-        roll = reference.lifted(3, 0)[:, None] + strayed
+        roll = reference.unwrapped(3, 0)[:, None] + strayed
         assert roll.min() >= case.lower[3] + d.wrist_rad - 1e-9, seed
         assert roll.max() <= case.upper[3] - d.wrist_rad + 1e-9, seed
         assert np.abs(q0[-1] - q0[0]).max() < math.pi, seed
@@ -343,7 +343,7 @@ def test_no_wrist_within_the_errors_of_an_admitted_path_leaves_the_shoulders_lim
             continue
         case, reference, _ = dense(seed)
         rng = np.random.default_rng([20270103, *seed])
-        q0 = reference.lifted(0, 0)
+        q0 = reference.unwrapped(0, 0)
         span = rng.choice([0.3, 2.0, 6.4, 8.0])
         upper, lower = case.upper.copy(), case.lower.copy()
         side = rng.choice([-1.0, 1.0])

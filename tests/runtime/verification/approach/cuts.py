@@ -78,8 +78,8 @@ def straight_margins(given_problem, pose, length_um, joints):
     turns = [math.ceil((joints[j] - math.pi) / (2 * math.pi)) for j in (0, 3)]
     out = dict(zip(COLUMNS, dense.values.T, strict=True))
     if dense.full:
-        out |= dict(zip(("left", "right"), dense.lifted_sides(turns[0]).T, strict=True))
-    shift = np.degrees(dense.lifted(3, turns[1])[0] - dense.q3[0])
+        out |= dict(zip(("left", "right"), dense.unwrapped_sides(turns[0]).T, strict=True))
+    shift = np.degrees(dense.unwrapped(3, turns[1])[0] - dense.q3[0])
     out["roll_min"] = out["roll_min"] + shift - np.degrees(dense.lo[3])
     out["roll_max"] = out["roll_max"] - shift + np.degrees(dense.hi[3])
     return out, dense, turns

@@ -40,15 +40,15 @@ def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(see
         true = joints + made.calibration.joint_offset
         np.testing.assert_allclose(true[[1, 4]], dense.samples.q[-1, [1, 4]], atol=1e-7)
         assert true[2] == pytest.approx(dense.samples.q[-1, 2], abs=1e-6)  # joints are bound in 1e-6 deg | mm
-        assert true[0] == pytest.approx(dense.lifted(0, turns[0])[-1], abs=1e-7)
-        assert true[3] == pytest.approx(dense.lifted(3, turns[1])[-1], abs=1e-6)
-        beyond = (made.tips_mm[pose] + out_um / 1000 * made.axes[pose] - made.tips_mm) @ made.axes[pose]
-        assert start.clearance_um / 1000 - 1e-9 <= beyond.min() <= start.clearance_um / 1000 + 0.001 + 1e-9
+        assert true[0] == pytest.approx(dense.unwrapped(0, turns[0])[-1], abs=1e-7)
+        assert true[3] == pytest.approx(dense.unwrapped(3, turns[1])[-1], abs=1e-6)
+        standoff = (made.tips_mm[pose] + out_um / 1000 * made.axes[pose] - made.tips_mm) @ made.axes[pose]
+        assert start.clearance_um / 1000 - 1e-9 <= standoff.min() <= start.clearance_um / 1000 + 0.001 + 1e-9
     first = Dense(made, per_segment=60)
     assert made.branch is not None
     np.testing.assert_allclose(
         first_and_last_joints(made)[:, 0] + made.calibration.joint_offset[0],
-        first.lifted(0, made.branch[0])[[0, -1]],
+        first.unwrapped(0, made.branch[0])[[0, -1]],
         atol=1e-7,
     )
 

@@ -122,7 +122,7 @@ def answer(path):
     return None if verdict.admissible else guide(path, verdict, quantise)
 
 
-def beyond(path, move):
+def kept_by(path, move):
     """What a moved path keeps beyond its deadbands, arm with slide in mm and roll in deg; None where not admitted."""
     verdict = certified.verify(guidance.moved(path, 0.0, (0, 0, 0), move))
     if not verdict.admissible:
@@ -147,7 +147,7 @@ def test_a_shorter_move_that_is_admissible_lacks_a_reserve_that_is_stated(number
     path = case(number)
     found = answer(path)
     length, reserve_mm, reserve_deg = claimed(found.text)
-    arm, roll = beyond(path, SHORTER[number])
+    arm, roll = kept_by(path, SHORTER[number])
     assert np.linalg.norm(SHORTER[number]) < length
     assert arm > reserve_mm
     assert roll < reserve_deg
@@ -161,7 +161,7 @@ def test_what_is_said_of_a_lower_bound_is_rounded_down(number):
     length, _, _ = claimed(found.text)
     assert length <= found.at_least_mm <= np.linalg.norm(found.translation_mm)
     assert found.at_least_mm < length + 0.1
-    again = beyond(case(number), found.translation_mm)
+    again = kept_by(case(number), found.translation_mm)
     kept = float(re.search(r"keeps at least ([0-9.]+) mm beyond the arm deadband", found.text)[1])
     assert kept <= again[0] + 1e-6
 
@@ -180,6 +180,6 @@ def test_no_shorter_translation_keeps_every_reserve_that_is_stated(seed):
         for _ in range(25):
             move = toward + rng.normal(0, rng.choice([0.01, 0.3, 3.0]), 3)
             move *= found.at_least_mm * (1 - 10.0 ** rng.uniform(-4, -0.3)) / np.linalg.norm(move)
-            kept = beyond(path, move)
+            kept = kept_by(path, move)
             assert kept is None or kept[0] < found.reserve_mm or kept[1] < found.reserve_deg
             tried += 1

@@ -4,6 +4,29 @@ A certificate says into which intervals the path is cut, in which joint branch, 
 and acceleration keeps on every one of them. `recheck` evaluates each interval once, by the same bounds as the
 search, and needs no search, no branch choice and no refinement: whatever the cuts are, the bounds hold, so a
 wrong certificate can fail and cannot deceive. Slide and pitch are closed form and need no interval.
+
+Rules of `recheck`, in order; the first four end it, of the others everything that is lacking is said:
+
+1. All numbers of the problem are finite and usable (`defects`).
+2. The certificate is for as many poses as the path has.
+3. It is for the joint branch that the problem asks for, if it asks for one.
+4. Its cuts lie inside the path's segments, in order.
+5. The path starts inside the planar workspace, with the shoulder inside its limits in the certificate's turn; on which side of
+   the column the wrist centre passes is known on every interval; a declared roll is held in the certificate's turn.
+6. Shoulder and roll are proven to stay where a joints frame can carry them.
+7. Of every boundary, speed and acceleration that applies: proven >= stated >= needed. What is stated applies.
+
+Example:
+    ``stroke`` is that of `problem`.
+
+    >>> from dataclasses import replace
+    >>> from cutgate.runtime.verification.certified import verify
+    >>> proof = certify(stroke, verify(stroke))
+    >>> recheck(stroke, Certificate.parse(proof.body()))
+    ()
+    >>> moved = replace(stroke, tips_mm=stroke.tips_mm + (0.0, 0.0, 300.0))
+    >>> recheck(moved, proof)
+    ('top: 191.435935 mm is stated, -108.564065 mm is proven, 5.000000 mm is needed',)
 """
 
 from __future__ import annotations

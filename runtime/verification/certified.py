@@ -10,6 +10,21 @@ Rules, in order; every admitting comparison asks "inside?", so NaN denies:
    joints frame can carry them, with one revolution to spare.
 5. The joint speeds at the planned feed stay within their limits, and so do the accelerations inside the
    segments where limits are given.
+
+Whatever is not proven is refused: what lies between bound and least value found is undecided, and said to be. Every rule is
+evaluated and everything that is lacking is said, but for 1: of numbers that are none nothing else is known.
+
+Example:
+    ``stroke`` is that of `problem`.
+
+    >>> verdict = verify(stroke)
+    >>> verdict.admissible, verdict.branch
+    (True, Branch(elbow='right', q0_turns=0, roll_turns=0))
+    >>> tight = verify(replace(stroke, deadband=Deadband(arm_mm=200.0, wrist_rad=0.03)))
+    >>> tight.admissible, [name for name, b in tight.boundaries.items() if b.violated]
+    (False, ['top', 'bottom'])
+    >>> verify(replace(stroke, feed_mm_s=float("nan"))).reasons
+    ('feed_mm_s is nan, must be finite and above 0',)
 """
 
 from __future__ import annotations

@@ -1,6 +1,26 @@
 """Whether what was verified is likely what was meant: a file in another unit, direction or frame can be sound in itself.
 
 A warning says what looks wrong, before anybody moves a bone for it. Some must be confirmed, one by one, before a permit.
+No verdict depends on them: what is admissible stays so, and what is not as well.
+
+Rules, in order; what is not asked of a path is not warned of:
+
+1. The cut's box is at least 1 mm across and no larger than the arm's reach: else its file may be in another unit.
+2. Every turning joint may go beyond +-6.28 deg: else its limits may be in radians.
+3. The wrist's deadband is at least 0.1 deg: smaller, it may be in radians.
+4. With a registration: it moves the CT by at least 10 mm, and its residual is within the site's bound.
+5. With a registration and an inadmissible verdict: read otherwise (inverted, transposed, in metres, with x and y
+   reversed) it does not make the path admissible.
+6. With a proposed move (`cautions_of_move`): it is at most 150 mm long and turns the bone by at most 15 deg.
+
+Example:
+    ``stroke`` is that of `problem`.
+
+    >>> cautions(stroke, certified.verify(stroke), None)
+    ()
+    >>> metres = replace(stroke, tips_mm=stroke.tips_mm / 1000.0)
+    >>> [caution.code for caution in cautions(metres, certified.verify(metres), None)]
+    ['CUT_TINY']
 """
 
 import math

@@ -2,6 +2,24 @@
 
 Plain numbers in mm and rad; nothing in here reads files or knows the wire.
 Joint vectors are ``(q0, q1, q2, q3, q4)``; the third entry is in mm, the others in rad.
+
+Example:
+    The ``stroke`` of the verifiers' examples: 24.5 mm, the tool tilted by 30 deg, away from every limit.
+
+    >>> import numpy as np
+    >>> limits = np.radians([[-80, 0, 0, -170, 0], [80, 145, 0, 170, 110]])
+    >>> limits[:, 2] = 50, 450  # the slide's, mm
+    >>> stroke = Problem(
+    ...     tips_mm=np.array([[500.0, 50.0, 120.0], [520.0, 60.0, 110.0]]),
+    ...     axes=np.array([[0.5, 0.0, 0.75**0.5]] * 2),
+    ...     feed_mm_s=10.0,
+    ...     tool_length_mm=160.0,
+    ...     arm=Arm(450.0, 450.0, "right"),
+    ...     lower=limits[0],
+    ...     upper=limits[1],
+    ...     speed=np.array([1.0, 1.0, 100.0, 3.0, 3.0]),
+    ...     deadband=Deadband(arm_mm=5.0, wrist_rad=np.radians(2.0)),
+    ... )
 """
 
 from __future__ import annotations

@@ -1,9 +1,15 @@
 """The paper's method as printed: march along the path by the distance to the boundary.
 
-Stocco 2001, eq. (3)-(11): at path length l take d = D(X(l)); inadmissible if d < 2 * deadband, else
-l = min(l + d, L); admissible once l = L has been looked at. Every admitted path keeps the deadband
-everywhere, as a worst excursion between samples eats at most half of twice the deadband. Between
-the deadband and twice the deadband it decides by luck, which is why the gate uses `certified`.
+Rules, in order; every admitting comparison asks "inside?", so NaN denies:
+
+1. All numbers are finite and usable (`defects`).
+2. The path starts inside the planar workspace, by inverse kinematics.
+3. Stocco 2001, eq. (3)-(11): at path length l take d = D(X(l)); stop, inadmissible, unless d >= 2 * deadband; else
+   l = min(l + d, L); admissible once l = L has been looked at. Arm and wrist march separately, and both must arrive.
+4. A march that takes more evaluations than eq. (15) allows and rounding explains, or `MOST_EVALUATIONS`, does not arrive.
+
+Every admitted path keeps the deadband everywhere, as a worst excursion between samples eats at most half of twice the
+deadband. Between the deadband and twice the deadband it decides by luck, which is why the gate uses `certified`.
 
 The arm marches on the length of the wrist-centre path, bounded per segment by V, which is linear in the
 segment's parameter; D is the smallest distance to the planar arcs and to the ends of the slide. The
@@ -14,6 +20,15 @@ for a shoulder of a full turn or more, ``left`` and ``right`` are no part of thi
 
 D is the exact distance. The planar D as printed, eq. (16)-(21), is positive at places out of reach; no verdict comes of it
 (`cutgate.runtime.library.printed`).
+
+Example:
+    ``stroke`` is that of `problem`.
+
+    >>> verdict = verify(stroke)
+    >>> verdict.admissible, verdict.evaluations.arm, verdict.evaluations.worst_case
+    (True, 2, 4)
+    >>> march(100.0, 5.0, lambda place: np.array([9.0])).admitted  # keeps the deadband, and not twice the deadband
+    False
 """
 
 from __future__ import annotations

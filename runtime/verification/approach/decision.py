@@ -1,15 +1,22 @@
 """Approach and retract: from where the arm stands to the first pose, and from the last pose to there again.
 
-Two straight lines along the tool (entry to first pose, last pose to exit) are paths of two poses and are verified as
-the cut is (`certified`), in the joint branch of the cut where they meet it. Two joint lines (start joints to entry,
-exit to start joints; all joints linear in one parameter) are decided here, for all their points:
+Two straight lines along the tool (entry to first pose, last pose to exit) are paths of two poses. Two joint lines (start
+joints to entry, exit to start joints) have all joints linear in one parameter.
 
-1. Both ends lie inside the true joint limits. These are a box, so the whole line does: membership is by the joints
-   themselves, and no arc is ever crossed.
-2. The wrist centre's distance to each clipped arc is enclosed: it stays within h^2 / 8 max|c''| of the chord of an
-   interval h, |c''| <= a0 q0'^2 + a1 (q0' + q1')^2, and the chord's distance is closed form (`segment_to_arc`).
-3. Slide, roll and pitch are linear: their ends are their range. A joint line commands the roll instead of solving it
+Rules, in order; every admitting comparison asks "inside?", so NaN denies:
+
+1. All numbers of the cut are usable (`defects`), the clearance is at least 0, and the cut names its joint branch.
+2. The cut's first and last pose have joints in that branch, followed along the whole cut.
+3. Each straight line is admissible by the certified method, in the branch in which the cut meets it (`straight_line`).
+4. The start joints are five finite numbers, the start tolerances at least 0.
+5. Both ends of a joint line lie inside the true joint limits, and where a joints frame carries them. These are a box, so
+   the whole line does: membership is by the joints themselves, and no arc is ever crossed (`joint_line`).
+6. The wrist centre's distance to each clipped arc is enclosed (`curve`): it stays within h^2 / 8 max|c''| of the chord of
+   an interval h, |c''| <= a0 q0'^2 + a1 (q0' + q1')^2, and the chord's distance is closed form (`segment_to_arc`).
+7. Slide, roll and pitch are linear: their ends are their range. A joint line commands the roll instead of solving it
    from a pose, so a vertical tool is not singular on it and errors of the pose do not turn the roll further.
+
+Of 3, 5, 6 and 7 everything that is lacking is said; where the start joints are at fault, with which joint to move (`standing`).
 
 An arm that begins up to the start tolerance beside the start joints stays so near to the line (`start_offset` in the
 interlock's permissives bounds the wrist centre at every elbow angle), hence the tolerance widens the deadbands.
@@ -17,6 +24,19 @@ interlock's permissives bounds the wrist centre at every elbow angle), hence the
 Only the joint lines depend on where the arm stands. Hence the rest is verified before a session (`straight_lines`),
 and the joint lines, whose cost does not depend on the number of poses, in it: step by step (`joint_lines`), each step
 so short that a loop can take it between two of its cycles.
+
+Example:
+    ``stroke`` is that of `problem`, with the branch of its verdict.
+
+    >>> from dataclasses import replace
+    >>> cut = replace(stroke, branch=(0, 0))
+    >>> start = Start(np.array([0.0, 1.2, 250.0, 0.0, 1.0]), clearance_um=10_000)
+    >>> found = verify(cut, start)
+    >>> found.admissible, found.entry_um, [leg.name for leg in found.legs]
+    (True, 11340, ['approach', 'entry', 'exit', 'retract'])
+    >>> low = replace(start, joints=np.array([0.0, 1.2, 52.0, 0.0, 1.0]))
+    >>> print(*verify(cut, low).reasons)
+    the arm stands with q2 at 52.000 mm, its limits are [50, 450] mm, 5 mm (deadband ...) must be kept: move q2 by +3.01 mm, ...
 """
 
 from __future__ import annotations

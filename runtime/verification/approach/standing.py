@@ -1,8 +1,24 @@
 """Which joint of an arm that stands too near to a limit, or beyond it, must be moved, how far and which way.
 
-Slide, roll and pitch keep their deadband as angle or length of their own. Of shoulder and elbow the deadband is a
-distance of the wrist centre: the elbow answers for the two circles about the column, and once it is right the
-shoulder answers for the arcs at its own limits. Every joint is told alone; together they cure what is said here.
+Rules, in order of the joints; each is told alone, together they cure what is said:
+
+1. Slide, roll and pitch keep deadband and start tolerance of their own limits, as a length or an angle; below
+   a vertical tool whose roll is held there is no stop of the pitch.
+2. The roll, and the shoulder, stand where a joints frame surely reports them.
+3. The elbow answers for the two circles about the column: the wrist centre keeps the deadband from both.
+4. With the elbow put right, the shoulder answers for the arcs at its own limits, within half a turn of them.
+
+A move is to whole steps, and a little further than needed. Where no place keeps what must be kept, none is named.
+
+Example:
+    ``stroke`` is that of `problem`.
+
+    >>> from cutgate.runtime.verification.bounds.geometry import canonical
+    >>> geometry, _ = canonical(stroke)
+    >>> standing(geometry, np.array([0.0, 1.2, 250.0, 0.0, 1.0]), 0.0, 0.0, roll_held=False)
+    ()
+    >>> print(*standing(geometry, np.array([0.0, 1.2, 449.0, 0.0, 1.0]), 0.0, 0.0, roll_held=False))
+    the arm stands with q2 at 449.000 mm, its limits are [50, 450] mm, 5 mm (...) must be kept: move q2 by -4.01 mm, to 444.99 mm
 """
 
 from __future__ import annotations

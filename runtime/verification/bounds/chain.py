@@ -1,4 +1,25 @@
-"""The path as one chain of intervals whose joint angles are unwrapped continuously."""
+"""The path as one chain of intervals whose joint angles are unwrapped continuously.
+
+Rules of unwrapping, in order:
+
+1. Of an interval the bearing's sweep is known where its chord passes the column further off than its sagitta: then it is the
+   angle between the bearings at its ends. The azimuth's always is, but for an axis that passes the vertical.
+2. An interval of which it is not known is split, down to `SMALLEST_SPLIT`; a certificate's cuts are taken as they are.
+3. Where it stays unknown anywhere, ``winding_known`` is False, and no bound of a joint that depends on it is given.
+4. Whole revolutions are added to the angle of every place, so that it follows the sweeps; nothing accumulates.
+
+Example:
+    ``stroke`` is that of `problem`; backward through the column no bearing can be followed.
+
+    >>> from dataclasses import replace
+    >>> from cutgate.runtime.verification.bounds.geometry import canonical
+    >>> chain = build(*canonical(stroke))
+    >>> len(chain), chain.winding_known
+    (1, True)
+    >>> through = np.array([[-80.0, 0.0, 120.0], [-80.0, 0.0, 120.0]]) + [[100.0, 0.0, 0.0], [-100.0, 0.0, 0.0]]
+    >>> build(*canonical(replace(stroke, tips_mm=through))).winding_known
+    False
+"""
 
 from __future__ import annotations
 

@@ -5,85 +5,35 @@ a user would type. A first registration is refused and explained, a second one i
 """
 
 import json as json_format
-import os
 import secrets
-import selectors
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import typer
 from rich.text import Text
 
-from cutgate.config.bus import LOCAL_INTERFACE, default_interface, runtime_directory
 from cutgate.config.exits import SIGNALLED, STOPPED
-from cutgate.config.interpreter import program
 from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import printable
 from cutgate.config.signals import ENDING, handled, name_of
 from cutgate.protocol.permit import KEY_BYTES
-from cutgate.protocol.states import StopCause
-from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.reading import candump_of, reading
-from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.replay import Outcome
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
+from cutgate.runtime.demo.processes import DemoError, run_controller, run_session, serve_bus
+from cutgate.runtime.demo.reviews import reviewed
+from cutgate.runtime.demo.script import PLAN, STALLED, STORY, TIME_SCALE, departure
 from cutgate.runtime.review.comparison import print_comparison
 from cutgate.runtime.review.show import print_time_line
-from cutgate.runtime.review.story import story
-from cutgate.runtime.session.job import VERIFIER
-from cutgate.runtime.verification import certified
 
-PLAN: Final = "hip-stem.plan.json"
-STORY: Final = {
-    "registration-first.json": ("inadmissible", "not_admitted"),
-    "registration-second.json": ("admissible", "completed"),
-}
-"""Each session's registration, its verdict and how it is to end."""
 SETTINGS: Final = ("robot.toml", "site.toml")
-TIME_SCALE: Final = 100
-DEADLINE_S: Final = 60.0
-END_S: Final = 10.0
 SCHEMA: Final = "cutgate.demo/1"
-
-
-@dataclass(frozen=True)
-class Cue:
-    """When a line of one process holds ``text``, say ``word`` to another."""
-
-    text: str
-    to: str
-    word: str
-
-
-CUES: Final = (
-    Cue(
-        "say acknowledge", "runtime", "acknowledge"
-    ),  # of a stop that came late to the session before, if any did
-    Cue("permitted: cutting mode is on", "controller", "hold"),
-    Cue("enabling device is held: say start", "runtime", "start"),
-)
-"""The operator and the person at the controller, as a table."""
-
-
-LATE: Final = frozenset({StopCause.HEARTBEAT_LOST.name, StopCause.LOOP_STALLED.name})
-STALLED: Final = "this computer stood still"
-"""What the controller says of its own lateness."""
-TOO_BUSY: Final = (
-    "runtime and controller share this machine, and one of them did not get the processor in time: run the demo again with "
-    "less beside it, or with priority: chrt --rr 10 cutgate demo (docs/timing.md says who may)"
-)
-
-
-class DemoError(Exception):
-    """A part of the demo did not do what it should; the message says which."""
 
 
 def demo(
@@ -108,19 +58,18 @@ def demo(
     try:
         with (
             _ended_in_order(say),
-            _bus(folder, say) as where,
-            _controller(folder, [*where, *framing], say) as controller,
+            serve_bus(folder, say) as where,
+            run_controller(folder, [*where, *framing], say) as controller,
         ):
             for registration in STORY:
-                run = _run(folder, registration, [*where, *framing], controller, say)
-                runs.append(run)
-                why = departure(registration, run, say.stalled)
+                runs.append(run_session(folder, registration, [*where, *framing], controller, say))
+                why = departure(registration, runs[-1], say.stalled)
                 if why:  # what follows needs this one
                     break
     except DemoError as error:
         why = [str(error)]
     as_told = not why
-    reviews = [_review(Path(run["log"]["mcap"])) for run in runs]
+    reviews = [reviewed(Path(run["log"]["mcap"])) for run in runs]
     why += [
         f"{review['log']}: verify {review['verify']}, replay {review['replay']}"
         for review in reviews
@@ -144,7 +93,7 @@ def demo(
     raise typer.Exit(STOPPED if why else 0)
 
 
-# ---------------------------------------------------------------- parts
+# ---------------------------------------------------------------- what is shown meanwhile
 
 
 class _Teller:
@@ -186,158 +135,7 @@ def _ended_in_order(say: _Teller) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def _bus(folder: Path, say: _Teller) -> Iterator[list[str]]:
-    """vcan0 where the kernel has it, else a hub of our own; as options of a command."""
-    interface, channel = default_interface()
-    if interface != LOCAL_INTERFACE:
-        say("demo", f"using {interface}/{channel}")
-        yield ["--interface", interface, "--channel", channel]
-        return
-    socket = runtime_directory() / f"demo-{os.getpid()}.sock"
-    command = ["bus", "serve", "--socket", str(socket), "--log", str(folder / "bus.candump.log")]
-    with _process("bus", program("cutgate.firmware_sim", *command)) as hub:
-        _wait_for(hub, "serving on", "bus", say)
-        yield ["--interface", LOCAL_INTERFACE, "--channel", str(socket)]
-
-
-@contextmanager
-def _controller(folder: Path, where: list[str], say: _Teller) -> Iterator[subprocess.Popen[str]]:
-    command = ["sim", "--robot", "robot.toml", "--key", "site.key", "--time-scale", str(TIME_SCALE)]
-    arguments = program("cutgate.firmware_sim", *command, *where)
-    with _process("controller", arguments, cwd=folder) as controller:
-        _wait_for(controller, "enabling device released", "controller", say)
-        yield controller
-
-
-@contextmanager
-def _process(name: str, arguments: list[str], *, cwd: Path | None = None) -> Iterator[subprocess.Popen[str]]:
-    """A process that is ended by SIGINT after the block, and killed if it does not end."""
-    child = subprocess.Popen(  # noqa: S603 - our own program
-        arguments,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT if name != "runtime" else subprocess.PIPE,
-        text=True,
-        bufsize=1,
-        cwd=cwd,
-    )
-    try:
-        yield child
-    finally:
-        if child.poll() is None:
-            child.send_signal(signal.SIGINT)
-        try:
-            child.wait(END_S)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.wait(END_S)
-
-
-def _wait_for(child: subprocess.Popen[str], text: str, name: str, say: _Teller) -> None:
-    """Show the child's lines until one holds ``text``."""
-    assert child.stdout is not None  # noqa: S101 - a pipe was asked for
-    for line in child.stdout:
-        say(name, line.rstrip())
-        if text in line:
-            return
-    raise DemoError(f"the {name} ended with code {child.wait(END_S)} before it was ready")
-
-
-def _run(
-    folder: Path,
-    registration: str,
-    where: list[str],
-    controller: subprocess.Popen[str],
-    say: _Teller,
-) -> dict[str, Any]:
-    """One ``cutgate run --json``, with the words of operator and controller given on their cues."""
-    say("demo", f"session with {registration}")
-    files = [
-        "--robot",
-        "robot.toml",
-        "--registration",
-        registration,
-        "--site",
-        "site.toml",
-        "--key",
-        "site.key",
-        "--allow-simulated",
-    ]
-    options = [*files, *where, "--log-dir", "logs", "--json"]
-    arguments = program("cutgate.runtime.cli", "run", PLAN, *options)
-    with _process("runtime", arguments, cwd=folder) as runtime:
-        _converse({"runtime": runtime, "controller": controller}, say)
-        assert runtime.stdout is not None  # noqa: S101 - a pipe was asked for
-        text = runtime.stdout.read()
-        code = runtime.wait(END_S)
-    if not text:
-        raise DemoError(f"the runtime ended with code {code} and no result")
-    result: dict[str, Any] = json_format.loads(text)
-    result["exit_code"] = code
-    for name in ("mcap", "candump"):
-        result["log"][name] = str(folder / result["log"][name])
-    return result
-
-
-def _converse(children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
-    """Show what both say and answer the cues until the runtime's standard error ends."""
-    cues = list(CUES)
-    talk: dict[int, tuple[str, IO[str]]] = {}
-    with selectors.DefaultSelector() as selector:
-        for name, child in children.items():
-            stream = child.stderr if name == "runtime" else child.stdout
-            assert stream is not None  # noqa: S101 - pipes were asked for
-            selector.register(stream.fileno(), selectors.EVENT_READ)
-            talk[stream.fileno()] = (name, stream)
-        rest, last = dict.fromkeys(talk, b""), dict.fromkeys(talk, "nothing")
-        until_s = time.monotonic() + DEADLINE_S
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            for key, _ in selector.select(left_s):
-                name, _stream = talk[key.fd]
-                data = os.read(key.fd, 65536)
-                if not data and name == "runtime":
-                    return
-                if not data:
-                    raise DemoError(f"the controller ended; it last said: {last[key.fd]}")
-                *lines, rest[key.fd] = (rest[key.fd] + data).split(b"\n")
-                for line in lines:
-                    last[key.fd] = text = line.decode("utf-8", "replace").rstrip()
-                    say(name, text)
-                    _answer(cues, text, children, say)
-        said = "; ".join(f"the {name} last said: {last[number]}" for number, (name, _) in talk.items())
-    raise DemoError(f"the session did not end within {DEADLINE_S:g} s; {said}")
-
-
-def _answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str]], say: _Teller) -> None:
-    for cue in [cue for cue in cues if cue.text in text]:
-        cues.remove(cue)
-        say("demo", f"says to the {cue.to}: {cue.word}")
-        stream = children[cue.to].stdin
-        assert stream is not None  # noqa: S101 - a pipe was asked for
-        with suppress(BrokenPipeError):  # it has just ended, and its last lines say why
-            os.write(stream.fileno(), f"{cue.word}\n".encode())
-
-
 # ---------------------------------------------------------------- what came of it
-
-
-def departure(registration: str, run: dict[str, Any], stalled: list[str]) -> list[str]:
-    """Why a session did not end as it was to, and what to do; nothing where it did.
-
-    Args:
-        registration: the session's.
-        run: what ``run --json`` said.
-        stalled: what the controller said of its own lateness.
-    """
-    ended = ((run["verdict"] or {}).get("verdict", "no verdict"), run["outcome"])
-    if ended == STORY[registration]:
-        return []
-    was_to_be, became = (", ".join(words).replace("_", " ") for words in (STORY[registration], ended))
-    why = [f"the session with {registration} was to be {was_to_be}, and became {became}: {run['reason']}"]
-    if run["cause"] in LATE:
-        why += [*stalled, TOO_BUSY]
-    return why
 
 
 def _otherwise(why: list[str], runs: list[dict[str, Any]], folder: Path) -> None:
@@ -352,21 +150,6 @@ def _otherwise(why: list[str], runs: list[dict[str, Any]], folder: Path) -> None
     console.print(printable(left), soft_wrap=True)
     if runs:
         console.print(printable(f"Next: cutgate audit show {runs[-1]['log']['mcap']}"), soft_wrap=True)
-
-
-def _review(path: Path) -> dict[str, Any]:
-    """The log verified, replayed and told."""
-    with reading(path) as log:
-        again = replay(log, certified.verify, verifier=VERIFIER)
-        told = story(log, path, candump_of(path))
-    return {
-        "log": str(path),
-        "verify": "OK" if log.report.status is Status.OK else log.report.status.name,
-        "headline": log.report.headline,
-        "replay": again.outcome.name,
-        "why": [*log.report.reasons, *again.differences],
-        "story": told,
-    }
 
 
 def _summary(

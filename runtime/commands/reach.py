@@ -1,17 +1,10 @@
 """``cutgate reach``: a map of where the bone could stand."""
 
-import csv
-import io
 import math
-import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -21,147 +14,22 @@ from rich.text import Text
 
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
-from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.config.screen import printable
-from cutgate.protocol import records
-from cutgate.runtime.arrays import Floats, Vector
-from cutgate.runtime.commands.reach_page import page
-from cutgate.runtime.commands.reach_picture import height, picture, signed
+from cutgate.runtime.commands.reach_files import files_for, save
+from cutgate.runtime.commands.reach_picture import height, signed
 from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
-from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
-from cutgate.runtime.verification.placing.guidance import Quantise
-from cutgate.runtime.verification.placing.reach import Grid, Position
-from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.placing.reach import Position
+from cutgate.runtime.verification.placing.survey import Work, survey
+from cutgate.runtime.verification.recorded import off_line_problem
 from cutgate.runtime.verification.report.document import document_text
-from cutgate.runtime.verification.verdict import Boundary
 
 POSITIONS_MAX: Final = 400_000
 VALUES_MAX: Final = 73
-CHUNK: Final = 32
-"""Positions judged in one go, a fraction of a second: what the progress bar moves by."""
-KINDS: Final = (".png", ".html", ".csv", ".json")
-DRAWN_BY: Final = {".png": "matplotlib"}
-"""Not installed with cutgate alone: nobody draws beside a controller. The page draws itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """What every worker knows: the path where the bone stands, and how it is quantised."""
-
-    problem: Problem
-    feed_mm_s: float
-    tool_length_mm: float
-
-    def quantise(self, tips_mm: Floats, axes: Floats) -> tuple[Floats, Floats]:
-        """What the wire does to poses."""
-        path = records.Path.quantised(
-            tips_mm,
-            axes,
-            feed_mm_s=self.feed_mm_s,
-            tool_length_mm=self.tool_length_mm,
-            elbow=self.problem.arm.elbow,
-        )
-        return path.tips_mm, path.axes
-
-    def judge(self, yaw_deg: float, translations_mm: list[Vector]) -> list[Position]:
-        """Positions by the certified method."""
-        quantise: Quantise = self.quantise
-        return [reach.judged(self.problem, quantise, yaw_deg, t) for t in translations_mm]
-
-
-def survey(work: Work, grid: Grid, cores: int, done: Callable[[int], None]) -> list[Position]:
-    """Judges every position of a grid, in the order yaw, lift, y, x.
-
-    Args:
-        work: the path.
-        grid: the positions.
-        cores: how many processes; with one, this one.
-        done: told how many positions are judged since the last call.
-    """
-    unrecoverable = reach.unrecoverable(work.problem, certified.verify(work.problem))
-    if unrecoverable is not None:
-        return [_unrecoverable(unrecoverable, *where) for where in _everywhere(grid)]
-    found: list[Position | Vector] = []
-    chunks: list[tuple[list[int], float, list[Vector]]] = []
-    for yaw in grid.yaw_deg:
-        for lift in grid.lift_mm:
-            layer = reach.excluded(work.problem, grid, yaw, lift)
-            open_ = [i for i, item in enumerate(layer) if isinstance(item, tuple)]
-            for k in range(0, len(open_), CHUNK):
-                part = open_[k : k + CHUNK]
-                places = [item for i in part if isinstance(item := layer[i], tuple)]
-                chunks.append(([len(found) + i for i in part], yaw, places))
-            found += layer
-            done(len(layer) - len(open_))
-    for numbers, positions in _judged(work, chunks, cores):
-        for i, position in zip(numbers, positions, strict=True):
-            found[i] = position
-        done(len(numbers))
-    return [item for item in found if isinstance(item, Position)]
-
-
-def _everywhere(grid: Grid) -> Iterator[tuple[float, float, float, float]]:
-    for yaw in grid.yaw_deg:
-        for lift in grid.lift_mm:
-            yield from ((x, y, yaw, lift) for y in grid.y_mm for x in grid.x_mm)
-
-
-def _unrecoverable(b: Boundary, x: float, y: float, yaw: float, lift: float) -> Position:
-    ratio = None if b.certified is None else b.certified / b.deadband
-    return Position(x, y, yaw, lift, False, "pose", b.name, b.unit, b.certified, b.deadband, ratio)
-
-
-def _judged(
-    work: Work, chunks: list[tuple[list[int], float, list[Vector]]], cores: int
-) -> Iterator[tuple[list[int], list[Position]]]:
-    """Each chunk's numbers and positions, in the order in which they are ready."""
-    if cores == 1 or len(chunks) < 2:
-        for numbers, yaw, places in chunks:
-            yield numbers, work.judge(yaw, places)
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(cores, len(chunks)), context, _begin, (work,))
-    try:
-        with _held_back(signal.SIGINT):  # the workers inherit it: Ctrl-C is this process's to handle
-            waiting: dict[Future[list[Position]], list[int]] = {
-                pool.submit(_judge, yaw, places): numbers for numbers, yaw, places in chunks
-            }
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
-    except BaseException:  # Ctrl-C or a failure: what the workers still do is of no use
-        for worker in multiprocessing.active_children():
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-_WORK: list[Work] = []
-
-
-def _begin(work: Work) -> None:
-    """In a worker: keeps the path."""
-    _WORK.append(work)
-
-
-@contextmanager
-def _held_back(number: signal.Signals) -> Iterator[None]:
-    """A signal that arrives meanwhile is delivered afterwards; processes started meanwhile never get it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _judge(yaw_deg: float, translations_mm: list[Vector]) -> list[Position]:
-    return _WORK[0].judge(yaw_deg, translations_mm)
 
 
 @contextmanager
@@ -200,69 +68,6 @@ def _values(text: str, option: str, low: float, high: float) -> tuple[float, ...
     if not (1 <= len(numbers) <= VALUES_MAX and all(low <= number <= high for number in numbers)):
         raise typer.BadParameter(f"{text!r} is not {expected}", param_hint=option)
     return tuple(sorted({number + 0.0 for number in numbers}))
-
-
-def _files(out: Path | None, *, json: bool) -> dict[str, Path]:
-    """What to write where, by kind: one file, a folder of all four, or nothing.
-
-    Raises:
-        InputError: a folder that cannot be made, or a picture that nothing here can draw.
-    """
-    if out is None:
-        if json:
-            return {}
-        out = Path("cutgate-reach")
-    if out.suffix.lower() in KINDS:
-        folder, files = out.parent, {out.suffix.lower(): out}
-    else:
-        folder, files = out, {kind: out / f"reach{kind}" for kind in KINDS}
-    if missing := sorted(DRAWN_BY[kind] for kind in DRAWN_BY.keys() & files if not find_spec(DRAWN_BY[kind])):
-        raise InputError(
-            out,
-            "--out",
-            None,
-            f"needs {' and '.join(missing)}, not installed here",
-            "pip install 'cutgate[pictures]', or ask for what needs none: --out FILE.html, FILE.csv or FILE.json, or --json",
-        )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            folder, "--out", None, f"cannot be made ({error.strerror})", "name another"
-        ) from None
-    return files
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Writes a whole file or none: beside it first, then into its place."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_bytes(content)
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(
-            path, "--out", None, f"cannot be written ({error.strerror})", "name another"
-        ) from None
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def table(positions: list[Position]) -> str:
-    """All positions as CSV; undefined values are empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(reach.COLUMNS)
-    writer.writerows(
-        ("" if v is None else int(v) if isinstance(v, bool) else v for v in astuple(p)) for p in positions
-    )
-    return text.getvalue()
-
-
-def _problem(prepared: Prepared, robot: Robot) -> Problem:
-    """The verification problem where the bone stands now, any branch."""
-    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    tool = tool_record(robot, prepared.path.tool_length_mm).body()
-    return problem_from_records(prepared.path.body(), limits, calibration, tool, robot, any_branch=True)
 
 
 def _made_for(prepared: Prepared, robot: Robot) -> dict[str, Any]:
@@ -315,7 +120,7 @@ def reach_command(
     arm = load_robot(robot)
     placed = load_registration(registration) if registration else None
     prepared = prepare(load_plan(plan), placed, arm.value, now=datetime.now(UTC))
-    problem = _problem(prepared, arm.value)
+    problem = off_line_problem(prepared.path, arm.value)
     if canonical(problem)[0].workspace.empty:
         raise InputError(
             robot, "limits", None, "a workspace: the limits leave none", "correct limits or offsets"
@@ -332,31 +137,16 @@ def reach_command(
     if not (len(grid) <= POSITIONS_MAX):
         bound = f"{len(grid)} positions, at most {POSITIONS_MAX}: take longer steps or fewer turns and lifts"
         raise typer.BadParameter(bound, param_hint="--step-mm")
-    files = _files(out, json=json)
+    files = files_for(out, json=json)
     with _progress(len(grid), f"judging {len(grid)} positions of the bone") as done:
         positions = survey(work, grid, cores or os.cpu_count() or 1, done)
     document = reach.reach_document(problem, grid, positions, _made_for(prepared, arm.value), begun)
     with working("drawing the map"):
-        _save(files, problem, document, positions)
+        save(files, problem, document, positions)
     if json:
         echo(document_text(document))
     else:
         _summary(document, positions, files)
-
-
-def _save(
-    files: dict[str, Path], problem: Problem, document: dict[str, Any], positions: list[Position]
-) -> None:
-    """Writes the files asked for."""
-    arcs = list(reach.outline(problem))
-    makers: dict[str, Callable[[], bytes]] = {
-        ".png": lambda: picture(document, positions, arcs),
-        ".html": lambda: page(document, positions, arcs).encode(),
-        ".csv": lambda: table(positions).encode(),
-        ".json": (document_text(document) + "\n").encode,
-    }
-    for kind, path in files.items():
-        _write(path, makers[kind]())
 
 
 def _summary(document: dict[str, Any], positions: list[Position], files: dict[str, Path]) -> None:

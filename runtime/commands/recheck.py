@@ -14,10 +14,10 @@ from cutgate.runtime.commands.verify import (
     RegistrationOption,
     RobotOption,
     ToolOption,
-    off_line_problem,
     read,
 )
 from cutgate.runtime.verification import certificate as proofs
+from cutgate.runtime.verification.recorded import off_line_problem
 
 HOLDS, FAILS = 0, 1
 
@@ -46,7 +46,7 @@ def recheck(
         remedy = "write it anew with `cutgate verify --certificate`"
         raise InputError(certificate, "", None, str(error), remedy) from None
     with working(f"checking {certificate}"):
-        reasons = proofs.recheck(off_line_problem(prepared, arm), proof)
+        reasons = proofs.recheck(off_line_problem(prepared.path, arm), proof)
     pieces = len(prepared.path) - 1 + len(proof.cut_segment)
     console = output()
     if reasons:

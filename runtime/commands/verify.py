@@ -11,7 +11,7 @@ import typer
 
 from cutgate.config.load import BYTES_PER_MB, PRESETS, InputError, load_robot, load_site
 from cutgate.config.model import Robot, Site
-from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.records import calibration_record, limits_record
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
@@ -40,7 +40,7 @@ from cutgate.runtime.verification.plausibility import (
     place,
 )
 from cutgate.runtime.verification.problem import Problem
-from cutgate.runtime.verification.recorded import problem_from_records
+from cutgate.runtime.verification.recorded import off_line_problem
 from cutgate.runtime.verification.report.document import Digests, document_text, verdict_document
 from cutgate.runtime.verification.verdict import Verdict
 
@@ -105,7 +105,7 @@ def check(
         InputError: the path does not fit in the turns asked for.
     """
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    problem = in_branch(off_line_problem(prepared, robot), asked)
+    problem = in_branch(off_line_problem(prepared.path, robot), asked)
     decide = certified.verify if method is Method.certified else stocco.verify
     with working(f"verifying {len(prepared.path)} poses"):
         began = time.perf_counter()
@@ -141,13 +141,6 @@ def read(
             plan, placed, arm, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
         )
     return arm, prepared
-
-
-def off_line_problem(prepared: Prepared, robot: Robot) -> Problem:
-    """The problem with the approved limits and calibration, any joint branch."""
-    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
-    tool = tool_record(robot, prepared.path.tool_length_mm).body()
-    return problem_from_records(prepared.path.body(), limits, calibration, tool, robot, any_branch=True)
 
 
 def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:

@@ -3,8 +3,20 @@
 import math
 
 from cutgate.config.model import Robot
+from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
+
+
+def off_line_problem(path: records.Path, robot: Robot) -> Problem:
+    """The problem that a path poses with the approved limits and calibration and the path's own tool, any joint branch.
+
+    Raises:
+        cutgate.protocol.records.RecordError: as `problem_from_records`.
+    """
+    limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
+    tool = tool_record(robot, path.tool_length_mm).body()
+    return problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
 
 
 def problem_from_records(

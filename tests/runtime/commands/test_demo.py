@@ -1,24 +1,24 @@
 """``cutgate demo`` where a session does not end as it was to: words, an exit code, and nobody is waited for."""
 
 import json
-import os
 import signal
 from contextlib import contextmanager
-from types import SimpleNamespace
 
 import pytest
 import typer
 
 from cutgate.runtime.commands import demo
 from cutgate.runtime.commands.app import execute
+from cutgate.runtime.demo.processes import DemoError
+from cutgate.runtime.demo.script import STORY, TOO_BUSY
 
-FIRST, SECOND = demo.STORY
+FIRST, SECOND = STORY
 LOST = "no fresh controller heartbeat within 500 ms; this computer stood still for 640 ms"
 
 
 def ran(registration, **changes):
     """What ``run --json`` says of a session that ended as it was to, but for these changes."""
-    verdict, outcome = demo.STORY[registration]
+    verdict, outcome = STORY[registration]
     log = {"mcap": f"logs/{registration}.mcap", "candump": ""}
     told = {
         "outcome": outcome,
@@ -83,10 +83,10 @@ def played(tmp_path, monkeypatch, capsys):
 
         review = {"log": "l", "verify": "OK", "replay": "IDENTICAL"}
         for name, stub in {
-            "_bus": part,
-            "_controller": part,
-            "_run": run,
-            "_review": lambda _: review,
+            "serve_bus": part,
+            "run_controller": part,
+            "run_session": run,
+            "reviewed": lambda _: review,
         }.items():
             monkeypatch.setattr(demo, name, stub)
         monkeypatch.setattr(demo, "_summary", lambda *_: None)
@@ -135,11 +135,11 @@ def test_a_session_that_ends_otherwise_for_another_reason_is_not_called_late(pla
     code, _, said, begun = played(ran(FIRST, **changes))
     assert (code, begun) == (3, [FIRST])
     assert "was to be inadmissible, not admitted, and became" in said
-    assert demo.TOO_BUSY not in said
+    assert TOO_BUSY not in said
 
 
 def test_a_part_that_fails_leaves_a_document_and_words_as_well(played):
-    code, document, said, _ = played(ran(FIRST), demo.DemoError("the controller ended"))
+    code, document, said, _ = played(ran(FIRST), DemoError("the controller ended"))
     assert (code, document["as_told"], document["why"]) == (3, False, ["the controller ended"])
     assert "demo: the controller ended" in said
     assert "Left behind: " in said
@@ -149,47 +149,3 @@ def test_words_of_a_late_demo_are_data(played):
     _, out, said, _ = played(ran(FIRST, **LATE | {"reason": "\x1b[2J[/]"}), as_json=False)
     assert out == ""
     assert r"\x1b[2J[/]" in said
-
-
-def stream(descriptor):
-    """As much of a pipe's stream as is asked for."""
-    return SimpleNamespace(fileno=lambda: descriptor)
-
-
-def conversation(*lines):
-    """What the demo answers to these lines of the runtime; its input may be closed."""
-    reading, writing = os.pipe()
-    cues = list(demo.CUES)
-    children = {name: SimpleNamespace(stdin=stream(writing)) for name in ("runtime", "controller")}
-    for line in lines:
-        demo._answer(cues, line, children, lambda *_: None)
-    os.close(writing)
-    heard = os.read(reading, 4096)
-    os.close(reading)
-    return heard.decode().split()
-
-
-def test_a_stop_that_came_late_to_the_session_before_is_acknowledged_once():
-    held = "its cause is HEARTBEAT_LOST: say acknowledge"
-    assert conversation(held, held, "permitted: cutting mode is on.") == ["acknowledge", "hold"]
-
-
-def test_a_runtime_that_has_just_ended_is_not_spoken_to_and_nothing_breaks():
-    reading, writing = os.pipe()
-    os.close(reading)
-    runtime = SimpleNamespace(stdin=stream(writing))
-    demo._answer(list(demo.CUES), "say acknowledge", {"runtime": runtime}, lambda *_: None)
-    os.close(writing)
-
-
-def test_no_session_is_waited_for_without_saying_what_it_said_last(monkeypatch):
-    reading, writing = os.pipe()
-    os.write(writing, b"what it waits for\n")
-    monkeypatch.setattr(demo, "DEADLINE_S", 0.05)
-    children = {"runtime": SimpleNamespace(stderr=stream(reading), stdin=None)}
-    with pytest.raises(
-        demo.DemoError, match=r"did not end within 0.05 s; the runtime last said: what it waits for"
-    ):
-        demo._converse(children, lambda *_: None)
-    os.close(writing)
-    os.close(reading)

@@ -29,6 +29,7 @@ from cutgate.runtime.commands import reach as command
 from cutgate.runtime.commands.reach_page import CIVIDIS, page
 from cutgate.runtime.commands.reach_picture import COLOUR_MAP, KINDS, kind_of, layers, picture
 from cutgate.runtime.verification.placing import reach
+from cutgate.runtime.verification.placing.survey import Work, survey
 from cutgate.runtime.verification.verdict import BOUNDARIES
 from tests.runtime.commands.contract import Hex, Name, Part, Real, Vector
 from tests.runtime.verification.placing.test_search import strokes
@@ -117,7 +118,7 @@ def mapped():
     """A map of two turns, made without files."""
     path = strokes(600.0, 0.0)
     grid = reach.grid_of(path, 250.0, (0.0, 45.0), (0.0,))
-    positions = command.survey(command.Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p<script>", "robot": "r", "elbow": "right", "registration": None}
     return reach.reach_document(path, grid, positions, made_for), positions, list(reach.outline(path))
 
@@ -361,7 +362,7 @@ def test_the_picture_names_the_lift_in_heading_panels_and_axes(monkeypatch, lift
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     path = strokes(600.0, 0.0)
     grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), (0.0,), lifts)
-    positions = command.survey(command.Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
     move = reach.Start(0.0, -30.0, "guidance", (10.0, 20.0, -30.0))
     document = reach.reach_document(path, grid, positions, made_for, move)
@@ -384,7 +385,7 @@ def test_the_picture_is_the_same_for_the_same_map(mapped):
 def test_the_picture_of_many_turns_shows_the_first_ones():
     path = strokes(600.0, 0.0)
     grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), tuple(float(k) for k in range(13)), (0.0,))
-    positions = command.survey(command.Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
     assert picture(
         reach.reach_document(path, grid, positions, made_for), positions, list(reach.outline(path))

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.runtime.commands.reach import Work, survey
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.guidance import guide, pivot_of
+from cutgate.runtime.verification.placing.survey import Work, survey
 from cutgate.runtime.verification.problem import Calibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
 from tests.runtime.verification.placing.test_guidance import LEAN, THIN, registered

@@ -7,7 +7,10 @@ from cutgate.protocol.states import ControllerState
 from cutgate.runtime.interlock import table as interlock_table
 from cutgate.runtime.interlock.phases import ENDED
 from cutgate.runtime.interlock.state import Phase
-from docs.make_state_machines import PAGE, controller_edges, main, picture, runtime_edges
+from docs.make_state_machines import PAGE, main
+from docs.state_machines.controller import controller_edges
+from docs.state_machines.interlock import runtime_edges
+from docs.state_machines.pictures import picture
 from tests.runtime.interlock.test_invariants import _successors
 
 pytestmark = pytest.mark.slow

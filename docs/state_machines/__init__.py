@@ -1,0 +1,1 @@
+"""What the page of the state machines is made of."""

@@ -67,10 +67,10 @@ coverage-own: $(READY)
 	$(BIN)/python -m tools.mutation.modules
 
 # Tests of the tests, some minutes; fails unless tools/mutation/survivors.toml lists exactly what lives.
-# MODULES, SAMPLE and JOBS make it less or slower; WRITE=docs/mutation.md writes the page as well.
+# MODULES, SAMPLE, CHANGED and JOBS make it less or slower; RECORD=1 records the figures and writes docs/mutation.md.
 mutation: $(READY)
 	$(BIN)/python -m tools.mutation.run $(if $(JOBS),--jobs $(JOBS)) $(if $(SAMPLE),--sample $(SAMPLE)) \
-		$(if $(WRITE),--write $(WRITE)) $(MODULES)
+		$(if $(CHANGED),--changed) $(if $(RECORD),--record) $(MODULES)
 
 # Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's beside it.
 bench: $(READY)

@@ -1,27 +1,50 @@
-"""The page about the last whole run says what is run today, and what lives."""
+"""The page says what is recorded, what is run today, and what lives."""
 
 from tools.mutation.forked import Verdict
-from tools.mutation.modules import ROOT
+from tools.mutation.modules import OWN_TESTS
 from tools.mutation.mutants import OPERATORS, mutants
-from tools.mutation.page import Score, about, page
-from tools.mutation.run import listed
+from tools.mutation.page import about, page
+from tools.mutation.results import Result, changed, digest_of, load, store
+from tools.mutation.run import PAGE, listed, summary
 
-PAGE = (ROOT / "docs" / "mutation.md").read_text(encoding="utf-8")
+MODULE = "protocol/e2e.py"
+THOSE = mutants("def f(value):\n    return value < 1\n")
+ENDED = [Verdict.FAILED, Verdict.ALIVE]
+RESULT = Result.of(MODULE, ENDED, [mutant.kind for mutant in THOSE])
 
 
 def test_the_page_names_every_mistake_and_survivor():
-    """`make mutation WRITE=docs/mutation.md` writes it anew."""
-    assert [line for line in about(listed()) if line not in PAGE.splitlines()] == []
+    """`make mutation RECORD=1` writes it anew."""
+    written = PAGE.read_text(encoding="utf-8")
+    assert [line for line in about(listed()) if line not in written.splitlines()] == []
     for name in OPERATORS:
-        assert f"| {name} |" in PAGE
+        assert f"| {name} |" in written
+
+
+def test_the_page_is_of_what_is_recorded_for_every_module():
+    assert PAGE.read_text(encoding="utf-8") == page(load(), listed())
+    assert sorted(load()) == sorted(OWN_TESTS)
 
 
 def test_the_page_counts():
-    those = mutants("def f(value):\n    return value < 1\n")
-    score = Score("protocol/e2e.py", those, (Verdict.FAILED, Verdict.ALIVE))
-    assert str(score) == "2 mutants, 1 killed (1 failed, 1 alive)"
-    written = page([score], {("protocol/e2e.py", "f: 1 -> 2"): "because | it is"}, 60.0, 2)
-    assert "| `protocol/e2e.py` | `test_e2e.py` | 2 | 1 | 1 | 0 | 0 | 1 |" in written
+    assert summary(ENDED) == "2 mutants, 1 killed (1 failed, 1 alive)"
+    written = page({MODULE: RESULT}, {(MODULE, "f: 1 -> 2"): "because | it is"})
+    assert f"| `{MODULE}` | `test_e2e.py` | 2 | 1 | 1 | 0 | 0 | 1 |" in written
     assert "| all | | 2 | 1 | 1 | 0 | 0 | 1 |" in written
-    assert "took 1.0 minutes with 2 processes" in written
-    assert "| `protocol/e2e.py` | `f: 1 -> 2` | because \\| it is |" in written
+    assert f"| `{MODULE}` | `f: 1 -> 2` | because \\| it is |" in written
+    assert "| comparison | A comparison is flipped, or its bound goes to the other side. | 1 |" in written
+
+
+def test_what_is_recorded_is_read_back(tmp_path):
+    file = tmp_path / "results.json"
+    assert load(file) == {}
+    store({MODULE: RESULT}, file)
+    assert load(file) == {MODULE: RESULT}
+    assert RESULT.digest == digest_of(MODULE)
+
+
+def test_a_module_is_run_again_once_it_or_its_tests_have_changed():
+    whole = {module: Result(digest_of(module), {}, {}) for module in OWN_TESTS}
+    assert changed(whole) == []
+    assert changed({**whole, MODULE: Result("another", {}, {})}) == [MODULE]
+    assert changed({module: result for module, result in whole.items() if module != MODULE}) == [MODULE]

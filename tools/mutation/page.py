@@ -1,48 +1,19 @@
-"""The page about the last whole run: ``make mutation WRITE=docs/mutation.md``."""
+"""The page about the figures that are recorded: ``make mutation RECORD=1``."""
 
-import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 from tools.mutation.forked import ASLEEP_S, HANGS_S, SLOWER, Verdict
 from tools.mutation.modules import OWN_TESTS
-from tools.mutation.mutants import OPERATORS, Mutant
-
-
-@dataclass(frozen=True)
-class Score:
-    """What became of one module's mutants."""
-
-    module: str
-    mutants: Sequence[Mutant]
-    verdicts: Sequence[Verdict]
-
-    def count(self, verdict: Verdict) -> int:
-        """How many ended so."""
-        return self.verdicts.count(verdict)
-
-    @property
-    def killed(self) -> int:
-        """How many the tests found."""
-        return sum(verdict.killed for verdict in self.verdicts)
-
-    def __str__(self) -> str:
-        """Mutants, killed, and how, on one line."""
-        ends = ", ".join(f"{self.count(end)} {end.name.lower()}" for end in Verdict if self.count(end))
-        return f"{len(self.mutants)} mutants, {self.killed} killed ({ends})"
-
+from tools.mutation.mutants import OPERATORS
+from tools.mutation.results import Result
 
 Known = Mapping[tuple[str, str], str]
 
 
-def page(scores: Sequence[Score], known: Known, took_s: float, jobs: int) -> str:
-    """The whole page; without scores it says that no whole run is recorded."""
-    took = (
-        f"The run took {took_s / 60:.1f} minutes with {jobs} processes at a time on {os.cpu_count()} cores."
-    )
-    figures = [*_figures(scores), took, "", *_operators(scores)] if scores else [NO_RUN, "", *_operators(())]
-    return "\n".join([*HEAD, "", *figures, *_survivors(known), ""])
+def page(results: Mapping[str, Result], known: Known) -> str:
+    """The whole page."""
+    return "\n".join([*HEAD, "", *_figures(results), *_operators(results), *_survivors(known), ""])
 
 
 def about(known: Known) -> list[str]:
@@ -50,7 +21,6 @@ def about(known: Known) -> list[str]:
     return [*HEAD, *_survivors(known)]
 
 
-NO_RUN = "No whole run is recorded here yet: `make mutation WRITE=docs/mutation.md` writes its figures."
 HEAD = f"""\
 # Mutation testing
 
@@ -61,7 +31,8 @@ lives is a rule that no test states.
 - `make mutation` runs all of them, on all cores. It leaves with 1 if a mutant lives that
   [survivors.toml](../tools/mutation/survivors.toml) does not list, and if that names one that is dead or no mutant any more.
 - `make mutation MODULES=protocol/e2e.py`, `SAMPLE=100` and `JOBS=1` run less, or slower.
-- `make mutation WRITE=docs/mutation.md` writes this page as well.
+- `make mutation CHANGED=1` runs the modules whose source or own tests have changed since their figures were recorded.
+- `make mutation RECORD=1` records the figures of each module that is run, and writes this page.
 - `make test-all` runs a sample of each module; which mutants are in it changes with the modules.
 
 What kills: a test that fails, in set-up, call or tear-down (*failed*); a module that cannot be imported, or tests that
@@ -77,32 +48,30 @@ together and each alone. hypothesis runs with a fixed seed and without its deadl
 """.splitlines()
 
 
-def _figures(scores: Sequence[Score]) -> Iterator[str]:
+def _figures(results: Mapping[str, Result]) -> Iterator[str]:
     yield "| module | own tests | mutants | killed | failed | import | hangs | listed |"
     yield "|---|---|---|---|---|---|---|---|"
     ends = (Verdict.FAILED, Verdict.UNIMPORTABLE, Verdict.HANGS)
     columns = []
-    for score in scores:
-        numbers = [
-            len(score.mutants),
-            score.killed,
-            *map(score.count, ends),
-            len(score.mutants) - score.killed,
-        ]
+    for module, result in results.items():
+        counts = [result.ends.get(end.name, 0) for end in ends]
+        numbers = [result.mutants, result.mutants - result.alive, *counts, result.alive]
         columns.append(numbers)
-        tests = ", ".join(f"`{name.rpartition('/')[2]}`" for name in OWN_TESTS[score.module])
-        yield f"| `{score.module}` | {tests} | {' | '.join(map(str, numbers))} |"
+        tests = ", ".join(f"`{name.rpartition('/')[2]}`" for name in OWN_TESTS[module])
+        yield f"| `{module}` | {tests} | {' | '.join(map(str, numbers))} |"
     yield f"| all | | {' | '.join(str(sum(column)) for column in zip(*columns, strict=True))} |"
     yield ""
 
 
-def _operators(scores: Sequence[Score]) -> Iterator[str]:
-    yield f"| mistake | what is done |{' mutants |' if scores else ''}"
-    yield f"|---|---|{'---|' if scores else ''}"
-    made = Counter(mutant.kind for score in scores for mutant in score.mutants)
+def _operators(results: Mapping[str, Result]) -> Iterator[str]:
+    yield "| mistake | what is done | mutants |"
+    yield "|---|---|---|"
+    made = Counter[str]()
+    for result in results.values():
+        made.update(result.kinds)
     for name, operator in OPERATORS.items():
         done = " ".join((operator.__doc__ or "").replace("``", "`").split())
-        yield f"| {name} | {done} |{f' {made[name]} |' if scores else ''}"
+        yield f"| {name} | {done} | {made[name]} |"
     yield ""
     yield "Strings, annotations and assertions are left alone: the first are for people, the others for the type checker."
     yield ""

@@ -1,4 +1,4 @@
-"""Mutation testing: ``python -m tools.mutation.run [--jobs N] [--sample N] [--match TEXT] [--write FILE] [MODULE]...``.
+"""Mutation testing: ``python -m tools.mutation.run [--jobs N] [--sample N] [--match TEXT] [--changed] [--record] [MODULE]...``.
 
 Leaves with 1 if a mutant lives that ``survivors.toml`` does not list, or if it lists one that is dead or no mutant.
 """
@@ -17,8 +17,10 @@ from typing import Final
 from tools.mutation.forked import Trial, UnfitError, Verdict
 from tools.mutation.modules import OWN_TESTS, ROOT
 from tools.mutation.mutants import Mutant, mutants
-from tools.mutation.page import Score, page
+from tools.mutation.page import page
+from tools.mutation.results import Result, changed, load, store
 
+PAGE: Final = ROOT / "docs" / "mutation.md"
 LIST: Final = Path(__file__).parent / "survivors.toml"
 Known = Mapping[tuple[str, str], str]
 
@@ -27,6 +29,12 @@ def listed() -> dict[tuple[str, str], str]:
     """Module and mutant of the survivors that are known, with the reason."""
     entries = tomllib.loads(LIST.read_text(encoding="utf-8")).get("survivor", [])
     return {(entry["module"], entry["mutant"]): entry["reason"] for entry in entries}
+
+
+def summary(verdicts: Sequence[Verdict]) -> str:
+    """Mutants, killed, and how, on one line."""
+    ends = ", ".join(f"{verdicts.count(end)} {end.name.lower()}" for end in Verdict if end in verdicts)
+    return f"{len(verdicts)} mutants, {sum(verdict.killed for verdict in verdicts)} killed ({ends})"
 
 
 def complaints(module: str, verdicts: Mapping[str, Verdict], known: Known) -> list[str]:
@@ -78,24 +86,28 @@ def main(words: Sequence[str]) -> int:
     """Run the mutants; print a line a module and every complaint."""
     parser = _parser()
     asked = parser.parse_args(words)
-    if asked.write and (asked.modules or asked.sample or asked.match):
-        parser.error("--write: the page is about the whole run; leave MODULE, --sample and --match out")
+    if asked.record and (asked.sample or asked.match):
+        parser.error("--record: figures are of all of a module's mutants; leave --sample and --match out")
+    results = load()
     found = {
         module: [mutant for mutant in all_mutants(module) if asked.match in mutant.name]
-        for module in asked.modules or OWN_TESTS
+        for module in asked.modules or (changed(results) if asked.changed else OWN_TESTS)
     }
     if asked.sample:
         found = sample(found, asked.sample)
-    known, scores, wrong = listed(), [], 0
+    known, wrong = listed(), 0
     began_s = time.monotonic()
     try:
         for module, those in found.items():
             verdicts = Trial(ROOT / "cutgate" / module, ROOT, OWN_TESTS[module], asked.jobs).verdicts(those)
-            scores.append(Score(module, tuple(those), tuple(verdicts)))
-            _say(f"{module}: {scores[-1]}, {time.monotonic() - began_s:.0f} s after the beginning")
+            _say(f"{module}: {summary(verdicts)}, {time.monotonic() - began_s:.0f} s after the beginning")
             by_name = dict(zip([mutant.name for mutant in those], verdicts, strict=True))
             said = [*strangers(module, known), *complaints(module, by_name, known)]
             wrong += len(said)
+            if asked.record and not said:
+                results[module] = Result.of(module, verdicts, [mutant.kind for mutant in those])
+                store(results)
+                PAGE.write_text(page(load(), known), encoding="utf-8")
             shown = [f"{verdict.name} {module} {name}" for name, verdict in by_name.items() if asked.verdicts]
             _say("\n".join([*shown, *said, ""]), end="")
     except UnfitError as error:
@@ -104,8 +116,6 @@ def main(words: Sequence[str]) -> int:
     if wrong:
         return 1
     _say("every mutant is killed or listed with its reason")
-    if asked.write:
-        asked.write.write_text(page(scores, known, time.monotonic() - began_s, asked.jobs), encoding="utf-8")
     return 0
 
 
@@ -118,7 +128,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--sample", type=int, default=0, metavar="N", help="only N mutants")
     parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose name has this in it")
     parser.add_argument("--verdicts", action="store_true", help="print what became of each mutant")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page, after a whole run")
+    parser.add_argument(
+        "--changed", action="store_true", help="only modules that have changed since they were recorded"
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="record each module's figures, and write docs/mutation.md"
+    )
     return parser
 
 

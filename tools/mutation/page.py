@@ -45,6 +45,11 @@ recorded with each test running alone; the function gets its new code in a proce
 collected. A mistake in tables, classes, defaults, or in a function that has run before the first test, is imported anew
 with all of the module's tests, and so is every mutant that lived the short way. Without a mutant all tests must pass,
 together and each alone. hypothesis runs with a fixed seed and without its deadline.
+
+Why not mutmut: version 3.8.1 makes its mistakes in the bodies of functions alone. In five of these modules (e2e, permit, records,
+cycle, rules) it made 430, of which 24 lived: four in texts, two that are equivalent, and 18 in functions that run
+when a table is built, before the mistake is switched on; the same 18 are killed here. Of the 333 that are made here in these
+five modules 121 stand in tables, classes and defaults, and the tables are what decides.
 """.splitlines()
 
 

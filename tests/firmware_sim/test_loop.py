@@ -1,6 +1,6 @@
 """The controller's loop by itself: what it does without a runtime, and how it ends.
 
-Sessions with a runtime: tests/runtime/session.
+In a session: test_loop_in_session.py; with a whole runtime: tests/runtime/session.
 """
 
 import math
@@ -10,18 +10,13 @@ from dataclasses import replace
 import can
 import pytest
 
-from cutgate.config.terminal import WordReader
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
-from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import (
     BoneMoved,
-    Controller,
     Fault,
-    Holdings,
-    Identity,
     Memory,
     PathChecked,
     Session,
@@ -29,95 +24,14 @@ from cutgate.firmware_sim.state import (
 from cutgate.protocol import permit, records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerFault
-from cutgate.protocol.port import RETRY_S, Port
+from cutgate.protocol.port import RETRY_S
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
-from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, line_path, pocket
+from tests.firmware_sim.arms import LIMITS, PATH, line_path, pocket
+from tests.firmware_sim.bench import KEY
 
-KEY = bytes(32)
 HIGH = line_path((500.0, 0.0, 200.0), (500.0, 20.0, 200.0), polar=(30, 30), azimuth=(0, 0))
 """200 mm further along the tool the slide is beyond its upper limit."""
-
-
-class Clock:
-    """Leaps by more than any period whenever it is read, so that no loop waits."""
-
-    def __init__(self):
-        self.now_s = 50.0
-
-    def __call__(self):
-        self.now_s += 0.25
-        return self.now_s
-
-
-class Bus:
-    """Nobody else; ``after`` turns of reading something happens."""
-
-    def __init__(self):
-        self.sent = []
-        self.reads = 0
-        self.after = {}
-        self.broken = False
-        self.room = 1_000_000
-        """So many frames are taken, then no more."""
-        self.descriptor = os.eventfd(0)
-
-    def fileno(self):
-        return self.descriptor
-
-    def recv(self, timeout):
-        self.reads += 1
-        self.after.pop(self.reads, lambda: None)()
-        if self.broken:
-            raise can.CanOperationError("gone")
-
-    def send(self, message, timeout):
-        if self.room == 0:
-            raise can.CanTimeoutError("full")
-        self.room -= 1
-        self.sent.append(message)
-
-
-class Bench:
-    """One controller and the ends of its wires."""
-
-    def __init__(self, directory, *, limits=LIMITS, typed=True, **options):
-        self.bus, self.shown = Bus(), []
-        self.file = directory / "memory.json"
-        reading, self.typing = os.pipe2(os.O_NONBLOCK)
-        self.wake, self.waking = os.pipe2(os.O_NONBLOCK)
-        self.descriptors = [self.bus.descriptor, reading, self.typing, self.wake, self.waking]
-        endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
-        self.process = Process(
-            Controller.powered_up(
-                Identity("SIM-1", KEY, bytes(16)),
-                Holdings(limits.body(), NOMINAL.body(), TOOL.body()),
-                Memory(),
-            ),
-            Port(self.bus, endpoint),
-            self.file,
-            options=Options(**options),
-            commands=WordReader(reading, Word) if typed else None,
-            say=self.shown.append,
-            clock=Clock(),
-        )
-
-    def end_after(self, reads):
-        self.bus.after[reads] = lambda: os.write(self.waking, b"\0")
-
-
-@pytest.fixture
-def bench(tmp_path):
-    made = []
-
-    def make(**options):
-        made.append(Bench(tmp_path, **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        for descriptor in one.descriptors:
-            os.close(descriptor)
 
 
 def announced(bench):

@@ -28,6 +28,10 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "firmware_sim/rules.py": ("tests/firmware_sim/test_rules.py",),
     "firmware_sim/state.py": ("tests/firmware_sim/test_state.py",),
     "firmware_sim/memory.py": ("tests/firmware_sim/test_memory.py",),
+    "firmware_sim/loop.py": (
+        "tests/firmware_sim/test_loop.py",
+        "tests/firmware_sim/test_loop_in_session.py",
+    ),
     "firmware_sim/arrivals.py": ("tests/firmware_sim/test_arrivals.py",),
     "firmware_sim/upload.py": ("tests/firmware_sim/test_upload.py",),
     "firmware_sim/arm.py": ("tests/firmware_sim/test_arm.py",),

@@ -1,0 +1,495 @@
+"""The controller's loop in a session: what it makes of a runtime's frames and records, and what the bus hears of it."""
+
+import math
+from dataclasses import replace
+
+import can
+import pytest
+
+from cutgate.firmware_sim import memory
+from cutgate.firmware_sim.approach import own_ends
+from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.path_check import PathCheck
+from cutgate.firmware_sim.state import Memory
+from cutgate.protocol import permit as permits
+from cutgate.protocol import records
+from cutgate.protocol.endpoint import Endpoint, RecordReceived
+from cutgate.protocol.frames import (
+    IDS,
+    ControllerFault,
+    ControllerHeartbeat,
+    Joints01,
+    Progress,
+    RuntimeHeartbeat,
+    RuntimeStop,
+)
+from cutgate.protocol.link import Accepted
+from cutgate.protocol.records import Channel, Side
+from cutgate.protocol.states import (
+    ControllerState,
+    FaultCode,
+    Purpose,
+    Refusal,
+    RuntimeCode,
+    StopCause,
+    StopCode,
+)
+from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, pocket
+from tests.firmware_sim.bench import KEY
+from tests.firmware_sim.controllers import OPEN, PERMIT
+
+STEP_S = 0.005
+HEARTBEAT_S = 0.02
+RUNTIME_NONCE = OPEN.runtime_nonce
+OPENING = replace(OPEN, boot_nonce=bytes(16))
+TAG = records.session_tag(bytes(16), RUNTIME_NONCE)
+
+
+FITTING = {ControllerState.PERMITTED: RuntimeCode.READY, ControllerState.CUTTING: RuntimeCode.CUT}
+"""What a sound runtime says in its heartbeat then; else INHIBIT."""
+
+
+class Clock:
+    """Passes when a test says so."""
+
+    def __init__(self):
+        self.now_s = 50.0
+
+    def __call__(self):
+        return self.now_s
+
+
+class Runtime:
+    """The other end of a bench's bus, by hand: it keeps up its heartbeat and does what a test says."""
+
+    def __init__(self, bench, **options):
+        self.clock = Clock()
+        self.bench = bench(clock=self.clock, **options)
+        self.process = self.bench.process
+        self.endpoint = Endpoint(Side.RUNTIME, heartbeat_s=HEARTBEAT_S, timeout_s=0.1, transfer_timeout_s=2.0)
+        self.code, self.beats, self.next_s = None, True, 0.0
+        self.items = []
+
+    @property
+    def controller(self):
+        return self.process.controller
+
+    @property
+    def received(self):
+        return [item.record for item in self.items if isinstance(item, RecordReceived)]
+
+    def frames(self, kind):
+        return [i.frame for i in self.items if isinstance(i, Accepted) and isinstance(i.frame, kind)]
+
+    def step(self, by_s=STEP_S):
+        """One cycle of the controller, and what it says to it."""
+        self.clock.now_s += by_s
+        if self.endpoint.link.is_open and self.beats and self.clock.now_s >= self.next_s:
+            self.next_s = self.clock.now_s + HEARTBEAT_S
+            code = self.code or FITTING.get(self.controller.state, RuntimeCode.INHIBIT)
+            self.endpoint.send_frame(RuntimeHeartbeat(code, self.controller.epoch), self.clock.now_s)
+        self.send()
+        self.process.turn()
+        self.hear()
+
+    def send(self):
+        for can_id, data in self.endpoint.outgoing():
+            self.bench.bus.inbox.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    def hear(self):
+        for message in self.bench.bus.sent:
+            self.items += self.endpoint.receive(
+                message.arbitration_id, bytes(message.data), now_s=self.clock.now_s
+            )
+        self.bench.bus.sent.clear()
+
+    def run(self, seconds):
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+        return self
+
+    def ask(self, record, *, session=None):
+        """Send a record; the records that come back."""
+        self.items.clear()
+        sequence, _ = self.endpoint.send_record(record, self.clock.now_s, session=session)
+        self.run(0.1)
+        for answer in self.received:
+            if isinstance(answer, records.Reply):
+                assert answer.request_sequence == sequence
+        return self.received
+
+    def open(self):
+        self.step()
+        self.hear()
+        self.items.clear()
+        self.endpoint.abort()
+        self.endpoint.use_session(TAG)
+        self.endpoint.send_record(OPENING, self.clock.now_s, session=0)
+        while self.process.port.endpoint.session != TAG:
+            self.step()
+        self.endpoint.link.open(TAG, self.clock.now_s)
+        self.run(0.1)
+        return self
+
+    def load(self, path=PATH):
+        for block in records.split(path.body()):
+            self.ask(block)
+        return self
+
+    def permit(self, start_u):
+        (nonce,) = self.ask(records.NonceRequest(Purpose.PERMIT))
+        session = records.session_digest(bytes(16), RUNTIME_NONCE)
+        ends = self.controller.holdings.ends
+        holdings = self.controller.holdings
+        bound = records.Approach(
+            ends.entry_um, ends.exit_um, ends.entry_joints_u, ends.exit_joints_u, speed_percent=25
+        )
+        permit = permits.sign(
+            KEY,
+            replace(
+                PERMIT,
+                nonce=nonce.nonce,
+                boot_nonce=bytes(16),
+                session_digest=session,
+                epoch=nonce.epoch,
+                limits_digest=records.digest(holdings.limits),
+                calibration_digest=records.digest(holdings.calibration),
+                tool_digest=records.digest(holdings.tool),
+                path_digest=records.digest(holdings.path),
+                start_joints_u=start_u,
+                branch=records.Branch("right", 0, 0),
+                approach=bound,
+            ),
+        )
+        self.answer = self.ask(permit)
+        self.permitted = permit
+        return self
+
+    def start(self):
+        self.process.act(Word.RELEASE)
+        self.process.act(Word.HOLD)
+        (nonce,) = self.ask(records.NonceRequest(Purpose.START))
+        start = records.Start(
+            nonce.nonce,
+            nonce.epoch,
+            self.permitted.session_digest,
+            self.permitted.digest,
+            self.permitted.start_joints_u,
+        )
+        self.answer = self.ask(permits.sign(KEY, start))
+        return self
+
+
+def _entry_u():
+    check = PathCheck(records.PathCodes.parse(PATH.body()), LIMITS, NOMINAL, TOOL)
+    check.run()
+    arm = calibrated_arm(NOMINAL, tool_mm=TOOL_MM, elbow="right")
+    ends = own_ends(check.path, arm, LIMITS, check.first_joints, check.last_joints, clearance_um=10_000)
+    return (ends.entry_joints_u[0] + 2 * records.UNIT, *ends.entry_joints_u[1:])
+
+
+START_U = _entry_u()
+
+
+@pytest.fixture
+def runtime(bench):
+    def make(**options):
+        options.setdefault("joints", as_joints(records.joints_to_memory(START_U)))
+        return Runtime(bench, **options)
+
+    return make
+
+
+def test_an_open_is_answered_and_its_timing_is_taken_over(runtime):
+    one = runtime().open()
+    assert one.received == [records.Opened(1, ControllerState.OPEN, StopCause.NONE)]
+    link = one.process.port.endpoint.link
+    assert (link.heartbeat_s, link.timeout_s) == (0.02, 0.1)
+    assert (one.controller.session.tag, link.tag) == (TAG, TAG)
+    assert one.bench.shown == ["state OPEN"]
+    assert one.controller.heartbeat_fresh
+
+
+def test_a_refused_open_is_answered_outside_a_session_and_not_cut_off_by_an_announcement(runtime):
+    one = runtime(announce_s=0.05).run(0.03)
+    assert [type(record) for record in one.received] == [records.Announce]
+    one.endpoint.send_record(replace(OPENING, boot_nonce=b"x" * 16), one.clock.now_s)
+    while not one.bench.shown:
+        one.step()
+    refused_s = one.clock.now_s
+    assert one.bench.shown == ["refused: WRONG_BOOT"]
+    assert one.process._next_announce_s == pytest.approx(refused_s + 0.05, abs=STEP_S)
+    one.run(0.04)
+    (reply,) = [record for record in one.received if isinstance(record, records.Reply)]
+    assert reply.refusal is Refusal.WRONG_BOOT
+    assert one.controller.session is None
+
+
+def test_while_an_open_comes_in_nothing_is_announced(runtime):
+    one = runtime(announce_s=0.01)
+    one.step()
+    one.process.port.endpoint.stop_sending()
+    one.endpoint.send_record(OPENING, one.clock.now_s)
+    one.process._next_announce_s = math.inf
+    one.step()
+    assert one.process.port.endpoint.receiving
+    one.process._next_announce_s = one.clock.now_s
+    before = one.process._next_announce_s
+    one.endpoint.outgoing()  # the rest is late
+    one.run(0.03)
+    assert one.process._next_announce_s > before
+    assert not one.process.port.endpoint.control_waits
+
+
+def test_the_heartbeat_goes_out_in_its_period_with_the_joints_of_where_the_arm_stands(runtime):
+    one = runtime().open()
+    one.items.clear()
+    one.run(0.2)
+    beats = one.frames(ControllerHeartbeat)
+    assert len(beats) == 10
+    assert beats[-1].state is ControllerState.OPEN
+    samples = [i.sample for i in one.items if isinstance(i, Accepted) and i.sample]
+    assert len(samples) == 10
+    assert samples[-1].joints == pytest.approx(records.joints_to_memory(START_U), abs=0.01)
+    assert one.frames(Progress) == []
+
+
+def test_a_drifting_arm_is_heard_where_the_clock_has_taken_it(runtime):
+    one = runtime().open()
+    one.process._happen(FaultName.DRIFT)
+    one.run(0.5)
+    q0 = one.endpoint.link.sample.joints[0]
+    assert math.degrees(q0) - START_U[0] / records.UNIT == pytest.approx(0.5, abs=0.03)
+
+
+def test_records_are_collected(runtime):
+    one = runtime().open()
+    assert one.ask(records.Collect()) == [LIMITS, NOMINAL, TOOL]
+
+
+def test_every_block_is_answered_and_the_last_one_by_the_paths_digest(runtime):
+    one, path = runtime().open(), pocket(poses=500, length_mm=1200.0)
+    blocks = records.split(path.body())
+    for block in blocks[:-1]:
+        assert one.ask(block) == [records.BlockStored(block.index)]
+    assert one.ask(blocks[-1]) == [
+        records.BlockStored(blocks[-1].index),
+        records.PathStored(path.digest, Refusal.ACCEPTED, 0),
+    ]
+    assert one.controller.state is ControllerState.LOADED
+    assert len(one.process.arm.path) == 500
+    assert one.bench.shown == ["state OPEN", "state LOADED"]
+
+
+def test_a_block_out_of_its_order_refuses_the_path(runtime):
+    one = runtime().open()
+    block = records.split(pocket(poses=500, length_mm=1200.0).body())[1]
+    (answer,) = one.ask(block)
+    assert answer == records.PathStored(records.digest(b""), Refusal.PATH_MALFORMED, 0)
+    assert one.bench.shown[-1] == "path refused: PathBlock 1 came where 0 was due"
+
+
+def test_a_refused_path_says_why_at_the_controller(runtime):
+    one = runtime().open().load(pocket(poses=20, length_mm=100_000.0))
+    assert one.bench.shown[-1].startswith("path refused: POSE_OUTSIDE_LIMITS at pose ")
+    assert one.controller.state is ControllerState.OPEN
+
+
+def test_a_block_is_stored_only_where_the_table_takes_a_path(runtime):
+    one = runtime().open().load().permit(START_U)
+    assert one.controller.state is ControllerState.PERMITTED
+    assert one.ask(records.split(PATH.body())[0]) == []
+    assert one.process.upload.check is None
+
+
+def test_a_nonce_is_of_the_systems_generator(runtime):
+    one = runtime().open()
+    assert one.ask(records.NonceRequest(Purpose.RESET)) == [records.Nonce(Purpose.RESET, b"n" * 16, 1)]
+
+
+def test_a_permit_is_refused_where_the_arm_does_not_stand_at_its_start(runtime):
+    one = runtime().open().load().permit((START_U[0] + records.UNIT, *START_U[1:]))
+    (reply,) = one.answer
+    assert reply.refusal is Refusal.START_JOINTS
+    assert one.bench.shown[-1] == "refused: START_JOINTS"
+    assert one.controller.measured_u == START_U
+
+
+def test_a_request_that_is_not_accepted_says_what_to_do(runtime):
+    one = runtime().open().load().permit(START_U)
+    start = records.Start(bytes(16), 1, bytes(32), bytes(32), START_U)
+    (reply,) = one.ask(permits.sign(bytes(31) + b"x", start))
+    assert reply.refusal is Refusal.MAC_INVALID
+    own = permits.fingerprint(KEY)
+    assert any(f"this one's fingerprint is {own}" in line for line in one.bench.shown)
+
+
+def test_a_whole_life_ends_where_it_began(runtime):
+    one = runtime(time_scale=20.0).open().load().permit(START_U)
+    (reply,) = one.answer
+    assert (reply.refusal, one.controller.state) == (Refusal.ACCEPTED, ControllerState.PERMITTED)
+    one.start()
+    (reply,) = one.answer
+    assert (reply.refusal, one.controller.state) == (Refusal.ACCEPTED, ControllerState.CUTTING)
+    one.items.clear()
+    for _ in range(1000):
+        one.step()
+        if one.controller.state is not ControllerState.CUTTING:
+            break
+    assert one.controller.state is ControllerState.DONE
+    told = one.frames(Progress)
+    assert [frame.segment for frame in told] == sorted(frame.segment for frame in told)
+    assert one.process.arm.state.joints == pytest.approx(records.joints_to_memory(START_U), abs=1e-6)
+    ratio = one.process.arm.speed_ratio
+    assert one.bench.shown[-1] == (
+        f"state DONE: 20 segments executed, peak joint speed {ratio:.0%} of its limit"
+    )
+    one.items.clear()
+    one.run(0.1)
+    assert one.frames(Progress)[-1] == Progress(19, 65535)
+    assert one.controller.measured_u == START_U
+
+
+def test_the_arm_moves_only_while_the_heartbeat_says_so_and_by_the_time_that_has_passed(runtime):
+    one = runtime().open().load().permit(START_U)
+    one.code = RuntimeCode.READY
+    before = one.process.arm.state.joints
+    one.start()
+    assert one.controller.state is ControllerState.CUTTING
+    assert one.process.arm.state.joints == before
+    one.code = RuntimeCode.CUT
+    while one.process.arm.state.joints == before:
+        one.step()
+    one.step()
+    q0 = one.process.arm.state.joints[0]
+    one.step(0.01)
+    assert (q0 - one.process.arm.state.joints[0]) == pytest.approx(0.25 * math.radians(57) * 0.01)
+    assert (one.process.arm.state.moving, one.process.arm.state.cutter) == (True, True)
+
+
+def test_an_arm_that_stops_by_itself_is_a_fault_and_says_why(runtime):
+    one = runtime().open().load().permit(START_U).start().run(0.05)
+    one.items.clear()
+    one.process._happen(FaultName.OFF_START)
+    one.run(0.03)
+    assert one.controller.cause is StopCause.TRACKING_DEVIATION
+    assert any(line.startswith("the arm stopped by itself: the arm is ") for line in one.bench.shown)
+    assert one.frames(ControllerFault) == [ControllerFault(FaultCode.STOPPED, StopCause.TRACKING_DEVIATION)]
+
+
+def test_a_stop_stops_and_is_shown_once(runtime):
+    one = runtime().open()
+    one.endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP), one.clock.now_s)
+    one.run(0.05)
+    assert one.controller.cause is StopCause.OPERATOR_STOP
+    assert one.bench.shown == ["state OPEN", "state INHIBITED (OPERATOR_STOP)"]
+
+
+def test_an_end_closes_the_link_and_announcements_begin_after_their_pause(runtime):
+    one = runtime(announce_s=0.05).open()
+    one.endpoint.send_frame(RuntimeStop(StopCode.END, StopCause.SESSION_ENDED), one.clock.now_s)
+    one.step()
+    assert one.controller.session is None
+    assert not one.process.port.endpoint.link.is_open
+    assert one.process._next_announce_s == pytest.approx(one.clock.now_s + 0.05)
+
+
+def test_a_peer_that_falls_silent_is_lost_and_the_session_ends(runtime):
+    one = runtime().open()
+    one.beats = False
+    one.run(0.15)
+    assert one.controller.session is None
+    assert one.controller.cause is StopCause.HEARTBEAT_LOST
+    assert one.bench.shown[-2:] == [
+        "no fresh heartbeat within 100 ms",
+        "state INHIBITED (HEARTBEAT_LOST)",
+    ]
+
+
+def test_a_loop_that_stood_still_says_so_and_stops(runtime):
+    one = runtime().open()
+    one.step(0.11)
+    assert one.bench.shown[1].startswith("this computer stood still for 110 ms; ")
+    assert one.controller.cause is StopCause.LOOP_STALLED
+
+
+def test_a_loop_that_stood_still_at_the_bus_says_so_and_stops(runtime):
+    one = runtime().open()
+    one.bench.bus.after[one.bench.bus.reads + 1] = lambda: setattr(one.clock, "now_s", one.clock.now_s + 0.2)
+    one.process.turn()
+    assert one.bench.shown[1].startswith("this computer stood still for 200 ms; ")
+    assert "refused" not in one.bench.shown[1]
+    assert one.controller.cause is StopCause.LOOP_STALLED
+
+
+def test_a_second_node_is_refused_and_latches(runtime):
+    one = runtime().open()
+    one.bench.bus.inbox.append(
+        can.Message(arbitration_id=IDS[ControllerHeartbeat], data=bytes(8), is_extended_id=False)
+    )
+    one.step()
+    assert one.bench.shown[1] == f"refused: received on our own identifier {IDS[ControllerHeartbeat]:#05x}"
+    assert (one.controller.state, one.controller.cause) == (ControllerState.FAULT, StopCause.SECOND_NODE)
+    assert memory.load(one.bench.file) == Memory(
+        named=frozenset({OPEN.registration_digest}), latched=StopCause.SECOND_NODE
+    )
+
+
+def test_a_frame_that_says_nothing_to_the_table_changes_nothing(runtime):
+    one = runtime().open()
+    before = one.controller
+    one.process._item(Accepted(Joints01(0, 0), 0))
+    assert one.controller == before
+
+
+def test_an_announcement_that_is_asked_for_in_a_form_that_is_not_sent_is_shown_once(runtime):
+    one = runtime(announce_s=0.02)
+    flow_control = can.Message(arbitration_id=0x640, data=bytes([0x30, 0, 5] + [0] * 5), is_extended_id=False)
+    flow_control.arbitration_id = one.endpoint._transfers[Channel.CONTROL].tx_id
+    for _ in range(6):
+        one.step()
+        one.endpoint.abort()
+        one.bench.bus.inbox.append(flow_control)
+    lines = [line for line in one.bench.shown if "flow control" in line]
+    assert len(lines) == 1
+    assert lines == one.bench.shown
+
+
+@pytest.mark.parametrize("word", ["silent", "hang"])
+def test_a_fault_happens_when_its_state_is_reached(runtime, word):
+    one = runtime(faults=(FaultSpec.parse(f"{word}@open"),)).open()
+    assert one.bench.shown[:2] == ["state OPEN", f"fault injected: {word}"]
+    assert one.bench.slept == ([1.0] if word == "hang" else [])
+    one.items.clear()
+    one.run(0.05)
+    assert bool(one.items) is (word == "hang")
+
+
+def test_a_silent_controller_writes_its_memory_and_sends_nothing(runtime):
+    one = runtime().open()
+    one.process._happen(FaultName.SILENT)
+    one.process._feed_any(None)
+    one.process.act(Word.BONE_MOTION)
+    assert memory.load(one.bench.file).withdrawn == {OPEN.registration_digest}
+    assert one.bench.bus.sent == []
+    one.process._cycle.late = lambda: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        one.process.turn()
+    assert one.bench.bus.sent == []
+    assert one.controller.cause is StopCause.BONE_MOVED
+
+
+def test_a_reboot_is_another_boot_with_nothing_loaded_and_what_was_remembered(runtime):
+    one = runtime().open().load()
+    one.process._happen(FaultName.REBOOT)
+    assert one.controller.identity.boot_nonce == b"n" * 16
+    assert one.controller.holdings.path is None
+    assert one.controller.holdings.ends is None
+    assert one.controller.holdings.limits == LIMITS.body()
+    assert one.process.arm.path is None
+    assert one.controller.state is ControllerState.INHIBITED
+    assert one.controller.memory == Memory(named=frozenset({OPEN.registration_digest}))
+    assert one.process._next_announce_s == one.clock.now_s
+    assert not one.process.port.endpoint.link.is_open

@@ -73,7 +73,7 @@ class PathCheck:
         )
         self._vertical = _is_vertical(path.decoded(0, 1)[1])[0]
         self._next = 0
-        self._before = np.empty(5)
+        self._before: Floats  # the joints at the last pose that was checked
         self._first: Joints | None = None
         self._last: Joints | None = None
         self.verdict: PathVerdict | None = self._check_header(tool)
@@ -108,7 +108,7 @@ class PathCheck:
     def run(self) -> PathVerdict:
         """Check all that is left at once."""
         while self.verdict is None:
-            self.step(4096)
+            self.step(len(self._path))
         return self.verdict
 
     def _check_header(self, tool: Tool) -> PathVerdict | None:
@@ -158,7 +158,7 @@ class PathCheck:
         rows = np.vstack((self._before, joints)) if back else joints.copy()
         if not back:
             rows[0, 0] += math.tau * self._path.q0_turns
-            rows[0, 3] += 0.0 if self._vertical else math.tau * self._path.roll_turns
+            rows[0, 3] += math.tau * self._path.roll_turns
         change = wrap_many(np.diff(rows[:, 0]))
         broken = {}
         for row in np.flatnonzero(np.abs(change) > SURE_STEP_RAD):
@@ -167,11 +167,11 @@ class PathCheck:
             except KinematicsError as error:
                 change[row] = math.nan
                 broken[int(row) + 1 - back] = str(error)
-        q0 = _on_revolution_near(rows[:, 0], rows[0, 0] + np.concatenate(([0.0], np.cumsum(change))))
+        q0 = _on_revolution_near(rows[:, 0], np.cumsum(np.concatenate((rows[:1, 0], change))))
         if not self._vertical:
             azimuth = np.arctan2(axes[:, 1], axes[:, 0])
-            swept = np.concatenate(([0.0], np.cumsum(wrap_many(np.diff(azimuth)))))
-            q3 = rows[0, 3] + swept - (q0 - q0[0]) - (rows[:, 1] - rows[0, 1])
+            swept = np.cumsum(np.concatenate((rows[:1, 3], wrap_many(np.diff(azimuth)))))
+            q3 = swept - (q0 - q0[0]) - (rows[:, 1] - rows[0, 1])
             joints[:, 3] = _on_revolution_near(rows[:, 3], q3)[back:]
         joints[:, 0] = q0[back:]
         return broken

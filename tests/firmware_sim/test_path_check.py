@@ -1,6 +1,7 @@
 """The controller's own check of a stored path."""
 
 import dataclasses
+import itertools
 import math
 import re
 import time
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cutgate.firmware_sim import path_check
 from cutgate.firmware_sim.kinematics import Pose, calibrated_arm, follow, forward, inverse
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.protocol.path import encode_axes
@@ -299,3 +301,132 @@ def test_seven_thousand_poses_take_no_cycle_of_the_loop_long():
     assert len(parts) == 14
     assert sum(parts) < 0.5  # measured 4 ms; the bound only catches a check that went scalar
     assert inspection.step(512)
+
+
+# ---------------------------------------------------------------- what is followed, and to the last count
+
+
+def along(wrists, axis, **header):
+    """The path of a wrist through these places, mm, under one axis."""
+    axes = np.tile(axis, (len(wrists), 1))
+    tips = np.asarray(wrists) - TOOL_MM * axes
+    return Path.quantised(tips, axes, feed_mm_s=10, tool_length_mm=TOOL_MM, elbow="right", **header)
+
+
+SWING = [[850.0, -25.0, 200.0], [-60.0, -25.0, 200.0]]
+"""Past the column while the elbow folds: q0 turns back by more than half a revolution."""
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 1000])
+@pytest.mark.parametrize("before", [0, 1, 3])
+def test_a_swing_of_more_than_half_a_revolution_is_followed_wherever_it_is(at_once, before):
+    lead = [[850.0 - at, -25.0, 200.0] for at in range(before, 0, -1)]
+    path = along(lead + SWING, (0.6, 0.0, 0.8), roll_turns=1)
+    inspection = PathCheck(path, WIDE, NOMINAL, TOOL)
+    while not inspection.step(at_once):
+        pass
+    assert inspection.verdict.refusal is Refusal.ACCEPTED
+    arm = calibrated_arm(NOMINAL, tool_mm=TOOL_MM, elbow="right")
+    poses = [Pose(tuple(t), tuple(a)) for t, a in zip(path.tips_mm, path.axes, strict=True)]
+    joints = inspection.first_joints
+    for start, end in itertools.pairwise(poses):
+        joints, earlier = follow(arm, start, end, joints), joints
+    assert joints[0] - earlier[0] < -math.pi
+    assert inspection.last_joints == pytest.approx(joints, abs=1e-9)
+
+
+SHORT = dataclasses.replace(NOMINAL, forearm_link_u=430 * UNIT)
+"""Its links cannot fold to less than 20 mm."""
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 1000])
+@pytest.mark.parametrize("before", [0, 1, 3])
+def test_a_swing_of_more_than_one_rad_through_the_column_is_refused_at_its_end_with_the_place(
+    at_once, before
+):
+    angle = 0.75
+    x, y = 26.0 * math.cos(angle), 26.0 * math.sin(angle)
+    lead = [[x, -y - at / 10, 200.0] for at in range(before, 0, -1)]
+    path = along([*lead, [x, -y, 200.0], [x, y, 200.0], [x, y + 0.1, 200.0]], (0.6, 0.0, 0.8))
+    inspection = PathCheck(path, WIDE, SHORT, TOOL)
+    while not inspection.step(at_once):
+        pass
+    assert inspection.verdict[:2] == (Refusal.POSE_OUTSIDE_LIMITS, before + 1)
+    assert re.fullmatch(
+        r"wrist centre at radius 19\.\d+ mm is out of reach, must be in \[20\.0+, 880\.0+\]",
+        inspection.verdict.detail,
+    )
+
+
+def test_a_joint_on_its_limit_is_inside():
+    """The slide of a vertical tool is a whole number of mm, without rounding."""
+    path = along([[600.0, 0.0, 260.0], [610.0, 0.0, 260.0]], (0.0, 0.0, 1.0))
+    for low, high, refusal in (
+        (260 * UNIT, 260 * UNIT, Refusal.ACCEPTED),
+        (260 * UNIT + 1, 300 * UNIT, Refusal.POSE_OUTSIDE_LIMITS),
+        (200 * UNIT, 260 * UNIT - 1, Refusal.POSE_OUTSIDE_LIMITS),
+    ):
+        limits = dataclasses.replace(
+            LIMITS,
+            q_min_u=(*LIMITS.q_min_u[:2], low, *LIMITS.q_min_u[3:]),
+            q_max_u=(*LIMITS.q_max_u[:2], high, *LIMITS.q_max_u[3:]),
+        )
+        assert check(path, limits, hold=0.0).refusal is refusal
+
+
+def test_the_bounds_themselves_are_inside(monkeypatch):
+    """Of what the bus reports."""
+    inspection = PathCheck(PATH, LIMITS, NOMINAL, TOOL)
+    inspection.run()
+    most = max(abs(joints[joint]) for joints in (inspection.first_joints,) for joint in (0, 3))
+    path = dataclasses.replace(PATH, pose_bytes=PATH.pose_bytes[:20] * 2)
+    monkeypatch.setattr(path_check, "GOES_RAD", most)
+    assert check(path).refusal is Refusal.ACCEPTED
+    monkeypatch.setattr(path_check, "GOES_RAD", math.nextafter(most, 0.0))
+    assert check(path).refusal is Refusal.JOINTS_BEYOND_WIRE
+
+
+def test_an_axis_on_the_bound_is_not_vertical(monkeypatch):
+    """So its roll is on the revolution that the header names."""
+    path = dataclasses.replace(PATH, pose_bytes=PATH.pose_bytes[:20] * 2, roll_turns=1)
+    level = float(np.hypot(*PATH.axes[0, :2]))
+    for bound, turns in ((level, 1), (math.nextafter(level, 1.0), 0)):
+        monkeypatch.setattr(path_check, "VERTICAL_SIN", bound)
+        inspection = PathCheck(path, WIDE, NOMINAL, TOOL)
+        assert inspection.run().refusal is Refusal.ACCEPTED
+        assert round(inspection.first_joints[3] / math.tau) == turns
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 3, 1000])
+def test_a_pose_is_named_by_its_place_in_the_path_whatever_the_part(at_once):
+    joints = np.tile(INSIDE, (9, 1))
+    joints[5:, 2] = 460.0
+    inspection = PathCheck(path_of(joints), LIMITS, NOMINAL, TOOL)
+    while not inspection.step(at_once):
+        pass
+    assert inspection.verdict[:2] == (Refusal.POSE_OUTSIDE_LIMITS, 5)
+    joints = np.tile(INSIDE, (9, 1))
+    joints[:, 3] = np.radians([2200.0 + 12 * at for at in range(9)])
+    path = path_of(joints)
+    inspection = PathCheck(dataclasses.replace(path, roll_turns=6), WIDE, NOMINAL, TOOL)
+    while not inspection.step(at_once):
+        pass
+    assert inspection.verdict[:2] == (Refusal.JOINTS_BEYOND_WIRE, 6)
+
+
+def test_the_elbow_is_the_sign_of_the_limits_to_the_last_count():
+    left = path_of([(0.2, -1.2, 200.0, 0.4, 0.6)] * 2, elbow="left")
+    for path, limits, end, text in (
+        (PATH, LIMITS, "q_min_u", "path for the right elbow, q1 limits are [-1e-06, 145.0] deg"),
+        (left, LEFT_LIMITS, "q_max_u", "path for the left elbow, q1 limits are [-145.0, 1e-06] deg"),
+    ):
+        counts = list(getattr(limits, end))
+        assert counts[1] == 0
+        assert check(path, limits).refusal is Refusal.ACCEPTED
+        counts[1] = 1 if end == "q_max_u" else -1
+        verdict = check(path, dataclasses.replace(limits, **{end: tuple(counts)}))
+        assert verdict == (Refusal.WRONG_ELBOW, 0, text)
+
+
+def test_from_one_rad_on_a_change_of_q0_is_followed():
+    assert path_check.SURE_STEP_RAD == 1.0

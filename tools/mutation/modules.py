@@ -40,8 +40,6 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "firmware_sim/reports.py": ("tests/firmware_sim/test_reports.py",),
     "firmware_sim/approach.py": ("tests/firmware_sim/test_approach.py",),
     "firmware_sim/path_check.py": ("tests/firmware_sim/test_path_check.py",),
-    "firmware_sim/plant.py": ("tests/firmware_sim/test_plant.py",),
-    "firmware_sim/command.py": ("tests/firmware_sim/test_command.py",),
     "protocol/cycle.py": ("tests/protocol/test_cycle.py",),
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),

@@ -1,8 +1,9 @@
 """The quantised path: small errors, exact poles, strict blocks."""
 
 import math
+import struct
 import zlib
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from cutgate.protocol import path as paths
 from cutgate.protocol.path import (
     BLOCK_BYTES,
     HEADER_BYTES,
@@ -257,3 +259,78 @@ def test_codes_are_taken_over_unlooked_at_and_judged_where_asked(begin: int):
         taken.judge(4, 5)
     with pytest.raises(RecordError, match=r"path pose 3: axis code is beyond"):
         Path.parse(body)
+
+
+def test_the_header_is_these_forty_bytes():
+    path = quantised(feed_mm_s=3.5, tool_length_mm=160.25, elbow="left", q0_turns=-3, roll_turns=2)
+    written = struct.pack(
+        "<12sBBBBhhqqI", b"cutgate.path", 1, 1, 1, 2, -3, 2, 3_500_000, 160_250_000, len(path)
+    )
+    assert path.body()[:40] == written
+    assert quantised().body()[15:20] == b"\1\0\0\0\0"  # right elbow, no turns unless asked for
+
+
+def test_what_lies_on_a_bound_of_the_header_is_within_it():
+    header = PathHeader.of(quantised(tool_length_mm=0.0, q0_turns=100, roll_turns=-100).body())
+    assert (header.tool_length_u, header.q0_turns, header.roll_turns) == (0, 100, -100)
+    assert replace(header, feed_u=1).feed_mm_s == 1e-6
+    assert replace(header, count=1_048_576).count == 1 << 20
+    with pytest.raises(RecordError, match=r"has 1048577 poses, must have 2\.\.1048576"):
+        replace(header, count=1_048_577)
+
+
+def test_the_largest_path_has_its_last_block():
+    total = 40 + 20 * 1_048_576
+    last = PathBlock(5242, 5243, 5242 * 4000, total, zlib.crc32(bytes(3560)), bytes(3560))
+    assert last.total == total
+    assert PathBlock.TYPE == 0x20
+
+
+def test_numbers_of_less_precision_are_quantised_as_what_they_are():
+    """A float32 is a number of its own: no step is taken in its precision."""
+    tips = np.array([[123456.7, 2.1, 3.3], [12345.67, 5.0, 6.0]], dtype=np.float32)
+    axes = np.array([[0.6, 0.0, 0.8], [0.36, 0.48, 0.8]], dtype=np.float32)
+    path = quantised(tips, axes)
+    assert np.abs(path.tips_mm - tips.astype(np.float64)).max() <= 0.5e-3 + 1e-10
+    assert angles(path.axes, axes / np.linalg.norm(axes.astype(np.float64), axis=1)[:, None]).max() <= 1e-8
+
+
+def test_axes_that_turn_far_in_small_steps_are_admitted():
+    azimuth = np.radians(np.arange(0.0, 350.0, 20.0))
+    axes = np.stack((np.sin(azimuth), np.zeros(len(azimuth)), np.cos(azimuth)), axis=1)
+    assert len(quantised(np.zeros((len(axes), 3)), axes)) == len(axes)
+
+
+def test_one_step_too_far_among_many_is_refused_and_named():
+    axes = np.tile(UP, (6, 1))
+    axes[4:] *= -1.0
+    with pytest.raises(RecordError, match="pose 3: axis is more than 179"):
+        quantised(np.zeros((6, 3)), axes)
+
+
+def test_neighbouring_axes_exactly_as_far_apart_as_allowed_are_admitted(monkeypatch):
+    monkeypatch.setattr(paths, "_HALF_SUM_MIN", 1.0)  # that of two equal axes
+    assert quantised()
+
+
+def test_codes_decode_to_millimetres_and_unit_axes():
+    path = PathCodes.parse(quantised([[1.5, -2.25, 3.125], TIPS[1]], [UP, [0.6, 0.0, 0.8]]).body())
+    tips, axes = path.decoded(0, 1)
+    assert (tips.tolist(), axes.tolist()) == ([[1.5, -2.25, 3.125]], [UP])
+    tips, axes = path.decoded(1, 2)
+    assert tips.tolist() == [TIPS[1]]
+    np.testing.assert_allclose(axes, [[0.6, 0.0, 0.8]], atol=1e-8)
+
+
+def test_the_first_pose_is_judged_with_the_others():
+    codes = quantised().poses.copy()
+    codes[0, 4] = SCALE + 1
+    path = PathCodes.parse(quantised().body()[:HEADER_BYTES] + codes.tobytes())
+    with pytest.raises(RecordError, match="path pose 0: axis code is beyond"):
+        path.judge(0, 1)
+
+
+def test_an_assembly_is_a_value():
+    assert Assembly() == Assembly((), (), 0)
+    with pytest.raises(FrozenInstanceError):
+        Assembly().total = 1

@@ -45,6 +45,9 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol/link.py": ("tests/protocol/test_link.py",),
     "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
+    # What decides of a path: its bytes, the verdict, its proof, approach and retract.
+    "protocol/path.py": ("tests/protocol/test_path.py",),
+    "runtime/verification/certificate.py": ("tests/runtime/verification/test_certificate.py",),
 }
 """Module to the test files that must cover and guard it without help from any other."""
 

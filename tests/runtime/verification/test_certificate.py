@@ -1,6 +1,7 @@
 """A proof as data: it is checked without a search, holds at every sampled pose, and cannot deceive."""
 
 import math
+import struct
 from dataclasses import replace
 from functools import cache
 
@@ -10,7 +11,7 @@ import pytest
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification.bounds import bisection
 from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
-from cutgate.runtime.verification.problem import Deadband
+from cutgate.runtime.verification.problem import Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, random_problem, wrist_path
 from tests.runtime.verification.random_paths import random_paths
@@ -423,3 +424,90 @@ def test_most_segments_need_no_cut():
     proof = certify(case, certified.verify(case))
     assert recheck(case, proof) == ()
     assert len(proof.body()) == 32 + 8 * len(proof.bounds) <= 200
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
+@pytest.mark.parametrize("name", ["roll_min", "roll_max"])
+def test_a_roll_that_comes_as_near_to_its_limit_as_it_may_is_cut_until_that_is_proven(name, elbow):
+    tips, axes = wrist_path([[520.0, -250.0, 150.0], [560.0, 260.0, 140.0]], axis([0.6, 0.7], [0.9, -0.8]))
+    case = problem(tips, axes, speed=np.full(5, 300.0))
+    case = case if elbow == "right" else mirrored(case)
+    room = certified.verify(case).boundaries[name].certified - 2.0
+    end = name.replace("roll_max", "upper").replace("roll_min", "lower")
+    limits = getattr(case, end).copy()
+    limits[3] -= (room - 1e-3) * DEG * (1.0 if end == "upper" else -1.0)
+    case = replace(case, **{end: limits})
+    verdict = certified.verify(case)
+    assert verdict.admissible
+    proof = certify(case, verdict)
+    assert len(proof.cut_segment) > 0
+    assert recheck(case, proof) == ()
+    assert 2.0 * DEG <= proof.bounds[name] <= verdict.boundaries[name].clearance * DEG + 1e-9
+
+
+def vertical(**changes):
+    """A vertical tool whose roll is held, on an arm with accelerations."""
+    tips, axes = wrist_path([[500, 0, 100], [600, 200, 100]], axis(0.0, 0.0))
+    return problem(tips, axes, **({"hold_roll": 0.4, "acceleration": np.full(5, 1e3)} | changes))
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
+def test_of_a_held_roll_the_margins_are_stated_and_of_its_joint_no_rate(elbow):
+    case = vertical() if elbow == "right" else mirrored(vertical())
+    proof = certify(case, certified.verify(case))
+    rates = {f"{quantity} {joint}" for quantity in ("speed", "acceleration") for joint in (0, 1, 2, 4)}
+    arm = {"inner", "outer", "left", "right", "top", "bottom"}
+    assert set(proof.bounds) == arm | {"roll_min", "roll_max", "pitch_max"} | rates
+    held = case.hold_roll
+    assert proof.bounds["roll_min"] == pytest.approx(held - case.lower[3], abs=1e-8)
+    assert proof.bounds["roll_max"] == pytest.approx(case.upper[3] - held, abs=1e-8)
+    assert recheck(case, proof) == ()
+
+
+def test_a_roll_held_exactly_where_a_joints_frame_still_reports_it_is_proven():
+    wide = {"lower": np.array([-1.4, 0, 50, -WIDE, 0]), "upper": np.array([1.4, 2.5, 450, WIDE, 1.9])}
+    for held in (2261.0, -2261.0):
+        case = vertical(hold_roll=math.radians(held), **wide)
+        verdict = certified.verify(case)
+        assert verdict.admissible
+        assert recheck(case, certify(case, verdict)) == ()
+
+
+def test_what_is_proven_too_little_is_said_in_the_units_of_its_name():
+    case = vertical()
+    proof = certify(case, certified.verify(case))
+    for name, value, shown in (
+        ("top", 1e6, "1000000.000000 mm is stated"),
+        ("pitch_max", math.pi, "180.000000 deg is stated"),
+        ("speed 0", -0.0, "at most 0 rad/s is stated"),
+        ("speed 2", 0.0, "at most -0 mm/s is stated"),
+        ("acceleration 4", 0.5, "at most -0.5 rad/s2 is stated"),
+        ("acceleration 2", 0.5, "at most -0.5 mm/s2 is stated"),
+        ("top", math.inf, "nothing is stated"),
+    ):
+        (reason,) = recheck(case, replace(proof, bounds={**proof.bounds, name: value}))
+        assert reason.startswith(f"{name}: {shown}, "), reason
+
+
+def test_a_certificate_of_nothing_is_its_head():
+    none = Certificate(-3, 4, 2, {}, np.zeros(0, np.int64), np.zeros(0))
+    body = none.body()
+    assert body == b"cutgate.proof/1\0" + struct.pack("<hhIII", -3, 4, 2, 0, 0)
+    again = Certificate.parse(body)
+    assert (again.q0_turns, again.roll_turns, again.poses, again.bounds) == (-3, 4, 2, {})
+    assert len(again.cut_segment) == len(again.cut_fraction) == 0
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+@pytest.mark.parametrize("elbow", ["right", "left"])
+def test_the_frame_is_about_the_reported_joint(joint, elbow):
+    """Offsets that differ between the joints: each is added to its own."""
+    offset = np.array([0.2, 0.01, 1.0, -0.3, 0.05])
+    case = winding(12, joint, elbow, calibration=Calibration(joint_offset=offset))
+    verdict = certified.verify(case)
+    assert verdict.admissible
+    proof = certify(case, verdict)
+    assert recheck(case, proof) == ()
+    found = verdict.windings[0 if joint == 0 else 1]
+    turns = {0: verdict.branch.q0_turns, 3: verdict.branch.roll_turns}[joint]
+    assert all(abs(angle) <= 2261.0 for angle in found.range_deg(turns))

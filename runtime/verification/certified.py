@@ -237,7 +237,7 @@ class _Verification:
         reach, proven = self._shoulder_range(first)
         if not all(map(math.isfinite, (*reach, *proven))):
             return None
-        self._wind(0, start, reach)
+        self.windings.append(winding(self.geometry, 0, start, reach))
         if not full:  # the sides keep it within its limits
             found = candidates(self.geometry, 0, start, (start, start), asked, proven)[0]
             return found if found.fits else None
@@ -293,7 +293,7 @@ class _Verification:
         start = float(self.chain.points.roll[0])
         if not all(map(math.isfinite, (*proven, *reach, start))):
             return None
-        self._wind(3, start, reach)
+        self.windings.append(winding(self.geometry, 3, start, reach))
         options = candidates(g, 3, start, reach, asked, proven)
         chosen = choose(options, g.wrist_rad, self._worst_ratio(values, leave_out=()))
         shift = chosen.shift
@@ -327,11 +327,6 @@ class _Verification:
         if not fits or asked not in {None, reported}:
             return None
         return Candidate(0.0, reported, fits=True, margin=0.0)
-
-    def _wind(self, joint: int, start: float, reach: tuple[float, float]) -> None:
-        """What is known of a joint's turns, for people."""
-        if all(map(math.isfinite, (start, *reach))):
-            self.windings.append(winding(self.geometry, joint, start, reach))
 
     def _worst_ratio(self, values: dict[str, Enclosed], leave_out: tuple[str, ...]) -> float:
         g = self.geometry

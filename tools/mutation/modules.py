@@ -48,6 +48,16 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # What decides of a path: its bytes, the verdict, its proof, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),
     "runtime/verification/certificate.py": ("tests/runtime/verification/test_certificate.py",),
+    "runtime/verification/certified.py": ("tests/runtime/verification/test_certified.py",),
+    "runtime/verification/approach/decision.py": ("tests/runtime/verification/approach/test_decision.py",),
+    "runtime/verification/approach/straight_line.py": (
+        "tests/runtime/verification/approach/test_straight_line.py",
+    ),
+    "runtime/verification/approach/joint_line.py": (
+        "tests/runtime/verification/approach/test_joint_line.py",
+    ),
+    "runtime/verification/approach/curve.py": ("tests/runtime/verification/approach/test_curve.py",),
+    "runtime/verification/approach/report.py": ("tests/runtime/verification/approach/test_report.py",),
 }
 """Module to the test files that must cover and guard it without help from any other."""
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
+from cutgate.runtime.verification.effort import Effort, EffortSpentError
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 from tests.tool_paths import tool_path
@@ -357,3 +358,62 @@ def test_a_tie_set_by_another_boundary_goes_to_the_smallest_turn():
         problem(tips, axes, **limits(q0=(-170, 170), q1=(0, 170), q3=(start - 2.1, start + 360 + 200)))
     )
     assert tighter.branch.roll_turns == 1
+
+
+def test_work_that_is_bounded_is_done_within_its_bound_or_not_at_all():
+    path = problem(*wrist_path([[600.0, 0.0, 100.0], [610.0, 50.0, 100.0]], axis(1.0, 0.3)))
+    enough = Effort(1e6)
+    assert certified.verify(path, enough) == certified.verify(path)
+    assert 15_000 + 3 * 2 < enough.spent < 1e6  # the poses are work as well
+    with pytest.raises(EffortSpentError):
+        certified.verify(path, Effort(15_000))
+
+
+def test_a_shoulder_that_cannot_be_followed_near_the_straight_elbow_has_no_branch():
+    """Reported within +-400 deg, from the outermost place, where the elbow is straight, inward."""
+    tips, axes = wrist_path([[900.0, 0.0, 100.0], [500.0, 0.0, 100.0]], LEVEL)
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(-400.0, 400.0))))
+    assert verdict.branch is None
+    assert not verdict.admissible
+    assert "q0" not in [found.joint for found in verdict.windings]
+
+
+@pytest.mark.parametrize(("upper", "chosen"), [(367.0, 0), (376.0, 1)])
+def test_of_two_turns_near_a_limit_each_the_one_further_away_is_taken(upper, chosen):
+    """The shoulder stands at 5 deg; its lower limit is 0, and one revolution on its upper limit is 2 or 11 deg away."""
+    tips, axes = wrist_path([[450.0 * math.cos(5 * DEG) - 450.0 * math.sin(5 * DEG),
+                              450.0 * math.sin(5 * DEG) + 450.0 * math.cos(5 * DEG), 100.0]] * 2, LEVEL)  # fmt: skip
+    tips[1, 2] += 1.0
+    verdict = certified.verify(problem(tips, axes, **limits(q0=(0.0, upper), q1=(5.0, 170.0))))
+    assert verdict.branch.q0_turns == chosen
+    assert ("right" if chosen == 0 else "left") in verdict.boundaries
+
+
+def test_a_roll_held_beyond_what_a_joints_frame_carries_is_refused_with_what_to_do():
+    tips = [[500.0, 0.0, 100.0], [510.0, 0.0, 100.0]]
+    path = problem(tips, np.tile([0.0, 0.0, 1.0], (2, 1)), hold_roll=2261.5 * DEG, **limits(q0=(-80.0, 80.0)))
+    assert any("declare another hold_roll_deg" in reason for reason in certified.verify(path).reasons)
+    assert certified.verify(replace(path, hold_roll=2261.0 * DEG)).branch is not None
+
+
+@pytest.mark.parametrize("name", ["roll_min", "roll_max"])
+@pytest.mark.parametrize("part", [0.25, 0.75])
+def test_a_roll_whose_deadband_lies_between_bound_and_least_found_is_looked_at_more_finely(name, part):
+    tips, axes = wrist_path([[520.0, -250.0, 150.0], [560.0, 260.0, 140.0]], axis([0.6, 0.7], [0.9, -0.8]))
+    path = problem(tips, axes, **limits(q0=(-80.0, 80.0), q3=(-170.0, 170.0)))
+    first = certified.verify(path).boundaries[name]
+    assert first.clearance - first.certified > 1e-3
+    end, sign = ("upper", 1.0) if name == "roll_max" else ("lower", -1.0)
+    bound = getattr(path, end).copy()
+    bound[3] -= sign * (first.certified + part * (first.clearance - first.certified) - 2.0) * DEG
+    found = certified.verify(replace(path, **{end: bound})).boundaries[name]
+    assert found.certified >= 2.0  # the first bound says no, the least found is what is true
+    assert not found.violated
+
+
+def test_past_the_column_there_is_no_branch_and_no_shoulder_to_follow():
+    tips, axes = wrist_path([[-400.0, 0.0, 100.0], [400.0, 0.0, 100.0]], axis(1.0, 0.2))
+    verdict = certified.verify(problem(tips, axes, **FREE))
+    assert verdict.branch is None
+    assert [found.joint for found in verdict.windings] == []
+    assert not verdict.admissible

@@ -161,3 +161,20 @@ def test_a_cut_without_a_branch_or_joints_has_no_approach():
         verdict = verify(bad, Start(MIDDLE, 10_000))
         assert not verdict.admissible
         assert text in verdict.reasons[0]
+
+
+def test_a_start_too_near_to_a_limit_is_told_once_which_joint_to_move():
+    start = Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000)
+    (reason,) = verify(cut(), start).reasons
+    assert reason.startswith("the arm stands with q2 at 52.000 mm")
+    assert "move q2 by +3.01 mm" in reason
+
+
+def test_what_is_lacking_elsewhere_is_said_of_its_leg():
+    high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
+    reasons = verify(high, Start(MIDDLE, 60_000)).reasons
+    legs = [reason.split(":")[0] for reason in reasons]
+    assert "joint line from the start joints to the entry pose" in legs
+    assert "straight line from the entry pose to the first pose" in legs
+    assert "straight line from the last pose to the exit pose" in legs
+    assert "joint line from the exit pose to the start joints" in legs

@@ -172,3 +172,19 @@ def test_below_a_vertical_tool_a_stop_counts():
     stop = vertical(0.4)
     stop = replace(stop, lower=np.array([*stop.lower[:4], 1e-9]))
     assert "pitch_min" in verify(stop, Start(MIDDLE, 10_000)).legs[0].boundaries
+
+
+def test_below_a_vertical_tool_whose_roll_is_held_there_is_no_stop():
+    assert "pitch_min" not in verify(vertical(0.4), Start(MIDDLE, 10_000)).legs[0].boundaries
+
+
+def test_a_line_within_half_a_turn_of_a_limit_is_bounded_over_all_of_it():
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    first[0], last[0] = 300 * DEG, 395 * DEG
+    forward, back = (
+        joint_line(spinning(), *pair).boundaries["left"] for pair in ((first, last), (last, first))
+    )
+    expected = line_margins(spinning(), first, last, 4000)[0]["left"].min()
+    assert forward.certified == pytest.approx(expected, abs=0.01)
+    assert back.certified == pytest.approx(expected, abs=0.01)
+    assert (forward.fraction, back.fraction) == (pytest.approx(1.0), 0.0)

@@ -1,6 +1,7 @@
 """What becomes of the answer."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.protocol import records
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import Approach, Start
 from tests.runtime.verification.approach.cuts import MIDDLE, cut
 from tests.runtime.verification.cases import DEG
 
@@ -33,3 +34,38 @@ def test_what_is_bound_is_what_was_verified():
     assert as_joints(records.joints_to_memory(bound.entry_joints_u)) == as_joints(verdict.entry)
     assert as_joints(records.joints_to_memory(bound.exit_joints_u)) == as_joints(verdict.exit)
     assert (bound.entry_um, bound.exit_um, bound.speed_percent) == (verdict.entry_um, verdict.exit_um, 40)
+
+
+def test_the_tightest_boundary_and_its_leg_are_named():
+    verdict = verify(cut(), Start(MIDDLE, 10_000))
+    leg, tightest = report.worst(verdict)
+    margins = {
+        (one.name, b.name): b.certified / b.deadband for one in verdict.legs for b in one.boundaries.values()
+    }
+    assert margins[leg, tightest.name] == min(margins.values())
+    assert report.summary(verdict) == (
+        f"every leg keeps every deadband; tightest is {tightest.name} on the {leg}, "
+        f"{tightest.certified:.3f} {tightest.unit} with {tightest.deadband:g} {tightest.unit} required"
+    )
+
+
+def test_an_undefined_boundary_is_the_worst_and_reasons_are_the_summary():
+    verdict = verify(cut(), Start(np.array([2.0, *MIDDLE[1:]]), 10_000))
+    assert report.worst(verdict)[1].certified is None
+    assert report.summary(verdict) == "; ".join(verdict.reasons)
+    assert report.bound(verdict, 25) is None
+
+
+def test_an_answer_without_legs_has_no_worst():
+    none = Approach(True, 0, 0, None, None, (), ())
+    assert report.worst(none) is None
+    assert report.summary(none) == "every leg keeps every deadband"
+    assert report.bound(none, 25) is None
+
+
+def test_joints_are_shown_in_deg_and_mm_and_not_at_all_where_they_are_not_finite():
+    assert report.shown(np.array([math.pi, 0.0, 12.5, math.nan, -math.inf])) == [180.0, 0.0, 12.5, None, None]
+    assert (
+        report.document(Approach(False, 0, 0, None, None, (), ("so",)), Start(MIDDLE, 0))["entry_joints"]
+        is None
+    )

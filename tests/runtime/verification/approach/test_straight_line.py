@@ -15,13 +15,17 @@ from cutgate.protocol import records
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import joint_lines, verify
 from cutgate.runtime.verification.approach.model import Start
-from cutgate.runtime.verification.approach.straight_line import first_and_last_joints, straight_lines
+from cutgate.runtime.verification.approach.straight_line import (
+    first_and_last_joints,
+    standoff_um,
+    straight_lines,
+)
 from cutgate.runtime.verification.problem import Arm, Calibration
 from cutgate.runtime.verification.steps import finished
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import Dense
 from tests.runtime.verification.approach.cuts import MIDDLE, cut, random_case, straight_margins, vertical
-from tests.runtime.verification.cases import DEG, problem
+from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -152,3 +156,41 @@ def test_the_straight_lines_are_known_before_it_is_known_where_the_arm_stands():
     nowhere = straight_lines(cut(), -1)
     assert report.bound(nowhere, 25) is None
     assert finished(joint_lines(nowhere, Start(MIDDLE, 10_000))) is nowhere
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"branch": None}, "the cut names no joint branch"),
+        (
+            {"tips_mm": cut().tips_mm + 2000.0},
+            "the cut's first or last pose has no joints: cure the cut first",
+        ),
+        ({"tips_mm": cut().tips_mm * math.nan}, "not all finite"),
+    ],
+)
+def test_a_cut_without_branch_or_joints_has_no_straight_lines(changes, text):
+    refused = straight_lines(replace(cut(), **changes), 10_000)
+    assert not refused.admissible
+    assert (refused.legs, refused.entry, refused.exit, refused.entry_um, refused.exit_um) == (
+        (),
+        None,
+        None,
+        0,
+        0,
+    )
+    assert any(text in reason for reason in refused.reasons)
+
+
+def test_past_the_column_no_joints_are_followed():
+    tips, axes = wrist_path([[-400.0, 0.0, 100.0], [400.0, 0.0, 100.0]], axis(1.0, 0.2))
+    through = problem(tips, axes, branch=(0, 0))
+    assert np.isnan(first_and_last_joints(through)).all()
+    assert np.isnan(first_and_last_joints(replace(cut(), branch=None))).all()
+
+
+def test_entry_and_exit_stand_clear_of_everything_that_is_cut():
+    """Along the tool by the clearance from the highest tip, rounded up to whole um."""
+    tips = np.array([[500.0, 0.0, 100.0], [510.0, 0.0, 107.0001], [520.0, 0.0, 104.0]])
+    path = problem(tips, np.tile([0.0, 0.0, 1.0], (3, 1)), branch=(0, 0))
+    assert [standoff_um(path, pose, 500) for pose in (0, 1, -1)] == [7_501, 500, 3_501]

@@ -69,7 +69,6 @@ from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.session import events
 from cutgate.runtime.session.check import Answer, Check, with_guidance
 from cutgate.runtime.session.journal import Journal
-from cutgate.runtime.session.messages import Guided
 from cutgate.runtime.session.pauses import Pauses
 from cutgate.runtime.session.space import estimated_s
 from cutgate.runtime.session.verifying import NotVerified, Verifying
@@ -372,12 +371,13 @@ class Session:
         if answer is None or answer.verdict.admissible:
             return
         self._view.note("looking for the smallest move of the bone")
+        told = self._verifying.guided(wake, timeout_s, answer.verdict.request)
         found: Guidance | None = None
-        match self._verifying.guided(wake, timeout_s, answer.verdict.request):
-            case Guided(guidance=said):
-                found, note = None if said is None else said.value, "nothing is known that could be said"
-            case NotVerified(reason=note):
-                pass
+        if isinstance(told, NotVerified):
+            note = told.reason
+        else:
+            found = None if told.guidance is None else told.guidance.value
+            note = "nothing is known that could be said"
         self.answer = with_guidance(answer, found, note)
         self._journal.guidance(self.answer.document)
         self._view.guidance(found, note)

@@ -18,6 +18,22 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/interlock/tracking.py": ("tests/runtime/interlock/test_tracking.py",),
     "runtime/session/check.py": ("tests/runtime/session/test_check.py",),
     "runtime/session/events.py": ("tests/runtime/session/test_events.py",),
+    "runtime/session/loop.py": tuple(
+        f"tests/runtime/session/test_{name}.py"
+        for name in (
+            "session",
+            "bus",
+            "clocks",
+            "disk",
+            "failures",
+            "false_worker",
+            "full_queue",
+            "guided",
+            "operator",
+            "screen",
+            "space",
+        )
+    ),
     "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
     "runtime/session/pauses.py": ("tests/runtime/session/test_pauses.py",),
     "runtime/session/verifying.py": ("tests/runtime/session/test_verifying.py",),

@@ -68,6 +68,26 @@ def test_a_bus_that_fails_under_the_stop_ends_the_session_with_the_first_cause(c
     assert (fault["cause"], last["first_out"]) == ("BUS_FAILED", "OPERATOR_STOP")
 
 
+def test_a_bus_that_fails_once_under_the_stop_is_not_trusted_again(cutting, monkeypatch):
+    """The stop itself was lost with it; what leaves later in the same cycle changes nothing."""
+    node = cutting.wire.nodes[RUNTIME]
+    send, failures = node.send, iter([can.CanOperationError("once")])
+
+    def fails_once(message, timeout=None):
+        for failure in failures:
+            raise failure
+        send(message, timeout)
+
+    monkeypatch.setattr(node, "send", fails_once)
+    cutting.say("stop")
+    assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.OPERATOR_STOP)
+    assert inhibited(cutting)
+    assert cutting.close().closed
+    last, fault = recorded(cutting, "stopping")
+    assert (fault["cause"], last["first_out"]) == ("BUS_FAILED", "OPERATOR_STOP")
+    assert "once" in fault["detail"]
+
+
 def test_what_the_controller_said_before_the_bus_failed_counts(cutting, monkeypatch):
     """The hub ends: a client reads what still waits, and then that it has ended, in the same turn."""
     node = cutting.wire.nodes[RUNTIME]

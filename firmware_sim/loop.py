@@ -128,7 +128,7 @@ class Process:
     # ------------------------------------------------------------ the loop
 
     def run(self, wake: int) -> None:
-        """Turn until something arrives on ``wake``. A failed bus stops the arm and ends the process."""
+        """Cycle until something arrives on ``wake``. A failed bus stops the arm and ends the process."""
         poller = select.poll()
         poller.register(wake, select.POLLIN)
         poller.register(self.port.bus.fileno(), select.POLLIN)

@@ -5,6 +5,7 @@ In a session: test_loop_in_session.py; with a whole runtime: tests/runtime/sessi
 
 import math
 import os
+import select
 from dataclasses import replace
 
 import can
@@ -13,6 +14,7 @@ import pytest
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
+from cutgate.firmware_sim.loop import Options
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import (
     BoneMoved,
@@ -365,3 +367,53 @@ def test_a_path_that_is_checked_in_parts_is_not_waited_for(bench, monkeypatch):
     for _ in range(len(PATH) + 1):
         one.process._continue_check()
     assert one.process.controller.state is ControllerState.LOADED
+
+
+def test_the_options_are_those_of_a_real_controller_but_for_what_is_asked_for(bench):
+    assert Options() == Options(1.0, 0.2, (), None, None)
+    assert Options.__dataclass_params__.frozen
+    one = bench(hold_roll_rad=0.3)
+    assert one.process.arm.plant.hold_roll_rad == one.process.upload._hold_roll_rad == 0.3
+
+
+class Poller:
+    """Ready as a test says."""
+
+    def __init__(self, ready):
+        self.ready, self.registered, self.waited_ms = ready, [], []
+
+    def register(self, descriptor, events):
+        assert events == select.POLLIN
+        self.registered.append(descriptor)
+
+    def unregister(self, descriptor):
+        self.registered.remove(descriptor)
+
+    def poll(self, timeout_ms):
+        self.waited_ms.append(timeout_ms)
+        return [(descriptor, select.POLLIN) for descriptor in self.ready.pop(0)]
+
+
+def test_the_loop_waits_for_bus_console_and_its_end_and_no_longer_than_until_something_is_due(
+    bench, monkeypatch
+):
+    one = bench(clock=lambda: 60.0, announce_s=5.0)
+    console = one.process._console_descriptor
+    one.descriptors.remove(one.typing)
+    os.close(one.typing)
+    poller = Poller([[], [one.bus.descriptor], [console], [one.wake]])
+    monkeypatch.setattr(select, "poll", lambda: poller)
+    one.process.run(one.wake)
+    assert poller.registered == [one.wake, one.bus.descriptor], "at its end the console is not waited for"
+    assert poller.waited_ms == [0.0, 5000.0, 5000.0, 5000.0]
+
+
+def test_a_memory_that_fails_again_after_it_has_worked_is_said_again(bench, monkeypatch):
+    one = bench()
+    for _ in range(2):
+        with monkeypatch.context() as patch:
+            failing(patch, one)
+            assert not one.process._remember(Memory())
+            assert not one.process._remember(Memory())
+        assert one.process._remember(Memory())
+    assert len(one.shown) == 2

@@ -12,7 +12,7 @@ from cutgate.firmware_sim.console import Word
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
 from cutgate.firmware_sim.path_check import PathCheck
-from cutgate.firmware_sim.state import Memory
+from cutgate.firmware_sim.state import Fault, Memory, OpenLink
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
@@ -240,7 +240,22 @@ def test_while_an_open_comes_in_nothing_is_announced(runtime):
     one.endpoint.outgoing()  # the rest is late
     one.run(0.03)
     assert one.process._next_announce_s > before
-    assert not one.process.port.endpoint.control_waits
+    assert one.process.port.endpoint.receiving
+    assert one.received == []
+
+
+def test_an_announcement_that_nobody_took_gives_way_to_the_next(runtime):
+    one = runtime(announce_s=0.05)
+    for _ in range(3):
+        one.process.turn()
+        one.clock.now_s += 0.05
+    assert len(one.bench.bus.sent) == 3, "the first frame of each"
+
+
+def test_what_is_due_now_is_announced_now(runtime):
+    one = runtime()
+    one.process.turn()
+    assert one.bench.bus.sent
 
 
 def test_the_heartbeat_goes_out_in_its_period_with_the_joints_of_where_the_arm_stands(runtime):
@@ -334,6 +349,7 @@ def test_a_whole_life_ends_where_it_began(runtime):
     (reply,) = one.answer
     assert (reply.refusal, one.controller.state) == (Refusal.ACCEPTED, ControllerState.CUTTING)
     one.items.clear()
+    one.process.controller = replace(one.controller, measured_u=None)
     for _ in range(1000):
         one.step()
         if one.controller.state is not ControllerState.CUTTING:
@@ -390,10 +406,15 @@ def test_a_stop_stops_and_is_shown_once(runtime):
 def test_an_end_closes_the_link_and_announcements_begin_after_their_pause(runtime):
     one = runtime(announce_s=0.05).open()
     one.endpoint.send_frame(RuntimeStop(StopCode.END, StopCause.SESSION_ENDED), one.clock.now_s)
+    one.items.clear()
     one.step()
     assert one.controller.session is None
     assert not one.process.port.endpoint.link.is_open
     assert one.process._next_announce_s == pytest.approx(one.clock.now_s + 0.05)
+    one.run(0.04)
+    assert not one.process.port.endpoint.control_waits
+    one.run(0.03)
+    assert [type(record) for record in one.received] == [records.Announce]
 
 
 def test_a_peer_that_falls_silent_is_lost_and_the_session_ends(runtime):
@@ -493,3 +514,46 @@ def test_a_reboot_is_another_boot_with_nothing_loaded_and_what_was_remembered(ru
     assert one.controller.memory == Memory(named=frozenset({OPEN.registration_digest}))
     assert one.process._next_announce_s == one.clock.now_s
     assert not one.process.port.endpoint.link.is_open
+
+
+def test_the_link_keeps_the_time_of_the_session_and_its_first_heartbeat_is_due_at_once(runtime):
+    one = runtime().open()
+    one.process._cycle.next_heartbeat_s = math.inf
+    one.process._carry_out(OpenLink(replace(one.controller.session, heartbeat_s=0.04, timeout_s=0.2)))
+    link = one.process.port.endpoint.link
+    assert (link.heartbeat_s, link.timeout_s) == (0.04, 0.2)
+    assert one.process._cycle.next_heartbeat_s == one.clock.now_s
+
+
+@pytest.mark.parametrize("error", [False, True])
+def test_what_was_under_way_when_something_stopped_does_not_leave(runtime, error):
+    one = runtime().open()
+    one.process._send(records.Nonce(Purpose.PERMIT, bytes(16), 1))
+    assert one.process.port.endpoint.control_waits
+    if error:
+        one.process._cycle.late = lambda: 1 / 0
+        with pytest.raises(ZeroDivisionError):
+            one.process.turn()
+        assert [frame.arbitration_id for frame in one.bench.bus.sent] == [IDS[ControllerFault]]
+    else:
+        one.process._feed(Fault(StopCause.OPERATOR_STOP))
+    assert not one.process.port.endpoint.control_waits
+
+
+def test_while_a_path_is_checked_nothing_is_waited_for(runtime, monkeypatch):
+    monkeypatch.setattr("cutgate.firmware_sim.upload.CHECK_POSES_PER_CYCLE", 1)
+    one = runtime().open()
+    assert one.process._wait_s() > 0.0
+    one.process._block(records.split(PATH.body())[0])
+    assert one.process._wait_s() == 0.0
+    one.process._happen(FaultName.REBOOT)
+    assert one.process.upload.check is None
+    one.process._next_announce_s = one.clock.now_s + 1.0
+    assert one.process._wait_s() == pytest.approx(1.0)
+
+
+def test_a_limit_that_changes_unnoticed_is_held_and_stops_nothing(runtime):
+    one = runtime().open()
+    one.process._happen(FaultName.CHANGE_LIMIT)
+    assert records.Limits.parse(one.controller.holdings.limits).q_max_u[0] == LIMITS.q_max_u[0] - records.UNIT
+    assert one.controller.state is ControllerState.OPEN

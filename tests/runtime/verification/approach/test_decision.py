@@ -178,3 +178,15 @@ def test_what_is_lacking_elsewhere_is_said_of_its_leg():
     assert "straight line from the entry pose to the first pose" in legs
     assert "straight line from the last pose to the exit pose" in legs
     assert "joint line from the exit pose to the start joints" in legs
+
+
+def test_what_is_lacking_elsewhere_is_said_beside_the_move_of_a_joint():
+    high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
+    start = Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 60_000)
+    first, *others = verify(high, start).reasons
+    assert "move q2 by +3.01 mm" in first
+    assert any(reason.startswith("straight line from the entry pose") for reason in others)
+    assert any(
+        reason.startswith("joint line from the start joints to the entry pose: top") for reason in others
+    )
+    assert not any("bottom" in reason for reason in others)

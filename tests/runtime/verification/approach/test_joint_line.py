@@ -6,9 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cutgate.runtime.verification.approach import joint_line as joint_lines
+from cutgate.runtime.verification.approach.curve import Least
 from cutgate.runtime.verification.approach.decision import verify
 from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.sentences import shortfall
+from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.verdict import Boundary
 from tests.runtime.verification.approach.cuts import (
     ARCS,
     MIDDLE,
@@ -188,3 +193,134 @@ def test_a_line_within_half_a_turn_of_a_limit_is_bounded_over_all_of_it():
     assert forward.certified == pytest.approx(expected, abs=0.01)
     assert back.certified == pytest.approx(expected, abs=0.01)
     assert (forward.fraction, back.fraction) == (pytest.approx(1.0), 0.0)
+
+
+@pytest.mark.parametrize("short_mm", [1e-6, -1e-6])
+@pytest.mark.parametrize("name", ["inner", "outer", "left", "right", "top", "bottom"])
+def test_the_start_tolerance_is_kept_besides_the_deadband(name, short_mm):
+    leg = joint_line(cut(), *line_at(name, 5.5 - short_mm), tolerance_mm=0.5, tolerance_rad=0.25 * DEG)
+    assert leg.boundaries[name].violated is (short_mm > 0)
+    assert {b.name: (b.unit, b.deadband) for b in leg.boundaries.values()} == {
+        **dict.fromkeys((*ARCS, "top", "bottom"), ("mm", 5.5)),
+        **dict.fromkeys(("roll_min", "roll_max", "pitch_min", "pitch_max"), ("deg", pytest.approx(2.25))),
+    }
+
+
+def test_a_linear_joint_is_bounded_by_its_ends_less_their_rounding():
+    first, last = MIDDLE.copy(), MIDDLE.copy()
+    first[2:], last[2:] = (200.0, -1.0, 0.5), (300.0, 2.0, 1.5)
+    geometry, _ = canonical(cut())
+    found = joint_lines._linear(geometry, np.stack((first, last)))
+    for name, value, place, largest in (
+        ("bottom", 150.0, 0.0, None),
+        ("top", 150.0, 1.0, None),
+        ("roll_min", -1.0 + 170 * DEG, 0.0, 2.0),
+        ("roll_max", 170 * DEG - 2.0, 1.0, 2.0),
+        ("pitch_min", 0.5, 0.0, 1.5),
+        ("pitch_max", 110 * DEG - 1.5, 1.0, 1.5),
+    ):
+        pad = geometry.pad_mm if largest is None else 256 * 2.0**-52 * (8.0 + largest)
+        assert (found[name].attained, found[name].fraction) == (pytest.approx(value, abs=1e-12), place)
+        assert found[name].attained - found[name].certified == pytest.approx(pad, rel=1e-2)
+
+
+def test_a_joint_exactly_at_its_limit_is_inside():
+    for end in ("lower", "upper"):
+        start = getattr(cut(), end).copy()
+        start[1] = MIDDLE[1]  # a straight elbow has a margin of its own
+        leg = joint_line(cut(), start, MIDDLE)
+        assert not any("must be in" in reason for reason in leg.reasons)
+        assert leg.boundaries["bottom" if end == "lower" else "top"].clearance == 0.0
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joints_frame_carries_both_ends_whatever_the_limits(joint):
+    wide = {"lower": cut().lower.copy(), "upper": cut().upper.copy()}
+    wide["lower"][joint], wide["upper"][joint] = -36000 * DEG, 36000 * DEG
+    for angle, inside in ((2600.0, True), (-2600.0, True), (2600.1, False), (-2600.1, False)):
+        start = MIDDLE.copy()
+        start[joint] = math.radians(angle)
+        reasons = joint_line(cut(**wide), start, MIDDLE).reasons
+        found = [reason for reason in reasons if "must be in [-2600, 2600]" in reason]
+        assert bool(found) is not inside, reasons
+
+
+def test_only_circles_about_the_column_are_bounded_by_the_ends_of_an_interval(monkeypatch):
+    asked = []
+
+    def enclosing(_curve, arc, _part, target_mm, *, concentric):
+        asked.append((arc.x == arc.y == 0.0, concentric, target_mm))
+        yield
+        return Least(100.0, 100.0, 0.0)
+
+    monkeypatch.setattr(joint_lines, "enclose", enclosing)
+    joint_line(cut(), MIDDLE, MIDDLE, tolerance_mm=0.5)
+    assert asked == [(True, True, 5.5), (True, True, 5.5), (False, False, 5.5), (False, False, 5.5)]
+
+
+@pytest.mark.parametrize(
+    ("ends", "bound", "part"),
+    [
+        ((1.0, 2.0), 0.5, (0.0, 1.0)),
+        ((2.0, 1.0), 0.5, (0.0, 1.0)),
+        ((1.0, 1.0), 1.0, (0.0, 1.0)),
+        ((1.0, 2.0), 1.75, (0.75, 1.0)),
+        ((2.0, 1.0), 1.75, (0.0, 0.25)),
+        ((1.0, 2.0), 2.0, (1.0, 1.0)),
+        ((2.0, 1.0), 2.0, (0.0, 0.0)),
+        ((1.0, 2.0), 2.5, None),
+        ((math.nan, 2.0), 1.0, None),
+        ((1.0, 2.0), math.nan, None),
+    ],
+)
+def test_a_linear_quantity_is_at_least_a_bound_over_this_part(ends, bound, part):
+    assert joint_lines._part_above(np.array(ends), bound) == part
+
+
+def boundary_of(name, least):
+    geometry, _ = canonical(cut())
+    return joint_lines._boundary(name, least, geometry, Start(MIDDLE, 0))
+
+
+def test_a_boundary_that_keeps_exactly_its_deadband_is_kept():
+    kept = boundary_of("top", Least(7.0, 5.0, 0.25))
+    assert (kept.clearance, kept.certified, kept.fraction, kept.violated) == (7.0, 5.0, 0.25, False)
+    assert boundary_of("top", Least(7.0, np.nextafter(5.0, 0.0), 0.25)).violated
+    roll = boundary_of("roll_min", Least(4 * DEG, 3 * DEG, 0.25))
+    assert (roll.unit, roll.clearance, roll.certified) == ("deg", pytest.approx(4.0), pytest.approx(3.0))
+
+
+@pytest.mark.parametrize(
+    "least", [None, Least(math.inf, 9.0, 0.0), Least(9.0, -math.inf, 0.0), Least(9.0, math.nan, 0.0)]
+)
+def test_what_is_not_enclosed_is_violated(least):
+    found = boundary_of("outer", least)
+    assert (found.clearance, found.certified, found.fraction, found.violated) == (None, None, None, True)
+
+
+def told_of(fraction, *, violated=True):
+    return Boundary("top", "mm", 1.0, 1.0, None, fraction, None, 5.0, violated=violated)
+
+
+@pytest.mark.parametrize(("name", "start"), [("approach", 0), ("retract", 1)])
+def test_of_the_start_is_what_lies_at_its_end_of_the_line(name, start):
+    here, there = (0, "here"), (1, "there")
+    if start == 1:
+        here, there = (1, "here"), (0, "there")
+    near = 1e-6 if start == 0 else 1.0 - 9e-7
+    for fraction, speaks in (
+        (float(start), True),
+        (near, True),
+        (abs(start - 2e-6), False),
+        (0.5, False),
+        (1.0 - start, False),
+    ):
+        b = told_of(fraction)
+        found = joint_lines._of_the_start(name, {"top": b}, [])
+        assert found == ({shortfall(b, name)} if speaks else set()), fraction
+    assert joint_lines._of_the_start(name, {"top": told_of(float(start), violated=False)}, []) == set()
+    undefined = replace(told_of(None), clearance=None, certified=None)
+    said = shortfall(undefined, name)
+    assert joint_lines._of_the_start(name, {"top": undefined}, [here]) == {"here", said}
+    assert joint_lines._of_the_start(name, {"top": undefined}, [here, there]) == {"here"}
+    assert joint_lines._of_the_start(name, {"top": undefined}, [there]) == set()

@@ -10,7 +10,8 @@ from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.protocol import records
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Approach, Start
+from cutgate.runtime.verification.approach.model import Approach, Leg, Start
+from cutgate.runtime.verification.verdict import Boundary
 from tests.runtime.verification.approach.cuts import MIDDLE, cut
 from tests.runtime.verification.cases import DEG
 
@@ -69,3 +70,56 @@ def test_joints_are_shown_in_deg_and_mm_and_not_at_all_where_they_are_not_finite
         report.document(Approach(False, 0, 0, None, None, (), ("so",)), Start(MIDDLE, 0))["entry_joints"]
         is None
     )
+
+
+def by_hand():
+    """Two legs: the second's boundary keeps more mm and fewer deadbands."""
+    inner = Boundary("inner", "mm", 3.25, 3.0, None, 0.5, None, 2.0, violated=False)
+    pitch = Boundary("pitch_min", "deg", 6.5, 6.0, None, 0.25, None, 5.0, violated=False)
+    legs = (Leg("approach", {"inner": inner}, ()), Leg("exit", {"pitch_min": pitch}, ("so",)))
+    return Approach(True, 10_500, 20_000, np.radians([1.0, 2.0, 0.0, 4.0, 5.0]), None, legs, ("so", "and so"))
+
+
+def test_the_least_margin_is_per_deadband():
+    leg, boundary = report.worst(by_hand())
+    assert (leg, boundary.name) == ("exit", "pitch_min")
+
+
+def test_the_document_has_all_of_the_answer():
+    start = Start(np.array([0.0, 0.0, 250.0, math.pi, 0.0]), 10_000, 0.5, math.pi / 2)
+    document = report.document(by_hand(), start)
+    assert document.pop("entry_joints") == pytest.approx([1.0, 2.0, 0.0, 4.0, 5.0])
+    assert document == {
+        "schema": "cutgate.approach/1",
+        "verdict": "admissible",
+        "clearance_um": 10_000,
+        "start_tolerance_mm": 0.5,
+        "start_tolerance_deg": 90.0,
+        "start_joints": [0.0, 0.0, 250.0, 180.0, 0.0],
+        "entry_um": 10_500,
+        "exit_um": 20_000,
+        "exit_joints": None,
+        "legs": {
+            "approach": {
+                "inner": {
+                    "unit": "mm",
+                    "clearance": 3.25,
+                    "certified": 3.0,
+                    "deadband": 2.0,
+                    "fraction": 0.5,
+                    "violated": False,
+                }
+            },
+            "exit": {
+                "pitch_min": {
+                    "unit": "deg",
+                    "clearance": 6.5,
+                    "certified": 6.0,
+                    "deadband": 5.0,
+                    "fraction": 0.25,
+                    "violated": False,
+                }
+            },
+        },
+        "reasons": ["so", "and so"],
+    }

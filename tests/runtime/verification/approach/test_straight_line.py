@@ -17,7 +17,9 @@ from cutgate.runtime.verification.approach.decision import joint_lines, verify
 from cutgate.runtime.verification.approach.model import Start
 from cutgate.runtime.verification.approach.straight_line import (
     first_and_last_joints,
+    roll_is_held,
     standoff_um,
+    straight_line,
     straight_lines,
 )
 from cutgate.runtime.verification.problem import Arm, Calibration
@@ -194,3 +196,66 @@ def test_entry_and_exit_stand_clear_of_everything_that_is_cut():
     tips = np.array([[500.0, 0.0, 100.0], [510.0, 0.0, 107.0001], [520.0, 0.0, 104.0]])
     path = problem(tips, np.tile([0.0, 0.0, 1.0], (3, 1)), branch=(0, 0))
     assert [standoff_um(path, pose, 500) for pose in (0, 1, -1)] == [7_501, 500, 3_501]
+
+
+def test_one_end_of_the_cut_without_joints_is_one_too_many():
+    tips = cut().tips_mm.copy()
+    for pose in (0, -1):
+        far = tips.copy()
+        far[pose] += 2000.0
+        assert not straight_lines(replace(cut(), tips_mm=far), 10_000).admissible
+        assert straight_lines(replace(cut(), tips_mm=far), 10_000).reasons == (
+            "the cut's first or last pose has no joints: cure the cut first",
+        )
+
+
+def test_a_roll_is_held_where_it_is_declared_and_the_tool_vertical_throughout():
+    assert roll_is_held(vertical(0.4))
+    assert roll_is_held(vertical(0.0))
+    assert not roll_is_held(vertical(None))
+    for lean in ((1e-9, 0.0, 1.0), (0.0, 1e-9, 1.0), (-1e-9, 0.0, 1.0)):
+        assert not roll_is_held(replace(vertical(0.4), axes=np.array([vertical(0.4).axes[0], lean])))
+    assert roll_is_held(replace(vertical(0.4), axes=np.array([vertical(0.4).axes[0], (9e-10, 0.0, 1.0)])))
+    assert not roll_is_held(cut(hold_roll=0.4))
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
+def test_the_branch_is_that_of_the_first_pose_whatever_the_last_one_is(turns):
+    around = np.radians([-170.0, -100.0, 0.0, 100.0, 190.0])
+    centres = np.stack((500 * np.cos(around), 500 * np.sin(around), np.full(5, 250.0)), axis=1)
+    tips, axes = wrist_path(centres, axis(30 * DEG, around))
+    wide = {
+        "lower": np.array([-60.0, 0.0, 50.0, -60.0, 0.0]),
+        "upper": np.array([60.0, 2.5, 450.0, 60.0, 1.9]),
+    }
+    first, last = first_and_last_joints(problem(tips, axes, branch=(turns, turns), **wide))
+    for joint in (0, 3):
+        assert -math.pi < first[joint] - turns * 2 * math.pi <= math.pi
+    assert last[0] - first[0] == pytest.approx(2 * math.pi, abs=1e-9)
+    assert last[3] - first[3] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_straight_line_is_verified_in_the_turns_in_which_the_cut_meets_it():
+    """Where the shoulder has turned on, its limits are met in that turn: the exit's line is followed there."""
+    high = np.array([80.0 * DEG, 145 * DEG, 450, 170 * DEG, 110 * DEG])
+    low = np.array([-80.0 * DEG, 0.0, 50.0, -170 * DEG, 0.0])
+    joints = first_and_last_joints(cut())[0]
+    leg, outer = straight_line(cut(), "entry", 0, 10_000, joints)
+    other, beyond = straight_line(
+        cut(lower=low, upper=high), "entry", 0, 10_000, np.add(joints, (2 * math.pi, 0, 0, 0, 0))
+    )
+    assert not leg.violated
+    assert other.reasons
+    assert np.abs(beyond - outer)[0] == pytest.approx(2 * math.pi, abs=1e-6)
+
+
+def test_joints_at_entry_and_exit_are_what_a_permit_carries():
+    lines = straight_lines(cut(), 10_000)
+    for joints in (lines.entry, lines.exit):
+        np.testing.assert_array_equal(records.joints_to_memory(records.joints_to_counts(joints)), joints)
+
+
+def test_without_a_branch_the_joints_are_unknown_numbers_of_their_shape():
+    unknown = first_and_last_joints(replace(cut(), branch=None))
+    assert unknown.shape == (2, 5)
+    assert np.isnan(unknown).all()

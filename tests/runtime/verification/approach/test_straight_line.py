@@ -219,6 +219,11 @@ def test_a_roll_is_held_where_it_is_declared_and_the_tool_vertical_throughout():
     assert not roll_is_held(cut(hold_roll=0.4))
 
 
+@pytest.mark.parametrize("held", [0.0, 0.4, -1.0])
+def test_a_held_roll_is_that_of_both_poses(held):
+    assert first_and_last_joints(vertical(held))[:, 3].tolist() == [held, held]
+
+
 @pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
 def test_the_branch_is_that_of_the_first_pose_whatever_the_last_one_is(turns):
     around = np.radians([-170.0, -100.0, 0.0, 100.0, 190.0])

@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> None:
         say(
             f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, fingerprint {fingerprint(key)}"
         )
-        say(f"state {controller.state.name}; enabling device released; words: {', '.join(Word)}")
+        say(f"state {controller.state.name}; enabling device released; commands: {', '.join(Word)}")
         if settings.time_scale != 1.0:
             say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")
         if remembered.latched is not StopCause.NONE:
@@ -202,7 +202,7 @@ def _refuse_a_used_bus(bus: can.BusABC) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cutgate sim",
-        description="A simulated robot controller on the bus. Words on its terminal: "
+        description="A simulated robot controller on the bus. Commands on its terminal: "
         + ", ".join(Word)
         + ".",
         allow_abbrev=False,

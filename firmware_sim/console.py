@@ -39,7 +39,7 @@ def event_of(command: Word, controller: Controller) -> tuple[str, Event]:
 
 def not_known(text: str) -> str:
     """The answer to what is no operator command."""
-    return f"{text!r} is not a word here; say one of {', '.join(Word)}"
+    return f"{text!r} is no command here; say one of {', '.join(Word)}"
 
 
 def state_line(controller: Controller) -> str:

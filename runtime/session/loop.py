@@ -395,7 +395,7 @@ class Session:
             if said is not None:
                 self._feed(said)
             else:
-                self._view.note(f"{word!r} is not a word here; say one of {', '.join(Word)}")
+                self._view.note(f"{word!r} is no command here; say one of {', '.join(Word)}")
         if words.descriptor is None and descriptor is not None:
             self._poller.unregister(descriptor)
 

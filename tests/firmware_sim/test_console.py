@@ -47,9 +47,9 @@ def test_the_operator_commands_are_these():
 def test_what_is_no_operator_command_is_answered_with_those_there_are():
     assert (
         console.not_known("hop")
-        == "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit"
+        == "'hop' is no command here; say one of hold, release, estop, bone-motion, limit"
     )
-    assert console.not_known("\x1b[2J").startswith(r"'\x1b[2J' is not a word here")
+    assert console.not_known("\x1b[2J").startswith(r"'\x1b[2J' is no command here")
 
 
 def test_the_state_is_shown_with_the_cause_that_stands():

@@ -95,7 +95,7 @@ def test_the_loop_hears_the_terminal_and_its_end(bench):
     assert one.process.controller.inputs.device_pressed
     assert one.shown[:2] == [
         "enabling device pressed",
-        "'hop' is not a word here; say one of hold, release, estop, bone-motion, limit",
+        "'hop' is no command here; say one of hold, release, estop, bone-motion, limit",
     ]
     assert one.process._commands.descriptor is None
 

@@ -168,7 +168,7 @@ def test_a_runtime_that_is_back_in_the_foreground_hears_its_operator(rig):
     rig.until(lambda: run.in_background)
     run.say("nothing")
     run.signal(FOREGROUND)
-    run.line("'nothing' is not a word here")
+    run.line("'nothing' is no command here")
     run.say("stop")
     assert run.exit() == 3
     stopped(rig, sim, "OPERATOR_STOP")

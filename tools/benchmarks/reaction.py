@@ -341,7 +341,7 @@ class Stage:
         while not so():
             if time.perf_counter() > until_s or self.runtime._exit_code(0) is not None:
                 raise TimeoutError(self.runtime.told)
-            self._poller.poll(self.controller._wait_ms())
+            self._poller.poll(1000.0 * self.controller._wait_s())
             self.controller.turn()
 
     def says(self, words: str) -> Callable[[], bool]:

@@ -121,7 +121,7 @@ def test_the_person_at_the_controller_stops_the_cut(pair, word, cause):
 def test_an_unknown_word_at_the_controller_is_answered(pair):
     pair.controller_terminal.type("dance")
     pair.turn()
-    assert "'dance' is not a word here; say one of hold, release," in pair.said[-1]
+    assert "'dance' is no command here; say one of hold, release," in pair.said[-1]
 
 
 # ---------------------------------------------------------------- opening

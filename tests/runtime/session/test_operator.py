@@ -87,7 +87,7 @@ def test_a_word_at_the_wrong_moment_is_refused_and_recorded(pair, word, phase):
 
 def test_an_unknown_word_is_answered_and_changes_nothing(pair):
     pair.to(Phase.COLLECTING).say("go")
-    assert "'go' is not a word here; say one of start, stop," in pair.notes.notes[-1]
+    assert "'go' is no command here; say one of start, stop," in pair.notes.notes[-1]
     assert pair.end() is Phase.DONE
 
 

@@ -71,7 +71,7 @@ def test_a_session_cuts_to_its_end_without_writing_to_a_screen_itself(pair, quie
         "CUT COMPLETED",
     ):
         assert line in told
-    assert "is not a word here" in told
+    assert "is no command here" in told
     assert "\x1b" not in told
 
 

@@ -18,6 +18,8 @@ MODE: Final = 0o600
 SHARED_MODE: Final = 0o666
 """Of a file for others, less what the umask takes away."""
 _MAKE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_CLOSED: Final = -1
+"""No descriptor has this number."""
 _FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _FRESH: Final = ".{name}.{number}.new"
 """What is to take a file's place, until it does."""
@@ -96,7 +98,7 @@ class Replacement:
 
     def discard(self) -> None:
         """Give it up, if it has not been put in place."""
-        if self.descriptor < 0:
+        if self.descriptor == _CLOSED:
             return
         with contextlib.suppress(OSError):  # whoever gives it up knows why, and a later one has another name
             os.unlink(self._fresh, dir_fd=self._folder)
@@ -105,7 +107,7 @@ class Replacement:
     def _close(self) -> None:
         os.close(self.descriptor)
         os.close(self._folder)
-        self.descriptor = self._folder = -1
+        self.descriptor = self._folder = _CLOSED
 
 
 def replace_durably(path: str | os.PathLike[str], data: bytes) -> None:

@@ -49,7 +49,8 @@ class Judge:
         self._first_topic: str | None = None
         self._opens = 0
         self._closes = 0
-        self._close: dict[str, Any] | None = None
+        self._counted: list[Any] = []
+        """What the first close record counts, if there is one."""
         self._after_close: tuple[int, str] | None = None
         self._attached: list[tuple[Any, ...]] = []
         self._too_many = False
@@ -93,7 +94,7 @@ class Judge:
         elif topic == Close.TOPIC:
             self._closes += 1
             if self._closes == 1:
-                self._close = record
+                self._counted.append((record or {}).get("message_count"))
         elif topic == Attachment.TOPIC:
             self._attached.append(
                 tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
@@ -101,13 +102,12 @@ class Judge:
 
     def content(self, found: Scan) -> Iterator[str]:
         """What the records say of the file and what the file holds, side by side."""
-        if self.count and self._first_topic != Open.TOPIC:
+        if self._first_topic not in (None, Open.TOPIC):
             yield f"record 0 is {self._first_topic}, must be {Open.TOPIC}"
         for topic, times in ((Open.TOPIC, self._opens), (Close.TOPIC, self._closes)):
             if times > 1:
                 yield f"{topic} is there {times} times"
-        if self._closes:
-            count = (self._close or {}).get("message_count")
+        for count in self._counted:
             if self._after_close is not None:
                 number, topic = self._after_close
                 yield f"record {number} ({topic}) stands after the close record"

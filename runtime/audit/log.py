@@ -256,7 +256,7 @@ class AuditLog:
         self._hand_over(token)
 
     def tick(self, now_s: float) -> None:
-        """Hand over what has waited long enough; call it at every turn of the loop.
+        """Hand over what has waited long enough; call it in every cycle of the loop.
 
         Args:
             now_s: the monotonic clock.

@@ -125,8 +125,8 @@ def _replayed(log: Path, told: "_Documents") -> Outcome:
     if told.json:
         told.add({"log": str(log), **asdict(result), "outcome": result.outcome.name})
         return result.outcome
-    word = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
-    echo(f"{word[result.outcome]}: {printable(str(log))}")
+    headline = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
+    echo(f"{headline[result.outcome]}: {printable(str(log))}")
     for line in (*result.differences, *result.notes):
         echo(f"  {printable(line)}")
     if result.verdict is not None:

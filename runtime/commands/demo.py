@@ -1,6 +1,6 @@
 """``cutgate demo``: the whole story in one go, with every part in a process of its own.
 
-Hub (or vcan0), simulated controller and runtime are started as a user would start them, and driven by the words
+Hub (or vcan0), simulated controller and runtime are started as a user would start them, and driven by the commands
 a user would type. A first registration is refused and explained, a second one is admitted and cut to the end.
 """
 
@@ -169,9 +169,9 @@ def _summary(
         print_time_line(console, review["story"]["decisions"], f"Time line of the {name} session")
     console.print()
     for review in reviews:
-        words = f"{review['headline']}, replay {review['replay']}"
+        judgement = f"{review['headline']}, replay {review['replay']}"
         style = GOOD if review["verify"] == "OK" and review["replay"] == Outcome.IDENTICAL.name else BAD
-        console.print(Text.assemble(printable(f"{review['log']}: "), (words, style)), soft_wrap=True)
+        console.print(Text.assemble(printable(f"{review['log']}: "), (judgement, style)), soft_wrap=True)
         for reason in review["why"]:
             console.print(printable(f"  {reason}"), soft_wrap=True)
     console.print(f"Plant time ran {TIME_SCALE} times faster than the clock; the logs say so.")
@@ -185,8 +185,8 @@ def _move(verdict: dict[str, Any] | None) -> str:
     if not guidance or guidance["translation_mm"] is None:
         return ""
     x, y, z = guidance["translation_mm"]
-    word = "verified" if guidance["verified"] else "NOT verified"
-    return f"  smallest move of the bone: x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm ({word})\n"
+    how = "verified" if guidance["verified"] else "NOT verified"
+    return f"  smallest move of the bone: x {x:+.1f}  y {y:+.1f}  z {z:+.1f} mm ({how})\n"
 
 
 def register(app: typer.Typer) -> None:

@@ -120,17 +120,17 @@ def _make(folder: Path, option: str) -> bool:
     else:
         return True
     try:
-        held = sorted(path.name for path in folder.iterdir())
+        there = sorted(path.name for path in folder.iterdir())
     except NotADirectoryError:
         raise InputError(folder, option, "a file", "a folder, new or empty", "name another") from None
     except OSError as error:
         raise InputError(
             folder, option, None, f"cannot be read ({error.strerror})", "name another folder"
         ) from None
-    if held:
-        more = f" and {len(held) - 1} more" if len(held) > 1 else ""
+    if there:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise InputError(
-            folder, option, f"a folder with {held[0]}{more} in it", "new or empty", "name another folder"
+            folder, option, f"a folder with {there[0]}{more} in it", "new or empty", "name another folder"
         )
     return False
 

@@ -157,9 +157,9 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
         console.print(f"Map at lift {signed(lift)} mm: {height(document, lift)}.")
     if chosen := document["guidance"]:
         x, y, z = (signed(value) for value in chosen["translation_mm"])
-        turn = f"yaw {signed(chosen['yaw_deg'])} deg, " if chosen["yaw_deg"] else ""
+        yaw = f"yaw {signed(chosen['yaw_deg'])} deg, " if chosen["yaw_deg"] else ""
         console.print(
-            f"Where the bone stands now it is inadmissible; guidance moves it: {turn}x {x}  y {y}  lift {z} mm."
+            f"Where the bone stands now it is inadmissible; guidance moves it: {yaw}x {x}  y {y}  lift {z} mm."
         )
     console.print(
         f"{counts['admissible']} of {counts['positions']} positions are admissible, each by the certified method; "
@@ -167,16 +167,16 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
     )
     here = next((p for p in positions if not (p.x_mm or p.y_mm or p.yaw_deg or p.lift_mm)), None)
     if here is not None:
-        word = "admissible" if here.admissible else "inadmissible"
-        console.print(f"Where the bone stands now it is {word}; tightest there is {_tightest(here)}.")
+        verdict = "admissible" if here.admissible else "inadmissible"
+        console.print(f"Where the bone stands now it is {verdict}; tightest there is {_tightest(here)}.")
     good = [p for p in positions if p.admissible and p.ratio is not None]
     if good:
         near = min(good, key=_farness)
         best = max(good, key=lambda p: (round(p.ratio or 0.0, 3), *(-v for v in _farness(p))))
-        for word, p in (("Most room:", best), ("Nearest:  ", near)):
+        for label, p in (("Most room:", best), ("Nearest:  ", near)):
             console.print(
                 Text(
-                    f"{word} yaw {p.yaw_deg:+g} deg, move x {p.x_mm:+g}  y {p.y_mm:+g}  lift {p.lift_mm:+g} mm; "
+                    f"{label} yaw {p.yaw_deg:+g} deg, move x {p.x_mm:+g}  y {p.y_mm:+g}  lift {p.lift_mm:+g} mm; "
                     f"tightest there is {_tightest(p)}"
                 )
             )

@@ -136,7 +136,7 @@ class SessionView:
             self.note(announced)
 
     def _watch_hold(self, state: Interlock, now_s: float) -> None:
-        """Tell the operator what holds the controller and which word is next: once each."""
+        """Tell the operator what holds the controller and which command is next: once each."""
         if state.phase is not Phase.HELD or state.controller is None:
             return
         prompt = self._hold
@@ -149,7 +149,7 @@ class SessionView:
             self.note(prompt)
 
     def _watch_device(self, state: Interlock, now_s: float) -> None:
-        """Tell the operator when start may be said: once per press of the enabling device."""
+        """Tell the operator when start may be given: once per press of the enabling device."""
         pressed = state.controller is not None and state.controller.device_pressed
         if not pressed or state.phase is not Phase.PERMITTED:
             self._prompt = ""
@@ -206,9 +206,9 @@ def verdict_lines(answer: Answer) -> Group:
 
 def approach_line(approach: Approach) -> Text:
     """Approach and retract: the answer in one line, and what decided it."""
-    word, style = ("ADMISSIBLE", GOOD) if approach.admissible else ("INADMISSIBLE", BAD)
+    verdict_text, style = ("ADMISSIBLE", GOOD) if approach.admissible else ("INADMISSIBLE", BAD)
     lengths = f", entry {approach.entry_um / 1000:.3f} mm, exit {approach.exit_um / 1000:.3f} mm"
-    return Text.assemble("approach and retract ", (word, style), f"{lengths}: {summary(approach)}")
+    return Text.assemble("approach and retract ", (verdict_text, style), f"{lengths}: {summary(approach)}")
 
 
 def stopped(session: Session) -> dict[str, Any] | None:
@@ -216,10 +216,15 @@ def stopped(session: Session) -> dict[str, Any] | None:
     state, view, where = session.state, session.state.controller, session.stopped_in
     if state.phase is not Phase.STOPPED or where is None:
         return None
-    held, verdict = state.collected, state.verdict
-    way = None
-    if held.calibration is not None and held.tool is not None and verdict is not None and verdict.approach:
-        way = Way(state.job.path, held.calibration, held.tool, verdict.approach.entry_um)
+    collected, verdict = state.collected, state.verdict
+    permitted = None
+    if (
+        collected.calibration is not None
+        and collected.tool is not None
+        and verdict is not None
+        and verdict.approach
+    ):
+        permitted = Way(state.job.path, collected.calibration, collected.tool, verdict.approach.entry_um)
     progress, joints_u = session.last_seen
     return stop_document(
         Stopped(
@@ -232,7 +237,7 @@ def stopped(session: Session) -> dict[str, Any] | None:
             progress=progress,
             joints_u=joints_u,
         ),
-        way,
+        permitted,
     )
 
 

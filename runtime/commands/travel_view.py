@@ -14,15 +14,15 @@ from cutgate.runtime.verification.verdict import Branch, Verdict, Winding
 REVOLUTION_DEG = 360.0
 
 
-def travel_lines(way: Approach, start_joints_u: tuple[int, ...], cut: Verdict) -> list[Text]:
+def travel_lines(planned: Approach, start_joints_u: tuple[int, ...], cut: Verdict) -> list[Text]:
     """How far each joint goes from where the arm stands to the entry pose, and a warning for each that winds.
 
     Args:
-        way: approach and retract of the cut.
+        planned: approach and retract of the cut.
         start_joints_u: where the arm stands, 1e-6 deg | mm.
         cut: its verdict: in which other turns it fits.
     """
-    ends = (shown(joints_to_memory(start_joints_u)), [] if way.entry is None else shown(way.entry))
+    ends = (shown(joints_to_memory(start_joints_u)), [] if planned.entry is None else shown(planned.entry))
     if len(ends[1]) != len(ends[0]) or None in (*ends[0], *ends[1]):
         return []
     travels = [float(to or 0.0) - float(stands or 0.0) for stands, to in zip(*ends, strict=True)]

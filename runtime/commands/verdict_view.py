@@ -99,8 +99,8 @@ def print_end(console: Console, verdict: Verdict, guidance: Guidance | None) -> 
 
 def headline(verdict: Verdict) -> Text:
     """The answer, in one line, and what decided it."""
-    word, style = ("ADMISSIBLE", GOOD) if verdict.admissible else ("INADMISSIBLE", BAD)
-    return Text.assemble((word, style), f": {summary(verdict)}")
+    verdict_text, style = ("ADMISSIBLE", GOOD) if verdict.admissible else ("INADMISSIBLE", BAD)
+    return Text.assemble((verdict_text, style), f": {summary(verdict)}")
 
 
 def boundaries_table(verdict: Verdict) -> RenderableType:

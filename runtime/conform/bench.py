@@ -229,13 +229,13 @@ class Bench(Tester):
         """Raises DeviationError unless the next heartbeats all say this state."""
         since = len(self.heard)
         self.run(3 * self.heartbeat_s)
-        said = [
+        states = [
             h.item.frame.state
             for h in self.heard[since:]
             if isinstance(h.item, Accepted) and isinstance(h.item.frame, ControllerHeartbeat)
         ]
-        if not said or any(found is not state for found in said):
-            names = ", ".join(dict.fromkeys(found.name for found in said)) or "no heartbeat"
+        if not states or any(found is not state for found in states):
+            names = ", ".join(dict.fromkeys(found.name for found in states)) or "no heartbeat"
             raise DeviationError(f"the state became {names}, must stay {state.name}")
 
     @property

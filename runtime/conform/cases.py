@@ -191,12 +191,12 @@ def cyclic(bench: Bench) -> str:
     least = min(len(counters[kind]) for kind in kinds[1:])
     if any(counters[kind][:least] != counters[Joints01][:least] for kind in kinds[2:]):
         raise DeviationError("the three joint frames of a sample do not share their counter")
-    turns = [
+    samples = [
         heard.item
         for heard in bench.heard[begun:]
         if isinstance(heard.item, Accepted) and isinstance(heard.item.frame, ControllerHeartbeat | Joints01)
     ]
-    for before, after in pairwise(turns):
+    for before, after in pairwise(samples):
         if isinstance(after.frame, Joints01) and after.counter != before.counter:
             raise DeviationError(
                 f"joints with the counter {after.counter} follow the heartbeat {before.counter}: a sample carries the "
@@ -405,7 +405,7 @@ def permit_expires(bench: Bench) -> str:
 
 
 def overtaken_by_stop(bench: Bench) -> str:
-    """The STOP and the permit's first frame leave in one turn, the STOP first."""
+    """The STOP and the permit's first frame leave in one cycle, the STOP first."""
     bench.loaded()
     permit = bench.signed(bench.permit())
     since, begun_s = len(bench.heard), bench.now_s
@@ -575,7 +575,7 @@ def cause_in_heartbeat(bench: Bench) -> str:
     beat = RuntimeHeartbeat(RuntimeCode.INHIBIT, bench.epoch, StopCause.OPERATOR_STOP)
     bench.inject(
         *bench.encoded(beat)
-    )  # at once, for the next turn's heartbeat would take its place in the queue
+    )  # at once, for the next cycle's heartbeat would take its place in the queue
     return str(stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s))
 
 

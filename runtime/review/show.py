@@ -142,12 +142,12 @@ def _bus(closed: Mapping[str, Any]) -> str:
 
 
 def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
-    word = _text(verdict, "verdict")
-    style = GOOD if word == "admissible" else BAD
+    found = _text(verdict, "verdict")
+    style = GOOD if found == "admissible" else BAD
     console.print()
     poses = printable(str(verdict.get("poses", "?")))
     how = f" ({_text(verdict, 'method')}, {poses} poses, {_number(verdict.get('elapsed_ms'))} ms)"
-    console.print(Text.assemble("Verdict: ", (word.upper(), style), how))
+    console.print(Text.assemble("Verdict: ", (found.upper(), style), how))
     if verdict.get("reason"):
         console.print(f"  {_text(verdict, 'reason')}")
     table = _table("boundary", "certified", "clearance", "deadband", "unit", "worst place", "")
@@ -177,11 +177,11 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
 
 def _approach(console: Console, approach: Mapping[str, Any]) -> None:
     """Approach and retract in one line."""
-    word = _text(approach, "verdict")
-    style = GOOD if word == "admissible" else BAD
+    found = _text(approach, "verdict")
+    style = GOOD if found == "admissible" else BAD
     where = f", entry {_um(approach, 'entry_um')} mm, exit {_um(approach, 'exit_um')} mm; "
     console.print(
-        Text.assemble("Approach and retract: ", (word.upper(), style), where, _text(approach, "reason"))
+        Text.assemble("Approach and retract: ", (found.upper(), style), where, _text(approach, "reason"))
     )
 
 
@@ -277,7 +277,7 @@ def _shown(permissive: Mapping[str, Any]) -> str:
 
 
 def _facts(console: Console, story: Mapping[str, Any]) -> None:
-    """Faults, operator words and the controller's records, as far as there are any."""
+    """Faults, operator commands and the controller's records, as far as there are any."""
     lines = [
         *(
             (

@@ -126,14 +126,14 @@ class Way:
     entry_um: int
 
 
-def stop_document(stopped: Stopped, way: Way | None) -> dict[str, Any]:
+def stop_document(stopped: Stopped, permitted: Way | None) -> dict[str, Any]:
     """What is told after a stop.
 
     Args:
         stopped: what is known.
-        way: None where nothing was permitted, or its records cannot be had.
+        permitted: None where nothing was permitted, or its records cannot be had.
     """
-    place = _place(stopped, way) if stopped.phase in MOVING else None
+    place = _place(stopped, permitted) if stopped.phase in MOVING else None
     return {
         "cause": stopped.cause.name,
         "text": WORDS[stopped.cause],
@@ -189,16 +189,19 @@ def _again(stopped: Stopped) -> tuple[str, ...]:
     return (f"Start a new session and {words}{whole}.",)
 
 
-def _place(stopped: Stopped, way: Way | None) -> dict[str, Any] | None:
-    if way is None:
+def _place(stopped: Stopped, permitted: Way | None) -> dict[str, Any] | None:
+    if permitted is None:
         return None
     try:
-        path = records.Path.parse(way.path)
-        calibration, tool = records.Calibration.parse(way.calibration), records.Tool.parse(way.tool)
+        path = records.Path.parse(permitted.path)
+        calibration, tool = (
+            records.Calibration.parse(permitted.calibration),
+            records.Tool.parse(permitted.tool),
+        )
     except RecordError:
         return None
     done = _done(path, stopped.progress)
-    tip = _tip(path, calibration, tool, way.entry_um, stopped.joints_u)
+    tip = _tip(path, calibration, tool, permitted.entry_um, stopped.joints_u)
     return {"leg": _leg(stopped, len(path) - 1), **done, **tip}
 
 

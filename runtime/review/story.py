@@ -192,7 +192,7 @@ def _stop(log: Log) -> dict[str, Any] | None:
             progress=seen.progress(tag),
             joints_u=seen.joints_u(tag),
         ),
-        _way(log),
+        _permitted(log),
     )
 
 
@@ -224,17 +224,17 @@ def _tag(session: object) -> int:
         return 0
 
 
-def _way(log: Log) -> Way | None:
+def _permitted(log: Log) -> Way | None:
     """What the arm was to do, by the attachments and the approach."""
     approach = next(iter(log.of(Approach.TOPIC)[-1:]), {})
     entry_um = approach.get("entry_um")
     if not isinstance(entry_um, int) or not 0 <= entry_um <= ENTRY_UM_MAX:
         return None
     found = [log.scan.attachment(name) for name in (names.PATH, names.CALIBRATION, names.TOOL)]
-    held = [entry.data for entry in found if entry is not None and entry.size <= DEFAULT_LIMIT]
-    if len(held) < len(found):
+    parts = [entry.data for entry in found if entry is not None and entry.size <= DEFAULT_LIMIT]
+    if len(parts) < len(found):
         return None
-    path, calibration, tool = held
+    path, calibration, tool = parts
     return Way(path, calibration, tool, entry_um)
 
 

@@ -119,13 +119,17 @@ def test_what_is_prepared_stands_beside_the_file_until_it_is_put_in_place(file: 
     assert file.read_bytes() == b"what decides"
     assert len(list(left_over(file))) == 1
     prepared.put(b"new")
+    assert prepared.descriptor == -1
     assert file.read_bytes() == b"new"
     assert list(file.parent.iterdir()) == [file]
 
 
 def test_what_is_given_up_leaves_the_file_as_it_was_and_may_be_given_up_again(file: Path):
+    before = open_descriptors()
     prepared = Replacement(file)
     prepared.discard()
+    assert open_descriptors() == before
+    assert prepared.descriptor == -1, "which no call takes for a file"
     stranger = os.open(file, os.O_RDONLY)  # takes the number that has become free
     prepared.discard()
     assert os.read(stranger, 4) == b"what"

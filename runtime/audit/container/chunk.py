@@ -7,8 +7,7 @@ given once, and before the first message that needs it.
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, McapRecord, Schema
@@ -62,8 +61,7 @@ def _new(known: dict[int, Any], record: Schema | Channel, what: str) -> None:
         raise BrokenError(f"{what} {record.id} is given twice or has no number")
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """A chunk that is sound in itself.
 
     Attributes:

@@ -4,9 +4,8 @@ What is in memory at a time is one record, and never more than ``RECORD_MAX`` of
 """
 
 import zlib
-from dataclasses import dataclass
 from struct import Struct
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = Struct("<BQ")
@@ -31,12 +30,10 @@ class TornError(Exception):
     """The bytes end inside the record at ``offset``."""
 
     def __init__(self, offset: int) -> None:
-        super().__init__(offset)
         self.offset = offset
 
 
-@dataclass(frozen=True, slots=True)
-class Raw:
+class Raw(NamedTuple):
     """A record whose content has not been read yet."""
 
     opcode: int
@@ -75,8 +72,6 @@ class RecordReader:
         """
         offset, crc = self.at, self.crc
         self.begun = offset
-        if self.size - offset < PREFIX:
-            raise TornError(offset)
         opcode, size = HEAD.unpack(self.take(PREFIX, offset))
         if self.size - self.at < size:
             raise TornError(offset)

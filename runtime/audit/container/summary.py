@@ -30,12 +30,11 @@ GroupContent = tuple[int, int, bytes]
 """Of a group: opcode, length and SHA-256."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Group:
     """Records of one kind that follow each other in the summary."""
 
     opcode: int
-    start: int = 0
     count: int = 0
     length: int = 0
     digest: Any = field(default_factory=sha256)
@@ -47,19 +46,9 @@ class Group:
         self.digest.update(record)
 
     @property
-    def end(self) -> int:
-        """Where the next group stands."""
-        return self.start + self.length
-
-    @property
     def content(self) -> GroupContent:
         """What it holds: equal to another's if all records are."""
         return self.opcode, self.length, self.digest.digest()
-
-    @property
-    def summary_offset(self) -> SummaryOffset:
-        """What the summary says of where it stands."""
-        return SummaryOffset(group_opcode=self.opcode, group_start=self.start, group_length=self.length)
 
 
 class Expected:
@@ -129,7 +118,7 @@ class Found:
         elif self._groups and self._groups[-1].opcode == raw.opcode:
             self._groups[-1].put(whole)
         elif len(self._groups) < len(SUMMARY):
-            self._groups.append(Group(raw.opcode, raw.offset))
+            self._groups.append(Group(raw.opcode))
             self._groups[-1].put(whole)
         else:
             raise BrokenError("the summary is not that of the data section")
@@ -142,9 +131,15 @@ class Found:
         """
         if [group.content for group in self._groups] != self._expected.close():
             raise BrokenError("the summary is not that of the data section")
-        if self._offsets != [group.summary_offset for group in self._groups]:
+        offsets, end = [], self._start
+        for group in self._groups:  # each stands where the one before it ends
+            offsets.append(
+                SummaryOffset(group_opcode=group.opcode, group_start=end, group_length=group.length)
+            )
+            end += group.length
+        if self._offsets != offsets:
             raise BrokenError("the summary's offsets are not those of its groups")
-        if (footer.summary_start, footer.summary_offset_start) != (self._start, self._groups[-1].end):
+        if (footer.summary_start, footer.summary_offset_start) != (self._start, end):
             raise BrokenError("the footer does not point at the summary")
         if footer.summary_crc != zlib.crc32(whole[:-_CRC], self._crc):
             raise BrokenError("the summary's checksum is wrong")

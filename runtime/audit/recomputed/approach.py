@@ -1,8 +1,7 @@
 """Approach and retract again, from the recorded start joints and the site's settings."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import records
@@ -12,8 +11,7 @@ from cutgate.runtime.verification.approach import decision, report
 from cutgate.runtime.verification.approach.model import Start
 
 
-@dataclass(frozen=True, slots=True)
-class Recomputed:
+class Recomputed(NamedTuple):
     """An approach as it must be: its document, and what a permit binds of it."""
 
     document: dict[str, Any]

@@ -1,11 +1,10 @@
 """What a session decided on, read from its log: typed records, and the attachments as the bytes they are."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path as FilePath
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
@@ -37,8 +36,7 @@ class ReplayError(Exception):
     """The log does not hold what a replay needs."""
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(NamedTuple):
     """The bytes that the session decided on."""
 
     path: bytes
@@ -129,14 +127,11 @@ def derivation(log: Log, inputs: Inputs, opened: records.Open) -> Iterator[str]:
         raise ReplayError(f"attachment {names.PLAN} is missing: the path cannot be made again")
     try:
         uploaded = Path.parse(inputs.path)
-        wanted = plan_from_bytes(plan[0], plan[1])
-        placed: Loaded[Registration] | None = None
-        if registration is not None:
-            value = registration_from_bytes(registration[0], registration[1])
-            placed = Loaded(value, registration[1], registration[0])
+        path, data = plan
+        wanted = plan_from_bytes(path, data)
         prepared = prepare(
-            Loaded(wanted, plan[1], plan[0]),
-            placed,
+            Loaded(wanted, data, path),
+            None if registration is None else _loaded(*registration),
             inputs.robot,
             now=_after(opened.utc),
             feed_mm_s=uploaded.feed_mm_s if wanted.feed_mm_s is None else None,
@@ -147,6 +142,10 @@ def derivation(log: Log, inputs: Inputs, opened: records.Open) -> Iterator[str]:
     made = with_branch(prepared.path, uploaded.q0_turns, uploaded.roll_turns)
     if made.body() != inputs.path:
         yield "the uploaded path is not the one that plan, registration and robot give"
+
+
+def _loaded(path: FilePath, data: bytes) -> Loaded[Registration]:
+    return Loaded(registration_from_bytes(path, data), data, path)
 
 
 def _after(utc: records.Time) -> datetime:
@@ -190,7 +189,7 @@ def model_of(model: type[R], data: bytes) -> R:
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
-        what = error.errors(include_url=False)[0]
+        what = error.errors()[0]
         place = ".".join(map(str, what["loc"]))
         raise ReplayError(f"a record of {model.TOPIC} cannot be read: {place}: {what['msg']}") from None
 

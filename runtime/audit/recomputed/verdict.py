@@ -1,6 +1,7 @@
 """The verdict again, from the recorded path and parameters; and the proof of an admissible one."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from hashlib import sha256
 from typing import Any, Final
 
@@ -82,10 +83,9 @@ def _flat_fields(recorded: records.Verdict, document: dict[str, Any], inputs: In
 
 def expected_boundaries(verdicts: Sequence[records.Verdict]) -> list[records.Boundary] | None:
     """The boundaries of the recorded documents, in their order; None where one is no verdict document."""
-    try:
+    with suppress(KeyError, TypeError, AttributeError, ValueError, ArithmeticError):
         return [one for verdict in verdicts for one in records.boundaries_of(document_of(verdict) or {})]
-    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError):
-        return None
+    return None
 
 
 def boundary_differences(

@@ -1,8 +1,9 @@
 """The hash chain: every part of every message counts."""
 
 import hashlib
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -40,6 +41,17 @@ def independent(head: bytes, link: Link) -> bytes:
 @given(LINKS)
 def test_the_formula(link):
     assert advance(GENESIS, link) == independent(GENESIS, link)
+
+
+def test_the_chain_begins_at_32_zeros():
+    assert bytes(32) == GENESIS
+
+
+@given(LINKS)
+def test_a_link_is_what_it_was_made_as(link):
+    with pytest.raises(FrozenInstanceError):
+        link.sequence += 1
+    assert len({link, replace(link)}) == 1
 
 
 @given(LINKS, LINKS)

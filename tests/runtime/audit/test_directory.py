@@ -391,6 +391,17 @@ def test_a_list_that_is_lost_while_a_session_runs_is_missed_afterwards_whatever_
         withdrawn_list(withdrawn)
 
 
+def test_what_stood_there_when_the_session_began_is_missed_whatever_became_of_head(withdrawn):
+    known = head_of(withdrawn).listed
+    longer = extend_list(withdrawn, b"a fourth\n", known)
+    assert longer == head_of(withdrawn).listed == Listed.of(b"".join(LINES) + b"a fourth\n")
+    without_list(withdrawn)
+    (withdrawn / HEAD).unlink()
+    assert extend_list(withdrawn, b"a fifth\n", longer) == longer
+    assert (withdrawn / WITHDRAWN).read_bytes() == b"a fifth\n"
+    assert not (withdrawn / HEAD).exists()
+
+
 def test_what_is_withdrawn_in_a_session_is_in_its_last_head(withdrawn):
     log = AuditLog.create(withdrawn, log_id=LOG_ID, opened=OPENED, clock=Later().clock())
     assert head_of(withdrawn).listed == Listed.of(b"".join(LINES))

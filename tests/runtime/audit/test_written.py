@@ -261,3 +261,84 @@ def test_what_changes_while_the_file_is_read_back_shows_the_next_time(file):
     file._read_back = read
     with pytest.raises(LostError, match="was overwritten"):
         file.check()
+
+
+# ---------------------------------------------------------------- what is asked of the system
+
+
+class Dating(SystemDisk):
+    """A disk on which every operation leaves another time, and is noted."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def sync(self, descriptor):
+        self.done.append("sync")
+
+    def reserve(self, descriptor, path, size):
+        later(path)
+        touch(path)
+        self.done.append(f"reserve {size}")
+
+    def trim(self, descriptor):
+        later(Path(f"/proc/self/fd/{descriptor}").readlink())
+        os.utime(descriptor)
+        self.done.append("trim")
+
+
+@pytest.fixture
+def dated(tmp_path):
+    disk = Dating()
+    descriptor = disk.create(tmp_path / "a.mcap")
+    yield disk, Written(disk, descriptor, tmp_path / "a.mcap")
+    os.close(descriptor)
+
+
+def test_a_new_file_is_what_it_was_made_as(dated):
+    _, file = dated
+    file._read_back = lambda: pytest.fail("read back")
+    file.check()
+    assert file.size == 0
+
+
+def test_what_is_asked_of_the_disk_is_done_and_is_nobody_elses_writing(dated):
+    disk, file = dated
+    file.append(CONTENT)
+    file._read_back = lambda: pytest.fail("read back")
+    file.reserve(1000)
+    file.check()
+    file.trim()
+    file.check()
+    file.sync()
+    assert disk.done == [f"reserve {len(CONTENT) + 1000}", "trim", "sync"]
+
+
+def descriptors():
+    return sorted(descriptor.name for descriptor in Path("/proc/self/fd").iterdir())
+
+
+def test_a_file_is_read_back_once_for_each_change_through_no_link_and_without_waiting(file, monkeypatch):
+    opened, reading, before = [], os.open, descriptors()
+    monkeypatch.setattr(
+        written.os, "open", lambda path, flags: opened.append((path, flags)) or reading(path, flags)
+    )
+    later(file.path)
+    touch(file.path)
+    file.check()
+    file.check()
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+    assert opened == [(file.path, flags)]
+    assert descriptors() == before
+
+
+def test_the_largest_file_that_is_read_back_with_what_enables(file, monkeypatch):
+    read = []
+    file._read_back = lambda: read.append(True)
+    for bound, times in ((len(CONTENT) - 1, 0), (len(CONTENT), 1)):
+        monkeypatch.setattr(written, "READ_BACK_MAX", bound)
+        file.check(enabling=True)
+        assert len(read) == times
+
+
+def test_the_bounds_are_what_they_are():
+    assert (written.READ_BACK_MAX, written.PIECE) == (33_554_432, 1_048_576)

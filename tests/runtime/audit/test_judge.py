@@ -1,0 +1,317 @@
+"""The rules over the records, each broken alone, without a file around them."""
+
+import json
+from hashlib import sha256
+
+import pytest
+from mcap.records import Metadata
+
+from cutgate.runtime.audit import judge as module
+from cutgate.runtime.audit.chain import GENESIS, of_channel
+from cutgate.runtime.audit.container.stored import ChannelInfo, Scan, Stored, StoredAttachment
+from cutgate.runtime.audit.judge import Judge, missing, parse_object
+from cutgate.runtime.audit.second_reading import add_message
+
+LOG_ID = "ab" * 16
+ATTACHED = {"name": "plan.csv", "media_type": "text/csv", "sha256": "cd", "size": 3}
+
+
+def found(**changes):
+    """What the scan has found beside the messages."""
+    scan = Scan(finished=True, metadata=[Metadata("cutgate", {"log_id": LOG_ID})])
+    for name, value in changes.items():
+        setattr(scan, name, value)
+    return scan
+
+
+def stored(**changes):
+    """An attachment as it stands in the file."""
+    values = ATTACHED | {"log_time": 1, "create_time": 1, "offset": 100, "file": None}
+    return StoredAttachment(**values | changes)
+
+
+class Records:
+    """A log's records, chained; each taken by the judge as it is made."""
+
+    def __init__(self):
+        self.judge = Judge()
+        self.head = GENESIS
+        self.number = 0
+
+    def add(self, topic, content=None, *, encoding="json", sequence=None, data=None, prev=None):
+        content = dict(content or {})
+        if topic.startswith("/audit/"):
+            content["prev"] = self.head.hex() if prev is None else prev
+        data = json.dumps(content).encode() if data is None else data
+        kind = (topic, encoding, "cutgate.X", b"{}")
+        message = Stored(
+            ChannelInfo(*kind, of_channel(*kind)),
+            5,
+            5,
+            self.number if sequence is None else sequence,
+            data,
+            1000,
+        )
+        message.offset += self.number
+        self.judge.take(message)
+        self.head = message.advance(self.head)
+        self.number += 1
+        return self
+
+    def opened(self):
+        return self.add("/audit/open", {"log_id": LOG_ID})
+
+    def closed(self, **changes):
+        return self.add("/audit/close", {"message_count": self.number + 1, **changes})
+
+    def problems(self, scan=None):
+        return [*self.judge.problems, *self.judge.content(scan or found())]
+
+
+def test_a_log_that_keeps_every_rule_has_no_problem():
+    log = Records().opened().add("/audit/attachment", ATTACHED).add("/can/frame", {"id": 1}).closed()
+    assert log.problems(found(attachments=[stored()])) == []
+    assert missing(found(), log.judge) == []
+    assert (log.judge.count, log.judge.head) == (4, log.head)
+    assert log.judge.first["log_id"] == LOG_ID
+    assert log.judge.last["message_count"] == 4
+    assert log.judge.last_topic == "/audit/close"
+
+
+def test_places_are_those_of_all_records_but_frames():
+    judge = Records().opened().add("/can/frame", {"id": 1}).closed().judge
+    assert [(topic, offset) for topic, offset, _ in judge.places] == [
+        ("/audit/open", 1000),
+        ("/audit/close", 1002),
+    ]
+    assert all(size > 80 for *_, size in judge.places)
+
+
+def test_what_is_read_is_the_digest_of_topic_sequence_and_data_of_all():
+    log = Records().opened().add("/can/frame", {"id": 1})
+    digest = sha256()
+    add_message(digest, "/audit/open", 0, json.dumps({"log_id": LOG_ID, "prev": GENESIS.hex()}).encode())
+    add_message(digest, "/can/frame", 1, b'{"id": 1}')
+    assert log.judge.read.digest() == digest.digest()
+
+
+def test_before_the_first_record_there_is_nothing():
+    judge = Judge()
+    assert (judge.first, judge.last, judge.last_topic, judge.count, judge.head) == (
+        None,
+        None,
+        "",
+        0,
+        GENESIS,
+    )
+    assert (judge.places, judge.problems, list(judge.content(found(metadata=[])))) == ([], [], [])
+
+
+# ---------------------------------------------------------------- the chain
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"data": b"[]"}, "it is not a JSON object"),
+        ({"data": b"\xff"}, "it is not a JSON object"),
+        ({"sequence": 0}, "its sequence is 0"),
+        ({"sequence": 2}, "its sequence is 2"),
+        ({"encoding": "cbor"}, "its encoding is not json"),
+        ({"prev": "00" * 32}, "it does not follow from the records before it"),
+        ({"prev": None, "data": b"{}"}, "it does not follow from the records before it"),
+    ],
+)
+def test_the_first_record_that_is_wrong_in_its_place_is_named_alone(changes, told):
+    log = Records().opened().add("/audit/decision", **changes).add("/audit/decision", prev="x", sequence=9)
+    assert log.judge.problems == [f"record 1 (/audit/decision): {told}"]
+
+
+def test_record_0_follows_from_the_beginning():
+    assert Records().add("/audit/open", prev="").judge.problems == [
+        "record 0 (/audit/open): it does not follow from the records before it"
+    ]
+
+
+def test_frames_carry_no_link_and_are_covered_by_the_next_that_does():
+    log = Records().opened().add("/can/frame", {"id": 1})
+    assert log.judge.problems == []
+    other = Records().opened().add("/can/frame", {"id": 2})
+    other.head = log.head  # a link computed over another frame
+    other.add("/audit/decision")
+    assert other.judge.problems == [
+        "record 2 (/audit/decision): it does not follow from the records before it"
+    ]
+
+
+def test_a_frame_is_a_json_object_with_its_sequence_too():
+    assert Records().opened().add("/can/frame", data=b"7").judge.problems
+    assert Records().opened().add("/can/frame", sequence=5).judge.problems
+    assert Records().opened().add("/can/frame", encoding="x").judge.problems
+
+
+# ---------------------------------------------------------------- open and close
+
+
+def test_record_0_opens_the_log():
+    log = Records().add("/audit/decision", {"log_id": LOG_ID})
+    assert log.problems() == ["record 0 is /audit/decision, must be /audit/open"]
+    assert Records().problems() == []
+
+
+def test_it_is_opened_and_closed_once():
+    assert Records().opened().opened().opened().problems() == ["/audit/open is there 3 times"]
+    log = Records().opened().closed().closed()
+    assert log.problems() == [
+        "/audit/close is there 2 times",
+        "record 2 (/audit/close) stands after the close record",
+    ]
+
+
+def test_the_first_record_after_the_close_record_is_named():
+    log = Records().opened().closed().add("/can/frame", {"id": 1}).add("/audit/decision")
+    assert log.problems() == ["record 2 (/can/frame) stands after the close record"]
+    assert missing(found(), log.judge) == ["there is no close record: the session did not end in order"]
+
+
+@pytest.mark.parametrize("count", [1, 3, None, "2", True])
+def test_the_close_record_counts_every_message(count):
+    log = Records().opened().closed(message_count=count)
+    assert log.problems() == [f"the close record counts {count} messages, the file holds 2"]
+
+
+def test_a_close_record_that_is_none_counts_nothing():
+    log = Records().opened().add("/audit/close", data=b"7")
+    assert log.problems() == [
+        "record 1 (/audit/close): it is not a JSON object",
+        "the close record counts None messages, the file holds 2",
+    ]
+
+
+def test_the_first_close_record_is_the_one_that_is_read():
+    """A second one that counts what the first hides is named whatever it says."""
+    log = Records().opened().closed().closed(message_count=3)
+    assert "/audit/close is there 2 times" in log.problems()
+
+
+# ---------------------------------------------------------------- metadata and attachments
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        [],
+        [Metadata("cutgate", {"log_id": "other"})],
+        [Metadata("cutgate", {})],
+        [Metadata("other", {"log_id": LOG_ID})],
+        [Metadata("cutgate", {"log_id": LOG_ID})] * 2,
+    ],
+)
+def test_the_metadata_name_the_log_of_record_0(metadata):
+    told = ["the file's metadata are not those of record 0"]
+    assert Records().opened().problems(found(metadata=metadata)) == told
+    assert Records().problems(found(metadata=metadata)) == []
+
+
+def test_a_record_0_that_is_none_has_no_log():
+    log = Records().add("/audit/open", data=b"7")
+    assert log.problems()[-1] == "the file's metadata are not those of record 0"
+    assert log.judge.first is None
+
+
+@pytest.mark.parametrize("field", ["name", "media_type", "sha256", "size"])
+def test_an_attachment_is_what_its_record_says(field):
+    log = Records().opened().add("/audit/attachment", ATTACHED)
+    other = stored(**{field: 4 if field == "size" else "other"})
+    assert log.problems(found(attachments=[other])) == [
+        f"attachment 0 ({other.name}) is not what its record says"
+    ]
+    lacking = {key: value for key, value in ATTACHED.items() if key != field}
+    log = Records().opened().add("/audit/attachment", lacking)
+    assert log.problems(found(attachments=[stored()])) == [
+        "attachment 0 (plan.csv) is not what its record says"
+    ]
+
+
+def test_attachments_are_in_the_order_of_their_records():
+    one, two = ATTACHED, ATTACHED | {"name": "robot.toml"}
+    log = Records().opened().add("/audit/attachment", one).add("/audit/attachment", two)
+    assert log.problems(found(attachments=[stored(), stored(name="robot.toml")])) == []
+    assert log.problems(found(attachments=[stored(name="robot.toml"), stored()])) == [
+        "attachment 0 (robot.toml) is not what its record says",
+        "attachment 1 (plan.csv) is not what its record says",
+    ]
+    assert log.problems(found(attachments=[stored()])) == [
+        "attachment robot.toml has a record but is not there"
+    ]
+
+
+def test_an_attachment_has_its_record_in_a_file_that_is_finished():
+    log, extra = Records().opened(), [stored(name="more.bin")]
+    assert log.problems(found(attachments=extra)) == ["attachment more.bin has no record"]
+    assert log.problems(found(attachments=extra, finished=False)) == []
+
+
+def test_a_record_of_an_attachment_that_is_none_fits_none():
+    log = Records().opened().add("/audit/attachment", data=b"7")
+    told = "attachment 0 (plan.csv) is not what its record says"
+    assert told in log.problems(found(attachments=[stored()]))
+
+
+def test_records_beside_frames_are_bounded(monkeypatch):
+    monkeypatch.setattr(module, "KEPT_MAX", 2)
+    log = Records().opened()
+    for _ in range(5):
+        log.add("/can/frame", {"id": 1})
+    assert log.add("/audit/decision").problems() == []
+    log.add("/audit/decision")
+    assert log.problems() == ["it holds over 2 records beside frames; no session writes so many"]
+    assert len(log.judge.places) == 2
+    assert module.KEPT_MAX == 2
+
+
+def test_the_bound_is_what_it_is():
+    assert module.KEPT_MAX == 1_000_000
+
+
+# ---------------------------------------------------------------- what is missing
+
+
+def test_a_log_that_ends_early_says_where():
+    cut = found(finished=False)
+    assert missing(cut, Records().judge) == [
+        "the file ends before its first record",
+        "there is no close record: the session did not end in order",
+    ]
+    assert missing(cut, Records().opened().add("/can/frame", {"id": 1}).judge) == [
+        "the file ends early: record 1 is the last whole one",
+        "there is no close record: the session did not end in order",
+    ]
+    assert missing(cut, Records().opened().closed().judge) == [
+        "the file ends early: record 1 is the last whole one"
+    ]
+
+
+def test_zeros_at_the_end_are_a_loss_of_power():
+    (line,) = missing(found(zeros=True), Records().opened().closed().judge)
+    assert line == "it ends in zeros, as a file system leaves it after a loss of power"
+
+
+@pytest.mark.parametrize(
+    ("data", "content"),
+    [
+        (b'{"a": 1}', {"a": 1}),
+        (b'{"a": "\xed\xa0\x80"}', {"a": "\ud800"}),
+        (b"{}", {}),
+        (b"7", None),
+        (b"null", None),
+        (b'{"a": NaN}', None),
+        (b'{"a": Infinity}', None),
+        (b'{"a": -Infinity}', None),
+        (b"\xff", None),
+        (b"[" * 100_000, None),
+        (b"", None),
+    ],
+)
+def test_a_record_is_a_json_object_and_nan_is_no_json(data, content):
+    assert parse_object(data) == content

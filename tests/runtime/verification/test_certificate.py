@@ -2,14 +2,21 @@
 
 import math
 import struct
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification.bounds import bisection
+from cutgate.runtime.verification.bounds.chain import build
+from cutgate.runtime.verification.bounds.closed_form import extremes
+from cutgate.runtime.verification.bounds.enclosures import COLUMNS as COLUMNS_OF_A_PROOF
+from cutgate.runtime.verification.bounds.enclosures import Q0_MIN, ROLL_MIN
+from cutgate.runtime.verification.bounds.geometry import canonical
+from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
 from cutgate.runtime.verification.problem import Calibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
@@ -511,3 +518,87 @@ def test_the_frame_is_about_the_reported_joint(joint, elbow):
     found = verdict.windings[0 if joint == 0 else 1]
     turns = {0: verdict.branch.q0_turns, 3: verdict.branch.roll_turns}[joint]
     assert all(abs(angle) <= 2261.0 for angle in found.range_deg(turns))
+
+
+def test_the_mask_has_a_bit_for_each_boundary_speed_and_acceleration():
+    everything = Certificate(
+        0, 0, 2, dict.fromkeys(certificate.NAMES, 1.0), np.zeros(0, np.int64), np.zeros(0)
+    )
+    assert struct.unpack("<I", everything.body()[28:32]) == ((1 << 21) - 1,)
+    assert certificate.NAMES[11:] == tuple(
+        f"{q} {joint}" for q in ("speed", "acceleration") for joint in range(5)
+    )
+
+
+def test_a_certificate_is_never_changed():
+    proof = certify(grazing(), certified.verify(grazing()))
+    assert not hasattr(proof, "__dict__")
+    with pytest.raises(FrozenInstanceError):
+        proof.poses = 3
+
+
+def test_stated_is_a_little_less_than_proven_and_never_less_than_needed():
+    assert certificate._stated(10.0, 5.0) == 10.0 - 1e-8
+    assert certificate._stated(0.5, 0.1) == 0.5 - 1e-9
+    assert certificate._stated(-10.0, -20.0) == -10.0 - 1e-8
+    assert certificate._stated(5.0, 5.0) == 5.0
+    assert certificate._stated(4.0, 5.0) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("proven_mm", "stated", "holds"),
+    [(2.0, 2.0, True), (2.0, 1.0, True), (2.0, 2.1, False), (2.0, 0.9, False)],
+)
+def test_proven_is_at_least_stated_and_stated_at_least_needed(proven_mm, stated, holds):
+    needing_one = SimpleNamespace(needed=lambda _: 1.0)
+    assert (certificate._compared(needing_one, {"top": proven_mm}, {"top": stated}) == ()) is holds
+
+
+def test_a_start_outside_is_no_proof_though_the_second_pose_is_inside():
+    tips, axes = wrist_path([[950.0, 0.0, 100.0], [700.0, 0.0, 100.0]], axis(1.0, 0.3))
+    inside = wrist_path([[800.0, 0.0, 100.0], [700.0, 0.0, 100.0]], axis(1.0, 0.3))
+    case = problem(*inside)
+    proof = certify(case, certified.verify(case))
+    assert "the path starts outside the planar workspace" in recheck(
+        replace(case, tips_mm=tips, axes=axes), proof
+    )
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_proven_to_the_very_bound_of_the_frame_is_within(joint):
+    case = winding(0.5, joint)
+    geometry, segments = canonical(case)
+    chain = build(geometry, segments)
+    proof = certificate._Proof(case, geometry, chain, (0, 0), extremes(geometry, segments, chain.poses))
+    column, shift = (Q0_MIN, proof.q0.shift) if joint == 0 else (ROLL_MIN, proof.roll.shift)
+    low, high = goes(geometry, joint)
+    assert shift == 0.0
+    least = np.full(COLUMNS_OF_A_PROOF, np.inf)
+    least[column], least[column + 1] = low, -high
+    assert proof.out_of_frame(least) == ()
+    for other in (column, column + 1):
+        less = least.copy()
+        less[other] = np.nextafter(less[other], -np.inf)
+        (reason,) = proof.out_of_frame(less)
+        assert reason.startswith(f"q{joint} is not proven to stay within +-2261 deg")
+
+
+@pytest.mark.parametrize("joint", range(5))
+def test_a_speed_that_comes_as_near_to_its_limit_as_it_may_is_proven(joint):
+    tips, axes = wrist_path([[520.0, -250.0, 150.0], [560.0, 260.0, 140.0]], axis([0.6, 0.7], [0.9, -0.8]))
+    case = problem(tips, axes, speed=np.full(5, 300.0))
+    speed = case.speed.copy()
+    speed[joint] = certified.verify(replace(case, feed_mm_s=0.5)).speed[joint].peak * 1.0001
+    near = replace(case, feed_mm_s=0.5, speed=speed)
+    verdict = certified.verify(near)
+    if verdict.admissible:
+        assert recheck(near, certify(near, verdict)) == ()
+
+
+@pytest.mark.parametrize("elbow", ["right", "left"])
+def test_a_held_rolls_margins_are_those_of_the_reported_joint_whatever_its_offset(elbow):
+    offset = Calibration(joint_offset=np.array([0.0, 0.0, 0.0, 0.3, -0.002]))
+    case = vertical(calibration=offset) if elbow == "right" else mirrored(vertical(calibration=offset))
+    proof = certify(case, certified.verify(case))
+    assert proof.bounds["roll_min"] == pytest.approx(case.hold_roll - case.lower[3], abs=1e-8)
+    assert proof.bounds["roll_max"] == pytest.approx(case.upper[3] - case.hold_roll, abs=1e-8)

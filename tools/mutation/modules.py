@@ -61,10 +61,8 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol/link.py": ("tests/protocol/test_link.py",),
     "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
-    # What decides of a path: its bytes, the verdict, its proof, approach and retract.
+    # What decides of a path: its bytes, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),
-    "runtime/verification/certificate.py": ("tests/runtime/verification/test_certificate.py",),
-    "runtime/verification/certified.py": ("tests/runtime/verification/test_certified.py",),
     "runtime/verification/approach/decision.py": ("tests/runtime/verification/approach/test_decision.py",),
     "runtime/verification/approach/straight_line.py": (
         "tests/runtime/verification/approach/test_straight_line.py",

@@ -33,10 +33,10 @@ coverage: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" --cov --cov-report=term --cov-report=json:.coverage.json
 	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
-# A million random segments against the dense reference on all cores, 2000 storms over both loops, the large worlds of
-# the exploration (3 GB); CUTGATE_SEGMENTS, CUTGATE_STORMS and CUTGATE_SEED change the first two.
+# A million random segments against the dense reference on all cores, 2000 runs of fault injection over both loops, the large worlds of
+# the exploration (3 GB); CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
 test-long: $(READY)
-	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/storms tests/exploration
+	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration
 
 # Whole sessions on real SocketCAN; where the kernel has no vcan0, in a small virtual machine (docs/bus.md).
 test-vcan: $(READY)

@@ -25,8 +25,8 @@ from pydantic_core import ErrorDetails
 from cutgate.config.constants import CONSTANTS
 from cutgate.config.model import RECORDED, REMOVED, RULE, Robot, Site
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.config.refusal import FileProblem, quoted, shown
 from cutgate.config.refusal import InputError as InputError  # noqa: PLC0414 - for whoever reads files
-from cutgate.config.refusal import Problem, quoted, shown
 from cutgate.protocol.records import Calibration, Limits, Tool
 
 T = TypeVar("T")
@@ -213,10 +213,10 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
                 path, f"line {number}", found, bound, "no key has so many parts; shorten the line"
             )
 
-    def fraction(word: str) -> float:
-        value = float(word)
-        if not math.isfinite(value) and word.lstrip("+-") not in _TOML_NAMES:
-            raise _no_number(path, text, text.find(word), word, _DOUBLE)
+    def fraction(token: str) -> float:
+        value = float(token)
+        if not math.isfinite(value) and token.lstrip("+-") not in _TOML_NAMES:
+            raise _no_number(path, text, text.find(token), token, _DOUBLE)
         return value
 
     try:
@@ -234,9 +234,9 @@ def parse_toml(path: object, data: bytes) -> dict[str, Any]:
         ) from None
 
 
-def _no_number(path: object, text: str, start: int, word: str, remedy: str) -> InputError:
+def _no_number(path: object, text: str, start: int, token: str, remedy: str) -> InputError:
     place = f"line {text.count(NEWLINE, 0, start) + 1} column {start - text.rfind(NEWLINE, 0, start)}"
-    return InputError(path, place, shown(word), "a finite number", remedy)
+    return InputError(path, place, shown(token), "a finite number", remedy)
 
 
 def _shortened(text: str) -> str:
@@ -252,24 +252,25 @@ class _Numbers:
     path: object
     text: str
 
-    def constant(self, word: str) -> float:
-        raise self._refused(word, "JSON has no NaN and no Infinity")
+    def constant(self, token: str) -> float:
+        raise self._refused(token, "JSON has no NaN and no Infinity")
 
-    def fraction(self, word: str) -> float:
-        value = float(word)
+    def fraction(self, token: str) -> float:
+        value = float(token)
         if not math.isfinite(value):
-            raise self._refused(word, _DOUBLE)
+            raise self._refused(token, _DOUBLE)
         return value
 
-    def integer(self, word: str) -> int:
-        if not (len(word.lstrip("-")) <= DIGITS_MAX and math.isfinite(float(word))):
-            raise self._refused(word, _DOUBLE)
-        return int(word)
+    def integer(self, token: str) -> int:
+        if not (len(token.lstrip("-")) <= DIGITS_MAX and math.isfinite(float(token))):
+            raise self._refused(token, _DOUBLE)
+        return int(token)
 
-    def _refused(self, word: str, remedy: str) -> InputError:
-        """The first of this spelling outside of strings."""
-        start = next(one.start() for one in _WORDS.finditer(self.text) if one.group() == word)
-        return _no_number(self.path, self.text, start, word, remedy)
+    def _refused(self, token: str, remedy: str) -> InputError:
+        """The first of this spelling outside of strings; where it runs into what follows, the first at all."""
+        alone = (one.start() for one in _WORDS.finditer(self.text) if one.group() == token)
+        start = next(alone, self.text.find(token))
+        return _no_number(self.path, self.text, start, token, remedy)
 
 
 def parse_json(path: object, data: bytes) -> Any:
@@ -363,7 +364,7 @@ def robot_from_bytes(path: object, data: bytes) -> Robot:
         faults = build(robot).problems()
         if faults:
             bound = "what a controller can report, in steps of 1e-6"
-            raise InputError.of([Problem(str(path), key, fault, bound, "") for fault in faults])
+            raise InputError.of([FileProblem(str(path), key, fault, bound, "") for fault in faults])
     return robot
 
 
@@ -407,16 +408,16 @@ def _take_removed(document: dict[str, Any]) -> list[tuple[str, Any]]:
     return taken
 
 
-def _removed(file: str, key: str, value: object) -> Problem:
+def _removed(file: str, key: str, value: object) -> FileProblem:
     bound = f"left out: {REMOVED[key]} has no such setting, and it never had an effect"
-    return Problem(file, key, shown(value), bound, "delete this line")
+    return FileProblem(file, key, shown(value), bound, "delete this line")
 
 
 _COMPARISONS: Final = {"greater_than_equal": (">=", "ge"), "greater_than": (">", "gt"),
                        "less_than_equal": ("<=", "le"), "less_than": ("<", "lt")}  # fmt: skip
 
 
-def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
+def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> FileProblem:
     """One pydantic error in this program's words."""
     context = item.get("ctx", {})
     kind = item["type"]
@@ -424,19 +425,19 @@ def _problem(file: str, item: ErrorDetails, model: type[BaseModel]) -> Problem:
     value = quoted(item["input"])
     if kind in _COMPARISONS:
         sign, limit = _COMPARISONS[kind]
-        return Problem(file, key, value, f"{sign} {context[limit]}", f"correct {key}")
+        return FileProblem(file, key, value, f"{sign} {context[limit]}", f"correct {key}")
     if kind == "missing":
-        return Problem(file, key, "missing", "given", f"add {key}")
+        return FileProblem(file, key, "missing", "given", f"add {key}")
     if kind == "extra_forbidden":
         known = ", ".join(_known_keys(model, item["loc"][:-1]))
-        return Problem(file, key, value, f"one of the known keys here ({known})", "remove or correct it")
+        return FileProblem(file, key, value, f"one of the known keys here ({known})", "remove or correct it")
     if kind == RULE:
         found = context["found"]
-        return Problem(
+        return FileProblem(
             file, context["key"] or key, shown(found) or value, context["bound"], context["remedy"]
         )
     remedy = _remedy_of_type(kind, item["input"]) or f"correct {key}"
-    return Problem(file, key, value, _readable(item["msg"]), remedy)
+    return FileProblem(file, key, value, _readable(item["msg"]), remedy)
 
 
 def _remedy_of_type(kind: str, value: object) -> str:

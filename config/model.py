@@ -76,7 +76,7 @@ LinkError = Annotated[Real, Field(ge=-100, le=100)]
 Speed = Annotated[Real, Field(gt=0, le=1e6)]
 
 
-class Arm(Strictly):
+class ArmSettings(Strictly):
     """Link lengths: ``upper_link_mm`` a0 (shoulder to elbow), ``forearm_link_mm`` a1 (elbow to wrist)."""
 
     upper_link_mm: Length
@@ -155,7 +155,7 @@ class Wrist(Strictly):
     hold_roll_deg: Annotated[Real, Field(ge=-ROTATION_DEG_MAX, le=ROTATION_DEG_MAX)] = 0.0
 
 
-class DeadbandSetting(Strictly):
+class DeadbandSettings(Strictly):
     """How far every boundary is kept away from; the path tolerances widen it."""
 
     arm_mm: Annotated[Real, Field(gt=0, le=1000)]
@@ -170,12 +170,12 @@ class Robot(Strictly):
     schema_: Annotated[Literal["cutgate.robot/1"], Field(alias="schema")] = "cutgate.robot/1"
     name: Text
     elbow: Literal["right", "left"]
-    arm: Arm
+    arm: ArmSettings
     tool: MountedTool
     limits: JointLimits
     calibration: CalibrationErrors = CalibrationErrors()
     wrist: Wrist = Wrist()
-    deadband: DeadbandSetting
+    deadband: DeadbandSettings
 
     @model_validator(mode="after")
     def _elbow_agrees(self) -> Self:
@@ -222,7 +222,7 @@ def _on_the_wire(value: float, info: ValidationInfo) -> float:
 Exchanged = Annotated[Real, AfterValidator(_on_the_wire)]
 
 
-class Bus(Strictly):
+class BusSettings(Strictly):
     """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program.
 
     ``bitrate_bit_s``: of an interface that python-can sets up; the kernel's are set with ``ip link``.
@@ -235,7 +235,7 @@ class Bus(Strictly):
     fd: Annotated[bool, Strict()] = False
 
 
-class Timing(Strictly):
+class TimingSettings(Strictly):
     """Periods and time-outs; see ``cutgate.config.constants``."""
 
     heartbeat_ms: Integer = _constant("heartbeat_ms")
@@ -261,13 +261,13 @@ class Timing(Strictly):
         return self
 
 
-class Permit(Strictly):
+class PermitSettings(Strictly):
     """The permit's lifetime."""
 
     permit_lifetime_s: Integer = _constant("permit_lifetime_s")
 
 
-class Start(Strictly):
+class StartSettings(Strictly):
     """The start's lifetime and how near to the bound start joints the arm must stand."""
 
     start_lifetime_ms: Integer = _constant("start_lifetime_ms")
@@ -275,21 +275,21 @@ class Start(Strictly):
     start_tolerance_deg: Exchanged = _constant("start_tolerance_deg")
 
 
-class Approach(Strictly):
+class ApproachSettings(Strictly):
     """The way from where the arm stands to the path's first pose, and back from its last."""
 
     approach_clearance_mm: Exchanged = _constant("approach_clearance_mm")
     approach_speed_percent: Integer = _constant("approach_speed_percent")
 
 
-class Tracking(Strictly):
+class TrackingSettings(Strictly):
     """How far the moving arm may be off the verified path."""
 
     tracking_tolerance_mm: Real = _constant("tracking_tolerance_mm")
     tracking_tolerance_deg: Real = _constant("tracking_tolerance_deg")
 
 
-class Log(Strictly):
+class LogSettings(Strictly):
     """Where session logs go and how late their records may be durable."""
 
     directory: Text = "cutgate-logs"
@@ -298,7 +298,7 @@ class Log(Strictly):
     chunk_period_ms: Integer = _constant("chunk_period_ms")
 
 
-class Files(Strictly):
+class FilesSettings(Strictly):
     """How large input files may be."""
 
     file_size_limit_mb: Integer = _constant("file_size_limit_mb")
@@ -319,14 +319,14 @@ class Site(Strictly):
     """``site.toml``: bus, timing, lifetimes, log directory. ``Site()`` is the default site."""
 
     schema_: Annotated[Literal["cutgate.site/1"], Field(alias="schema")] = "cutgate.site/1"
-    bus: Bus = Bus()
-    timing: Timing = Timing()
-    permit: Permit = Permit()
-    start: Start = Start()
-    approach: Approach = Approach()
-    tracking: Tracking = Tracking()
-    log: Log = Log()
-    files: Files = Files()
+    bus: BusSettings = BusSettings()
+    timing: TimingSettings = TimingSettings()
+    permit: PermitSettings = PermitSettings()
+    start: StartSettings = StartSettings()
+    approach: ApproachSettings = ApproachSettings()
+    tracking: TrackingSettings = TrackingSettings()
+    log: LogSettings = LogSettings()
+    files: FilesSettings = FilesSettings()
     controller: ExpectedController = ExpectedController()
     key_file: Text | None = None
     registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None

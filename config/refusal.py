@@ -13,7 +13,7 @@ _REPR_BITS: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class FileProblem:
     """One thing wrong with one file. ``key`` is a dotted key or ``line N``; empty when it is the whole file."""
 
     file: str
@@ -50,13 +50,13 @@ class InputError(Exception):
         bound: str,
         remedy: str = "",
         *,
-        more: Sequence[Problem] = (),
+        more: Sequence[FileProblem] = (),
     ) -> None:
-        self.problems = (Problem(str(file), key, shown(value), bound, remedy), *more)
+        self.problems = (FileProblem(str(file), key, shown(value), bound, remedy), *more)
         super().__init__(str(self))
 
     @classmethod
-    def of(cls, problems: Sequence[Problem]) -> "InputError":
+    def of(cls, problems: Sequence[FileProblem]) -> "InputError":
         """The error that lists these problems; at least one."""
         first = problems[0]
         return cls(first.file, first.key, first.value or None, first.bound, first.remedy, more=problems[1:])

@@ -23,7 +23,7 @@ STDOUT: Final = 1
 STDERR: Final = 2
 WAITING_MAX: Final = 500
 """Lines, or whole answers, that wait for a screen. Of more the oldest are dropped."""
-SAID_MAX: Final = 2000
+LINE_MAX: Final = 2000
 """Characters of one line."""
 SHOWN_MAX: Final = 50_000
 """Characters of one answer."""
@@ -58,7 +58,7 @@ class Screen:
 
     def say(self, line: str) -> None:
         """One line, with what is not printable escaped."""
-        self._hand_over(line if len(line) <= SAID_MAX else f"{line[:SAID_MAX]}...")
+        self._hand_over(line if len(line) <= LINE_MAX else f"{line[:LINE_MAX]}...")
 
     def show(self, answer: Callable[[], str]) -> None:
         """What this returns, line ends included; the screen's thread calls it, for making it takes time."""
@@ -116,7 +116,7 @@ def _text(item: str | Callable[[], str]) -> str:
     try:
         text = item()
     except Exception as error:  # noqa: BLE001 - the thread goes on, and whoever looks on is told
-        return f"{printable(f'(cannot be shown: {type(error).__name__}: {error})'[:SAID_MAX])}\n"
+        return f"{printable(f'(cannot be shown: {type(error).__name__}: {error})'[:LINE_MAX])}\n"
     return text if len(text) <= SHOWN_MAX else f"{text[:SHOWN_MAX]}\n(and more than a screen holds)\n"
 
 
@@ -161,7 +161,7 @@ class _Diverted(io.TextIOBase):
 
     def write(self, text: str) -> int:
         *lines, rest = (self._rest + text).split("\n")
-        self._rest = rest[:SAID_MAX]
+        self._rest = rest[:LINE_MAX]
         for line in lines:
             self._screen.say(line)
         return len(text)

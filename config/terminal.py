@@ -12,7 +12,7 @@ from cutgate.config.signals import none_here
 
 STDIN: Final = 0
 READ_BYTES: Final = 64
-"""In one turn of a loop, a dozen words: each may become a record, and somebody may paste thousands."""
+"""In one cycle of a loop, a dozen words: each may become a record, and somebody may paste thousands."""
 PASSED_ON_BYTES: Final = 4096
 LINE_BYTES_MAX: Final = 256
 CUT: Final = b"..."
@@ -41,17 +41,17 @@ def open_standard_streams() -> None:
             setattr(sys, name, stream)
 
 
-class WordReader(Generic[W]):
+class CommandReader(Generic[W]):
     """Splits what arrives on a descriptor into words of one vocabulary.
 
     Args:
         descriptor: file descriptor to read from; poll it, then call :meth:`read`.
-        words: the vocabulary.
+        vocabulary: the commands there are.
     """
 
-    def __init__(self, descriptor: int, words: type[W]) -> None:
+    def __init__(self, descriptor: int, vocabulary: type[W]) -> None:
         self.descriptor: int | None = descriptor
-        self._words = words
+        self._vocabulary = vocabulary
         self._rest = b""
 
     def read(self) -> list[W | str]:
@@ -73,11 +73,11 @@ class WordReader(Generic[W]):
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[: LINE_BYTES_MAX + 1]  # one byte too many says that it is too long
         texts = [_text(line) for line in lines]
-        return [self._word(text) for text in texts if text]
+        return [self._command(text) for text in texts if text]
 
-    def _word(self, text: str) -> W | str:
+    def _command(self, text: str) -> W | str:
         try:
-            return self._words(text)
+            return self._vocabulary(text)
         except ValueError:
             return text[:LINE_BYTES_MAX]
 
@@ -88,7 +88,7 @@ def _text(line: bytes) -> str:
     return whole.decode("ascii", "replace").strip().lower()
 
 
-def typed(words: type[W], descriptor: int = STDIN) -> WordReader[W]:
+def typed(vocabulary: type[W], descriptor: int = STDIN) -> CommandReader[W]:
     """The words that arrive on a descriptor which others may share: a thread of its own reads it, through a pipe.
 
     Between the news that something has arrived and the reading of it, another program may take it away, and the
@@ -96,8 +96,8 @@ def typed(words: type[W], descriptor: int = STDIN) -> WordReader[W]:
     """
     reading, writing = os.pipe2(os.O_CLOEXEC)
     os.set_blocking(reading, False)
-    Thread(target=_pass_on, args=(descriptor, writing), name="words", daemon=True).start()
-    return WordReader(reading, words)
+    Thread(target=_pass_on, args=(descriptor, writing), name="commands", daemon=True).start()
+    return CommandReader(reading, vocabulary)
 
 
 def _pass_on(source: int, sink: int) -> None:

@@ -76,7 +76,7 @@ def clearances(problem: Problem, verdict: Verdict) -> dict[str, Floats]:
     """Of every boundary at every pose, mm and deg; NaN where undefined. Right elbow, no calibration."""
     wrist, space = wrist_centres(problem), planar(problem)
     inside = space.inside(wrist[:, :2])
-    sides = signed_sides(side_distances(wrist[:, :2], space), inside, full_turn=False)
+    sides = signed_sides(side_distances(wrist[:, :2], space), inside, full_revolution=False)
     arm = TrueArm(problem.arm.upper_mm, problem.arm.forearm_mm, 1.0, np.zeros(5), np.zeros(2))
     with np.errstate(invalid="ignore"):
         q = arm.joints(problem.tips_mm, problem.axes, problem.tool_length_mm)

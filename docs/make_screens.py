@@ -54,7 +54,7 @@ def silent_disk(pair: Pair) -> None:
 
 def silent_controller(pair: Pair) -> None:
     """The controller has no power any more."""
-    pair.controller_turns = False
+    pair.controller_runs = False
 
 
 def stalled(pair: Pair) -> None:
@@ -94,7 +94,7 @@ def other_key(pair: Pair) -> None:
 
 
 def knocked(pair: Pair) -> None:
-    """A joint is faster in one turn than its limit allows."""
+    """A joint is faster in one cycle than its limit allows."""
     q0, *others = pair.process.arm.measured
     pair.process.arm.measured = (q0 + 0.1, *others)
 
@@ -107,8 +107,8 @@ def broken_controller(pair: Pair) -> None:
 
     pair.process._inject = fail
     with suppress(RuntimeError):
-        pair.turn()
-    pair.controller_turns = False
+        pair.run_cycle()
+    pair.controller_runs = False
 
 
 def broken_bus(pair: Pair) -> None:

@@ -130,7 +130,7 @@ def session() -> str:
             permit = bench.permitted()
             bench.ask(bench.signed(bench.start(permit)))
             bench.stop(StopCause.OPERATOR_QUIT, StopCode.END)
-            bench.turn()
+            bench.run_cycle()
             frames = bench.frames
         finally:
             rig.close()

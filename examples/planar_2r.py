@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.library.other_arms import (
+    ArmPath,
     Decision,
-    Path,
     Polyline,
     SampledBoundary,
     certify,
@@ -27,7 +27,7 @@ from cutgate.runtime.library.other_arms import (
 
 Range = tuple[float, float]
 
-TURN = 2.0 * math.pi
+REVOLUTION = 2.0 * math.pi
 ROUNDING = 1e-9
 """Of one mm of reach, as for the exact distance: see `cutgate.runtime.workspace.distance.ROUNDING`."""
 
@@ -55,7 +55,7 @@ class Planar2R:
     def __post_init__(self) -> None:
         if not (0.0 < self.a0 < math.inf and 0.0 < self.a1 < math.inf):
             raise ValueError(f"links are {self.a0} and {self.a1} mm, must be finite and over zero")
-        if not (self.unlimited or 0.0 <= self.q0[1] - self.q0[0] < TURN):
+        if not (self.unlimited or 0.0 <= self.q0[1] - self.q0[0] < REVOLUTION):
             raise ValueError(
                 f"shoulder limits are {self.q0} rad, must span 0 to under a turn, or be infinite"
             )
@@ -104,13 +104,13 @@ class Side:
             if not arm.unlimited:
                 offset = np.arctan2(arm.a1 * np.sin(q1), arm.a0 + arm.a1 * np.cos(q1))
                 q0 = np.arctan2(points[:, 1], points[:, 0]) - offset
-                fits &= np.mod(q0 - arm.q0[0], TURN) <= arm.q0[1] - arm.q0[0]
+                fits &= np.mod(q0 - arm.q0[0], REVOLUTION) <= arm.q0[1] - arm.q0[0]
         return fits
 
     def distance(self, spacing_mm: float) -> SampledBoundary:
         """The signed distance, its boundary sampled at most ``spacing_mm`` apart."""
         arm, (c, d) = self.arm, self.bend
-        lo, hi = (0.0, TURN) if arm.unlimited else arm.q0
+        lo, hi = (0.0, REVOLUTION) if arm.unlimited else arm.q0
         edges = [self._edge((lo, q1), (hi, q1), self.radius(q1), spacing_mm) for q1 in (c, d)]
         if not arm.unlimited:
             edges += [self._edge((q0, c), (q0, d), arm.a1, spacing_mm) for q0 in (lo, hi)]
@@ -125,7 +125,7 @@ class Side:
         )  # fmt: skip
 
 
-def verify(arm: Planar2R, path: Path, deadband_mm: float, spacing_mm: float) -> dict[str, Decision]:
+def verify(arm: Planar2R, path: ArmPath, deadband_mm: float, spacing_mm: float) -> dict[str, Decision]:
     """One decision for each side of the elbow; the path is admissible if one of them is."""
     return {
         "right" if side.sign > 0 else "left": certify(path, side.distance(spacing_mm), deadband_mm)

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Ints
+from cutgate.protocol.arrays import Floats, Ints
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
 from cutgate.runtime.library.other_arms import Decision, ExactPlanar, certify
 from cutgate.runtime.workspace.distance import signed_distance

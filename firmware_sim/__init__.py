@@ -1,1 +1,1 @@
-"""The simulated controller, its plant and the virtual bus; an independent witness of the runtime."""
+"""The simulated controller, its plant and the virtual bus; an independent oracle of the runtime."""

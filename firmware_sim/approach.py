@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from cutgate.firmware_sim.kinematics import (
-    Arm,
+    ControllerArm,
     Joints,
     KinematicsError,
     Pose,
     as_joints,
-    beyond_text,
     follow,
     limit_text,
+    outside_text,
 )
 from cutgate.firmware_sim.path_check import pose_of
 from cutgate.protocol import records
@@ -59,7 +59,7 @@ def pose_at_standoff(pose: Pose, distance_um: int) -> Pose:
 
 
 def own_ends(
-    path: PathCodes, arm: Arm, limits: Limits, first: Joints, last: Joints, *, clearance_um: int
+    path: PathCodes, arm: ControllerArm, limits: Limits, first: Joints, last: Joints, *, clearance_um: int
 ) -> Ends:
     """Entry and exit, followed from the joints at the path's first and last pose.
 
@@ -76,7 +76,7 @@ def own_ends(
             raise KinematicsError(
                 f"{name} pose, {distance_um / 1000:.3f} mm along the tool: {error}"
             ) from None
-        text = limit_text(reached, as_joints(limits.q_min), as_joints(limits.q_max)) or beyond_text(reached)
+        text = limit_text(reached, as_joints(limits.q_min), as_joints(limits.q_max)) or outside_text(reached)
         if text:
             raise KinematicsError(f"{name} pose, {distance_um / 1000:.3f} mm along the tool: {text}")
         found.append((distance_um, joints_to_counts(reached)))
@@ -122,7 +122,7 @@ def start_offset(
 
 
 @dataclass(frozen=True)
-class Approach:
+class BoundApproach:
     """What the plant executes before and after the cut: exactly what the permit binds.
 
     Attributes:

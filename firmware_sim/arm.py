@@ -1,13 +1,13 @@
 """The simulated arm as the loop sees it: where it stands, what it executes, and which joints the bus hears.
 
-No bus, no clock: time comes in as an argument. :meth:`Arm.load` follows every change of the stored path,
-:meth:`Arm.begin` an accepted start, and after that :meth:`Arm.move` is called once a cycle.
+No bus, no clock: time comes in as an argument. :meth:`PlantArm.load` follows every change of the stored path,
+:meth:`PlantArm.begin` an accepted start, and after that :meth:`PlantArm.move` is called once a cycle.
 """
 
 import math
 from dataclasses import replace
 
-from cutgate.firmware_sim.approach import Approach
+from cutgate.firmware_sim.approach import BoundApproach
 from cutgate.firmware_sim.kinematics import GOES_RAD, Joints
 from cutgate.firmware_sim.plant import Plant, PlantFault, PlantState, StoredPath
 from cutgate.firmware_sim.state import Holdings
@@ -18,7 +18,7 @@ DRIFT_DEG_S = 1.0
 RUSH = 3.0
 
 
-class Arm:
+class PlantArm:
     """The arm: plant, joints, the path and the legs it executes, and what is wrong with it.
 
     Args:
@@ -63,11 +63,11 @@ class Arm:
             hold_roll_rad=self._hold_roll_rad,
         )
         self.path = StoredPath.of(holdings.path) if holdings.path is not None else None
-        self._approach: Approach | None = None
+        self._approach: BoundApproach | None = None
 
     def begin(self, permit: Permit) -> None:
         """The start was accepted: from where the arm stands along the permitted legs."""
-        self._approach = Approach.of(permit)
+        self._approach = BoundApproach.of(permit)
         self.state = PlantState(self.state.joints)
         self.measured = self.state.joints
         self.executed, self.speed_ratio = 0, 0.0

@@ -9,15 +9,15 @@ from typing import Any, Final
 from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     CollectReceived,
+    ControllerSession,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     NonceRequested,
     OpenReceived,
     PermitReceived,
     ResetReceived,
-    Session,
     StartReceived,
     StopReceived,
 )
@@ -43,10 +43,10 @@ def of_frame(accepted: Accepted) -> Event | None:
 def of_lateness(violation: Violation) -> Event:
     """What time alone has brought about: a lost peer, a stalled loop, a transfer that did not end."""
     lost = violation.cause is StopCause.HEARTBEAT_LOST
-    return HeartbeatLost() if lost else Fault(violation.cause)
+    return HeartbeatLost() if lost else FaultArisen(violation.cause)
 
 
-def belongs(item: RecordReceived, session: Session | None) -> bool:
+def belongs(item: RecordReceived, session: ControllerSession | None) -> bool:
     """Whether a checked record is of this session, or asks for one; any other is ignored."""
     inside = session is not None and item.session == session.tag
     return inside or isinstance(item.record, records.Open)

@@ -23,7 +23,7 @@ from cutgate.config.signals import ENDING, handled, wake
 from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
 from cutgate.firmware_sim.loop import Options, Process
@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> None:
         say(
             f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, fingerprint {fingerprint(key)}"
         )
-        say(f"state {controller.state.name}; enabling device released; commands: {', '.join(Word)}")
+        say(f"state {controller.state.name}; enabling device released; commands: {', '.join(ConsoleCommand)}")
         if settings.time_scale != 1.0:
             say(f"simulation only: the plant runs {settings.time_scale:g} times as fast as the clock")
         if remembered.latched is not StopCause.NONE:
@@ -108,7 +108,7 @@ def _run(options: argparse.Namespace) -> None:
             Port(bus, _endpoint(fd=options.fd)),
             memory_file,
             options=settings,
-            commands=typed(Word),
+            commands=typed(ConsoleCommand),
             say=say,
         )
         process.run(reading)
@@ -203,7 +203,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cutgate sim",
         description="A simulated robot controller on the bus. Commands on its terminal: "
-        + ", ".join(Word)
+        + ", ".join(ConsoleCommand)
         + ".",
         allow_abbrev=False,
     )

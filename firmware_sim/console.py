@@ -9,7 +9,7 @@ from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.states import Refusal, StopCause
 
 
-class Word(StrEnum):
+class ConsoleCommand(StrEnum):
     """What the person at the simulated controller can do: one operator command a line."""
 
     HOLD = "hold"
@@ -19,27 +19,27 @@ class Word(StrEnum):
     LIMIT = "limit"
 
 
-def event_of(command: Word, controller: Controller) -> tuple[str, Event]:
+def event_of(command: ConsoleCommand, controller: Controller) -> tuple[str, Event]:
     """What an operator command does: the line that confirms it, and what the table hears."""
     inputs = controller.inputs
     match command:
-        case Word.HOLD:
+        case ConsoleCommand.HOLD:
             return "enabling device pressed", InputsChanged(replace(inputs, device_pressed=True))
-        case Word.RELEASE:
+        case ConsoleCommand.RELEASE:
             return "enabling device released", InputsChanged(replace(inputs, device_pressed=False))
-        case Word.ESTOP:
+        case ConsoleCommand.ESTOP:
             clear = not inputs.emergency_stop_clear
             line = "emergency stop released" if clear else "emergency stop pressed"
             return line, InputsChanged(replace(inputs, emergency_stop_clear=clear))
-        case Word.BONE_MOTION:
+        case ConsoleCommand.BONE_MOTION:
             return "bone motion reported", BoneMoved()
-        case Word.LIMIT:
+        case ConsoleCommand.LIMIT:
             return "a joint limit was changed", LimitsChanged(narrower(controller.holdings.limits))
 
 
 def not_known(text: str) -> str:
     """The answer to what is no operator command."""
-    return f"{text!r} is no command here; say one of {', '.join(Word)}"
+    return f"{text!r} is no command here; say one of {', '.join(ConsoleCommand)}"
 
 
 def state_line(controller: Controller) -> str:

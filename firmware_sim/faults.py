@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cutgate.firmware_sim.arm import Arm
+from cutgate.firmware_sim.arm import PlantArm
 from cutgate.firmware_sim.plant import StoredPath
 from cutgate.firmware_sim.state import Controller
 from cutgate.protocol import records
@@ -80,7 +80,7 @@ class Faults:
         return due
 
 
-def happen(name: FaultName, controller: Controller, arm: Arm, now_s: float) -> Controller:
+def happen(name: FaultName, controller: Controller, arm: PlantArm, now_s: float) -> Controller:
     """Let one of them happen to the arm, or to what the controller holds; it does not notice.
 
     Args:

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.protocol.records import Calibration, Elbow
 
-Floats = NDArray[np.float64]
 Joints = tuple[float, float, float, float, float]
 Vector3 = tuple[float, float, float]
 
@@ -53,7 +52,7 @@ class Pose(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ControllerArm:
     """The true arm.
 
     Attributes:
@@ -77,10 +76,10 @@ class Arm:
 
 def calibrated_arm(
     calibration: Calibration, *, tool_mm: float, elbow: Elbow, hold_roll_rad: float | None = None
-) -> Arm:
+) -> ControllerArm:
     """The true arm that a calibration record describes."""
     q0, q1, q2, q3, q4 = (float(value) for value in calibration.joint_offset)
-    return Arm(
+    return ControllerArm(
         upper_mm=calibration.upper_mm + calibration.upper_link_error_mm,
         forearm_mm=calibration.forearm_mm + calibration.forearm_link_error_mm,
         tool_mm=tool_mm,
@@ -91,7 +90,7 @@ def calibrated_arm(
     )
 
 
-def forward(arm: Arm, joints: Joints) -> Pose:
+def forward(arm: ControllerArm, joints: Joints) -> Pose:
     """The pose that reported joints bring about."""
     q0, q1, q2, q3, q4 = (reported + offset for reported, offset in zip(joints, arm.offset, strict=True))
     heading = q0 + q1 + q3
@@ -105,7 +104,7 @@ def forward(arm: Arm, joints: Joints) -> Pose:
     return Pose((x, y, z), axis)
 
 
-def inverse(arm: Arm, pose: Pose) -> Joints:
+def inverse(arm: ControllerArm, pose: Pose) -> Joints:
     """The reported joints of a pose on the arm's elbow, q0 and q3 in (-pi, pi].
 
     Raises:
@@ -149,7 +148,7 @@ def inverse(arm: Arm, pose: Pose) -> Joints:
     )
 
 
-def inverse_many(arm: Arm, tips_mm: Floats, axes: Floats) -> Floats:
+def inverse_many(arm: ControllerArm, tips_mm: Floats, axes: Floats) -> Floats:
     """`inverse` of many poses at once.
 
     Args:
@@ -237,7 +236,7 @@ def interpolate(start: Pose, end: Pose, fraction: float) -> Pose:
     return Pose((x, y, z), (u[0] / length, u[1] / length, u[2] / length))
 
 
-def follow(arm: Arm, start: Pose, end: Pose, joints: Joints) -> Joints:
+def follow(arm: ControllerArm, start: Pose, end: Pose, joints: Joints) -> Joints:
     """The joints at a segment's end, followed continuously from those at its start.
 
     Raises:
@@ -271,7 +270,7 @@ def as_joints(values: Floats) -> Joints:
     return q0, q1, q2, q3, q4
 
 
-def beyond_text(joints: Joints) -> str:
+def outside_text(joints: Joints) -> str:
     """The joints that go beyond what a joints frame reports, one revolution to spare, in deg; empty if none does.
 
     The slide and the joints whose limits are narrow by themselves never do.

@@ -15,19 +15,20 @@ from typing import Final, assert_never
 
 import can
 
-from cutgate.config.terminal import WordReader
+from cutgate.config.terminal import CommandReader
 from cutgate.firmware_sim import arrivals, console, faults, memory, reports
-from cutgate.firmware_sim.arm import Arm
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.arm import PlantArm
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec
 from cutgate.firmware_sim.kinematics import Joints
 from cutgate.firmware_sim.state import (
     AbortTransfers,
     CloseLink,
     Controller,
+    ControllerSession,
     Effect,
     Event,
-    Fault,
+    FaultArisen,
     JointsMeasured,
     Memory,
     OpenLink,
@@ -37,7 +38,6 @@ from cutgate.firmware_sim.state import (
     PersistFailed,
     Send,
     SendFault,
-    Session,
     Tick,
 )
 from cutgate.firmware_sim.table import step
@@ -96,7 +96,7 @@ class Process:
         memory_file: FilePath,
         *,
         options: Options,
-        commands: WordReader[Word] | None = None,
+        commands: CommandReader[ConsoleCommand] | None = None,
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
@@ -118,7 +118,7 @@ class Process:
         self._cycle = Cycle(port, clock)
         self._next_announce_s = self._cycle.now_s
         self.upload = Upload(options.hold_roll_rad)
-        self.arm = Arm(
+        self.arm = PlantArm(
             controller.holdings,
             joints=options.joints,
             hold_roll_rad=options.hold_roll_rad,
@@ -137,15 +137,15 @@ class Process:
         while True:
             ready = {descriptor for descriptor, _ in poller.poll(1000.0 * self._wait_s())}
             if wake in ready:
-                self._feed(Fault(StopCause.OPERATOR_QUIT))
+                self._feed(FaultArisen(StopCause.OPERATOR_QUIT))
                 self.port.flush_last()
                 return
             descriptor = self._console_descriptor
-            self.turn(ready)
+            self.run_cycle(ready)
             if descriptor is not None and self._console_descriptor is None:  # end of file
                 poller.unregister(descriptor)
 
-    def turn(self, ready: Collection[int] = ()) -> None:
+    def run_cycle(self, ready: Collection[int] = ()) -> None:
         """One cycle of the loop. After anything that is raised the arm stands, for nothing else moves it.
 
         Args:
@@ -155,15 +155,15 @@ class Process:
             can.CanError: the bus failed.
         """
         try:
-            self._turn(ready)
+            self._run_cycle(ready)
         except can.CanError:
-            self._feed(Fault(StopCause.BUS_FAILED))
+            self._feed(FaultArisen(StopCause.BUS_FAILED))
             raise
         except BaseException:
             self._give_up()
             raise
 
-    def _turn(self, ready: Collection[int]) -> None:
+    def _run_cycle(self, ready: Collection[int]) -> None:
         cycle = self._cycle
         cycle.begin()
         for violation in cycle.late():
@@ -181,7 +181,7 @@ class Process:
 
     def _give_up(self) -> None:
         """The program itself failed: latch, tell the runtime if the bus still carries it, send nothing else."""
-        self.controller, effects = step(self.controller, Fault(StopCause.INTERNAL_ERROR), self._clock())
+        self.controller, effects = step(self.controller, FaultArisen(StopCause.INTERNAL_ERROR), self._clock())
         self.port.endpoint.abort()
         for effect in effects:
             if isinstance(effect, SendFault):
@@ -218,7 +218,7 @@ class Process:
                 self._late(item)
             case Violation():
                 self._say(f"refused: {item.detail}")
-                self._feed(Fault(item.cause))
+                self._feed(FaultArisen(item.cause))
             case Undelivered(detail) if detail != self._undelivered:  # announcements come five times a second
                 self._undelivered = detail
                 self._say(detail)
@@ -241,12 +241,12 @@ class Process:
         if self._commands is None or self._commands.descriptor not in ready:
             return
         for command in self._commands.read():
-            if isinstance(command, Word):
+            if isinstance(command, ConsoleCommand):
                 self.act(command)
             else:
                 self._say(console.not_known(command))
 
-    def act(self, command: Word) -> None:
+    def act(self, command: ConsoleCommand) -> None:
         """Carry out one operator command."""
         line, event = console.event_of(command, self.controller)
         self._say(line)
@@ -322,7 +322,7 @@ class Process:
             case _:
                 assert_never(effect)
 
-    def _open_link(self, session: Session) -> None:
+    def _open_link(self, session: ControllerSession) -> None:
         endpoint = self.port.endpoint
         endpoint.stop_sending()  # an announcement that crossed OPEN must not hold up the answer
         endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
@@ -365,7 +365,7 @@ class Process:
         fault = self.arm.move(gap_s, moving=self.controller.may_move, cutter=self.controller.cutting_mode)
         if fault is not None:
             self._say(f"the arm stopped by itself: {fault.detail}")
-            self._feed(Fault(fault.cause))
+            self._feed(FaultArisen(fault.cause))
         elif self.arm.state.done:
             self._measure()
             self._feed(PathFinished())

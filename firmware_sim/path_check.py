@@ -8,24 +8,23 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.firmware_sim.kinematics import (
     GOES_RAD,
     VERTICAL_SIN,
-    Floats,
     Joints,
     KinematicsError,
     Pose,
     as_joints,
-    beyond_text,
     calibrated_arm,
     follow,
     inverse,
     inverse_many,
     limit_text,
+    outside_text,
     wrap_many,
 )
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.protocol.records import UNIT, Calibration, Limits, PathCodes, RecordError, Tool
 from cutgate.protocol.states import Refusal
 
@@ -140,7 +139,7 @@ class PathCheck:
             return None
         row = int(np.argmax(wrong))
         if inside[row] and not reported[row]:
-            return PathVerdict(Refusal.JOINTS_BEYOND_WIRE, begin + row, beyond_text(as_joints(joints[row])))
+            return PathVerdict(Refusal.JOINTS_BEYOND_WIRE, begin + row, outside_text(as_joints(joints[row])))
         detail = broken.get(row) or self._why(joints[row], vertical=bool(vertical[row]))
         return PathVerdict(Refusal.POSE_OUTSIDE_LIMITS, begin + row, detail)
 
@@ -202,8 +201,8 @@ def pose_of(path: PathCodes, index: int) -> Pose:
     return Pose(tuple(tip), tuple(axis))
 
 
-def _is_vertical(axes: Floats) -> NDArray[np.bool_]:
-    vertical: NDArray[np.bool_] = np.hypot(axes[:, 0], axes[:, 1]) < VERTICAL_SIN
+def _is_vertical(axes: Floats) -> Bools:
+    vertical: Bools = np.hypot(axes[:, 0], axes[:, 1]) < VERTICAL_SIN
     return vertical
 
 

@@ -13,9 +13,9 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from cutgate.firmware_sim.approach import Approach, pose_at_standoff
+from cutgate.firmware_sim.approach import BoundApproach, pose_at_standoff
 from cutgate.firmware_sim.kinematics import (
-    Arm,
+    ControllerArm,
     Joints,
     KinematicsError,
     Pose,
@@ -220,7 +220,7 @@ class Plant:
         self,
         state: PlantState,
         path: StoredPath,
-        approach: Approach,
+        approach: BoundApproach,
         *,
         dt_s: float,
         moving: bool,
@@ -261,7 +261,7 @@ class Plant:
                 )
         return None
 
-    def _arm(self, path: StoredPath) -> Arm:
+    def _arm(self, path: StoredPath) -> ControllerArm:
         return calibrated_arm(
             self.calibration, tool_mm=path.tool_length_mm, elbow=path.elbow, hold_roll_rad=self.hold_roll_rad
         )
@@ -270,7 +270,7 @@ class Plant:
 class _Motion:
     """One step under way: moves along stretch after stretch until the time is spent, the end or a fault."""
 
-    def __init__(self, plant: Plant, path: StoredPath, approach: Approach, state: PlantState) -> None:
+    def __init__(self, plant: Plant, path: StoredPath, approach: BoundApproach, state: PlantState) -> None:
         self._arm = plant._arm(path)  # noqa: SLF001 - same module
         self._lower, self._upper = as_joints(plant.limits.q_min), as_joints(plant.limits.q_max)
         self._speed = as_joints(plant.limits.speed)

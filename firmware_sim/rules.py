@@ -20,7 +20,7 @@ from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 
 
 @dataclass(frozen=True)
-class Case:
+class RequestCase:
     """A request and what it is judged against."""
 
     controller: Controller
@@ -28,19 +28,19 @@ class Case:
     now_s: float
 
 
-Rule = tuple[Refusal, Callable[[Case], bool]]
+Rule = tuple[Refusal, Callable[[RequestCase], bool]]
 
 
-def first_refusal(rules: tuple[Rule, ...], case: Case) -> Refusal:
+def first_refusal(rules: tuple[Rule, ...], case: RequestCase) -> Refusal:
     """The first rule that does not hold, else ACCEPTED."""
     return next((refusal for refusal, holds in rules if not holds(case)), Refusal.ACCEPTED)
 
 
-def _session_digest(case: Case) -> bytes | None:
+def _session_digest(case: RequestCase) -> bytes | None:
     return case.controller.session.digest if case.controller.session else None
 
 
-def _nonce_lifetime_s(case: Case, purpose: Purpose) -> float:
+def _nonce_lifetime_s(case: RequestCase, purpose: Purpose) -> float:
     session = case.controller.session
     if session is None:
         return math.nan  # which no age is within
@@ -48,14 +48,14 @@ def _nonce_lifetime_s(case: Case, purpose: Purpose) -> float:
 
 
 def _nonce_rules(purpose: Purpose) -> tuple[Rule, ...]:
-    def issued(case: Case) -> bool:
+    def issued(case: RequestCase) -> bool:
         return case.controller.issued is not None and case.controller.issued.purpose is purpose
 
-    def matches(case: Case) -> bool:
+    def matches(case: RequestCase) -> bool:
         nonce = case.controller.issued
         return nonce is not None and nonce.nonce == case.request.nonce
 
-    def alive(case: Case) -> bool:
+    def alive(case: RequestCase) -> bool:
         nonce = case.controller.issued
         return nonce is not None and 0.0 <= case.now_s - nonce.at_s <= _nonce_lifetime_s(case, purpose)
 
@@ -66,12 +66,12 @@ def _nonce_rules(purpose: Purpose) -> tuple[Rule, ...]:
     )
 
 
-def _path_as_permitted(case: Case) -> bool:
+def _path_as_permitted(case: RequestCase) -> bool:
     path = case.controller.holdings.path
     return path is not None and digest(path) == _permit(case).path_digest
 
 
-def _permit(case: Case) -> records.Permit:
+def _permit(case: RequestCase) -> records.Permit:
     """The permit in question: the one asked for, or for a start the one accepted."""
     if isinstance(case.request, records.Permit):
         return case.request
@@ -100,7 +100,7 @@ ALIVE_RULES: tuple[Rule, ...] = (
 )
 
 
-def _same_branch(case: Case) -> bool:
+def _same_branch(case: RequestCase) -> bool:
     stored = case.controller.holdings.path
     if stored is None:
         return False
@@ -108,7 +108,7 @@ def _same_branch(case: Case) -> bool:
     return bool(case.request.branch == records.Branch(path.elbow, path.q0_turns, path.roll_turns))
 
 
-def at_start(case: Case) -> bool:
+def at_start(case: RequestCase) -> bool:
     """The arm stands at the bound start joints, within the start tolerance and inside its limits."""
     session, measured_u = case.controller.session, case.controller.measured_u
     holdings = case.controller.holdings
@@ -123,45 +123,45 @@ def at_start(case: Case) -> bool:
     )
 
 
-def _own_approach(case: Case) -> bool:
+def _own_approach(case: RequestCase) -> bool:
     """Entry and exit are where the controller's own kinematics put them, and inside its limits."""
     holdings, bound = case.controller.holdings, case.request.approach
     limits = records.Limits.parse(holdings.limits)
     return agrees(holdings.ends, bound) and inside(limits, bound.entry_joints_u, bound.exit_joints_u)
 
 
-def _registration_as_opened(case: Case) -> bool:
+def _registration_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.registration_digest == session.registration
 
 
-def _configuration_as_opened(case: Case) -> bool:
+def _configuration_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.configuration_digest == session.configuration
 
 
-def _verifier_as_opened(case: Case) -> bool:
+def _verifier_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.verifier_version == session.verifier
 
 
-def _lifetime_as_opened(case: Case) -> bool:
+def _lifetime_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.lifetime_s == session.permit_lifetime_s
 
 
-def _speed_as_opened(case: Case) -> bool:
+def _speed_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.approach.speed_percent == session.approach_speed_percent
 
 
-def _permit_alive(case: Case) -> bool:
+def _permit_alive(case: RequestCase) -> bool:
     session = case.controller.session
     age_s = case.now_s - case.controller.permit_issued_at_s
     return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
 
 
-def _timing_within_bounds(case: Case) -> bool:
+def _timing_within_bounds(case: RequestCase) -> bool:
     timing: records.Timing = case.request.timing
     values = {
         "heartbeat_ms": timing.heartbeat_ms,
@@ -178,13 +178,13 @@ def _timing_within_bounds(case: Case) -> bool:
     )
 
 
-def _has_room(case: Case) -> bool:
+def _has_room(case: RequestCase) -> bool:
     """One registration more than can be remembered is refused; none is forgotten for it."""
     memory = case.controller.memory.naming(case.request.registration_digest)
     return len(memory.named | memory.withdrawn) <= REGISTRATIONS_MAX
 
 
-def _live(case: Case) -> bool:
+def _live(case: RequestCase) -> bool:
     return case.controller.session is not None and case.controller.session.live
 
 

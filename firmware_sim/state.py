@@ -66,7 +66,7 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class Session:
+class ControllerSession:
     """One session with one runtime. ``live`` is false once a stop has voided it."""
 
     tag: int
@@ -121,7 +121,7 @@ class Controller:
     """First-out: the first stop cause since the last acknowledgement."""
     epoch: int = 0
     inputs: Inputs = field(default_factory=Inputs)
-    session: Session | None = None
+    session: ControllerSession | None = None
     issued: Issued | None = None
     permit: records.Permit | None = None
     permit_issued_at_s: float = 0.0
@@ -253,7 +253,7 @@ class StopReceived:
 
 
 @dataclass(frozen=True)
-class Fault:
+class FaultArisen:
     """Something the shell found: a link violation, a stalled loop, a failed transfer, a second node."""
 
     cause: StopCause
@@ -327,7 +327,7 @@ Event = (
     | HeartbeatReceived
     | HeartbeatLost
     | StopReceived
-    | Fault
+    | FaultArisen
     | InputsChanged
     | BoneMoved
     | LimitsChanged
@@ -362,7 +362,7 @@ class SendFault:
 class OpenLink:
     """Single frames are protected with this session tag from now on."""
 
-    session: Session
+    session: ControllerSession
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from cutgate.firmware_sim.rules import (
     PERMIT_RULES,
     RESET_RULES,
     START_RULES,
-    Case,
+    RequestCase,
     at_start,
     first_refusal,
 )
@@ -27,10 +27,11 @@ from cutgate.firmware_sim.state import (
     CloseLink,
     CollectReceived,
     Controller,
+    ControllerSession,
     DeviceCycle,
     Effect,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     InputsChanged,
@@ -50,7 +51,6 @@ from cutgate.firmware_sim.state import (
     ResetReceived,
     Send,
     SendFault,
-    Session,
     StartReceived,
     StopReceived,
     Tick,
@@ -154,7 +154,7 @@ def heartbeat_lost(state: Controller, _event: HeartbeatLost, _now_s: float) -> O
     return replace(stopped, session=None, heartbeat_fresh=False), (*effects, CloseLink())
 
 
-def fault(state: Controller, event: Fault, _now_s: float) -> Outcome:
+def fault(state: Controller, event: FaultArisen, _now_s: float) -> Outcome:
     return stop_and_withdraw(state, event.cause)
 
 
@@ -187,7 +187,7 @@ def _cycle(cycle: DeviceCycle, pressed: bool) -> DeviceCycle:
 
 def open_received(state: Controller, event: OpenReceived, now_s: float) -> Outcome:
     """A session is opened once the name of its registration cannot be forgotten any more."""
-    refusal = first_refusal(OPEN_RULES, Case(state, event.request, now_s))
+    refusal = first_refusal(OPEN_RULES, RequestCase(state, event.request, now_s))
     if refusal is not Refusal.ACCEPTED:
         return state, (_reply(state, event.request, event.sequence, refusal, session=0),)
     memory = state.memory.naming(event.request.registration_digest)
@@ -197,7 +197,7 @@ def open_received(state: Controller, event: OpenReceived, now_s: float) -> Outco
 def open_session(state: Controller, event: OpenReceived) -> Outcome:
     request = event.request
     timing, nonces = request.timing, (state.identity.boot_nonce, request.runtime_nonce)
-    session = Session(
+    session = ControllerSession(
         tag=records.session_tag(*nonces),
         digest=records.session_digest(*nonces),
         registration=request.registration_digest,
@@ -261,7 +261,7 @@ def give_nonce(state: Controller, event: NonceRequested, now_s: float) -> Outcom
 
 
 def permit_received(state: Controller, event: PermitReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(PERMIT_RULES, Case(state, event.permit, now_s))
+    refusal = first_refusal(PERMIT_RULES, RequestCase(state, event.permit, now_s))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.permit, event.sequence, refusal)
     assert state.issued is not None  # noqa: S101 - NO_NONCE stands in the rules
@@ -278,7 +278,7 @@ def permit_received(state: Controller, event: PermitReceived, now_s: float) -> O
 
 
 def start_received(state: Controller, event: StartReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(START_RULES, Case(state, event.start, now_s))
+    refusal = first_refusal(START_RULES, RequestCase(state, event.start, now_s))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.start, event.sequence, refusal)
     cutting = replace(
@@ -288,7 +288,7 @@ def start_received(state: Controller, event: StartReceived, now_s: float) -> Out
 
 
 def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(RESET_RULES, Case(state, event.reset, now_s))
+    refusal = first_refusal(RESET_RULES, RequestCase(state, event.reset, now_s))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.reset, event.sequence, refusal)
     unlatched = replace(state.memory, latched=StopCause.NONE)
@@ -303,7 +303,7 @@ def leave_fault(state: Controller, event: ResetReceived) -> Outcome:
 def acknowledge_received(state: Controller, event: AcknowledgeReceived, now_s: float) -> Outcome:
     """Only the cause that stands is acknowledged, once it is gone; the operator has to have seen it."""
     request = records.Acknowledge(cause=event.cause)
-    refusal = first_refusal(ACKNOWLEDGE_RULES, Case(state, request, now_s))
+    refusal = first_refusal(ACKNOWLEDGE_RULES, RequestCase(state, request, now_s))
     acknowledged = replace(state, cause=StopCause.NONE) if refusal is Refusal.ACCEPTED else state
     return acknowledged, (_reply(acknowledged, request, event.sequence, refusal),)
 
@@ -409,7 +409,7 @@ def finished(state: Controller, event: PathFinished, now_s: float) -> Outcome:
     """
     if not state.may_move:
         return state, ()
-    if not at_start(Case(state, event, now_s)):
+    if not at_start(RequestCase(state, event, now_s)):
         return stop(state, StopCause.TRACKING_DEVIATION)
     done = replace(
         state,
@@ -464,7 +464,7 @@ EVERYWHERE: dict[type, Handler] = {
     JointsMeasured: measured,
     StopReceived: stop_received,
     HeartbeatLost: heartbeat_lost,
-    Fault: fault,
+    FaultArisen: fault,
     BoneMoved: bone_moved,
     LimitsChanged: limits_changed,
     InputsChanged: inputs_changed,

@@ -19,7 +19,7 @@ MALFORMED: Final = PathChecked(b"", Refusal.PATH_MALFORMED, 0, None)
 """What the table hears of blocks that make no path."""
 
 
-class Checked(NamedTuple):
+class CheckedPath(NamedTuple):
     """A verdict on a path.
 
     Attributes:
@@ -75,7 +75,7 @@ class Upload:
             hold_roll_rad=self._hold_roll_rad,
         )
 
-    def continue_check(self, holdings: Holdings, clearance_um: int) -> Checked | None:
+    def continue_check(self, holdings: Holdings, clearance_um: int) -> CheckedPath | None:
         """A part of the check.
 
         Args:
@@ -92,12 +92,12 @@ class Upload:
         refusal, pose, detail = check.run()
         if refusal is not Refusal.ACCEPTED:
             line = f"path refused: {refusal.name} at pose {pose}: {detail}"
-            return Checked(PathChecked(self._body, refusal, pose, None), (line,))
+            return CheckedPath(PathChecked(self._body, refusal, pose, None), (line,))
         try:
             ends = self._own_ends(check, holdings, clearance_um)
         except KinematicsError as error:
-            return Checked(PathChecked(self._body, refusal, pose, None), (f"no approach: {error}",))
-        return Checked(PathChecked(self._body, refusal, pose, ends), ())
+            return CheckedPath(PathChecked(self._body, refusal, pose, None), (f"no approach: {error}",))
+        return CheckedPath(PathChecked(self._body, refusal, pose, ends), ())
 
     def _own_ends(self, check: PathCheck, holdings: Holdings, clearance_um: int) -> Ends:
         """Entry and exit of an accepted path. Raises KinematicsError where the arm cannot reach them."""

@@ -73,7 +73,7 @@ class Sequence:
 
 
 @dataclass
-class CorruptionWatch:
+class CorruptionCount:
     """Counts frames that fail their CRC: two in any second are tolerated, a third is not."""
 
     failures_s: deque[float] = field(default_factory=deque)

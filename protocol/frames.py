@@ -14,8 +14,8 @@ from typing import Any, ClassVar, get_type_hints
 import cantools.database
 import numpy as np
 from cantools.database.can import Database, Message
-from numpy.typing import NDArray
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
 from cutgate.protocol.wire import Channel, Side
@@ -247,7 +247,7 @@ def _typed(holds: type[int], value: int, message: str, name: str) -> int:
         raise FrameError(f"{message}.{name} is {value:#x}, which is no {holds.__name__}") from None
 
 
-def joint_frames(joints: Sequence[float] | NDArray[np.float64]) -> tuple[Joints01, Joints23, Joint4]:
+def joint_frames(joints: Sequence[float] | Floats) -> tuple[Joints01, Joints23, Joint4]:
     """One sample of measured joints, (rad, rad, mm, rad, rad), to the nearest count.
 
     Raises:
@@ -271,7 +271,7 @@ def _joint_count(joint: int, value: float) -> int:
     return round(count)
 
 
-def joint_values(first: Joints01, second: Joints23, third: Joint4) -> NDArray[np.float64]:
+def joint_values(first: Joints01, second: Joints23, third: Joint4) -> Floats:
     """The joints of one sample, (rad, rad, mm, rad, rad), shape (5,)."""
     degrees = np.array([first.q0, first.q1, 0, second.q3, third.q4]) * ROTATION_DEG
     joints = np.radians(degrees)

@@ -44,10 +44,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cutgate.protocol.e2e import COUNTER_MODULUS, CorruptionWatch, Sequence, Step, intact
+from cutgate.protocol.arrays import Floats
+from cutgate.protocol.e2e import COUNTER_MODULUS, CorruptionCount, Sequence, Step, intact
 from cutgate.protocol.frames import (
     DATA_IDS,
     ECHO_NONE,
@@ -89,7 +87,7 @@ class JointSample:
             lost or proved nothing, one before it says so; minus infinity where none does.
     """
 
-    joints: NDArray[np.float64]
+    joints: Floats
     counter: int
     received_s: float
     measured_s: float = -math.inf
@@ -194,7 +192,7 @@ class Link:
         self._heard = False
         self._counters: dict[int, int] = {}
         self._sequences: dict[int, Sequence] = {}
-        self._corruption = CorruptionWatch()
+        self._corruption = CorruptionCount()
         self._parts: dict[int, tuple[int, Frame]] = {}
         self._cycles: dict[int, int] = {}
         self._proved: deque[tuple[int, float]] = deque(maxlen=COUNTER_MODULUS)

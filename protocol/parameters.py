@@ -13,11 +13,9 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.wire import I64, Channel, Counts2, Counts5, Record, RecordError, Side
-
-Vector = NDArray[np.float64]
 
 UNIT = 1_000_000
 """Counts in one deg, mm, mrad, deg/s, mm/s."""
@@ -61,7 +59,7 @@ def counts_nearest(value: float, name: str) -> int:
     return _counts(value, name, ROUND_HALF_EVEN)
 
 
-def joints_to_memory(counts: Sequence[int]) -> Vector:
+def joints_to_memory(counts: Sequence[int]) -> Floats:
     """Counts of (deg, deg, mm, deg, deg) as (rad, rad, mm, rad, rad), shape (5,), read-only."""
     values = np.array([count / UNIT for count in counts], dtype=np.float64)
     turning = [0, 1, 3, 4]
@@ -70,7 +68,7 @@ def joints_to_memory(counts: Sequence[int]) -> Vector:
     return values
 
 
-def joints_to_counts(joints: Sequence[float] | Vector) -> tuple[int, ...]:
+def joints_to_counts(joints: Sequence[float] | Floats) -> tuple[int, ...]:
     """(rad, rad, mm, rad, rad) as nearest counts of (deg, deg, mm, deg, deg). Refuses non-finite values."""
     if len(joints) != 5:
         raise RecordError(f"joints are {len(joints)} values, must be 5")
@@ -124,22 +122,22 @@ class Limits(Record):
         )
 
     @functools.cached_property
-    def q_min(self) -> Vector:
+    def q_min(self) -> Floats:
         """Lower limits, rad and mm, shape (5,)."""
         return joints_to_memory(self.q_min_u)
 
     @functools.cached_property
-    def q_max(self) -> Vector:
+    def q_max(self) -> Floats:
         """Upper limits, rad and mm, shape (5,)."""
         return joints_to_memory(self.q_max_u)
 
     @functools.cached_property
-    def speed(self) -> Vector:
+    def speed(self) -> Floats:
         """Speed limits, rad/s and mm/s, shape (5,)."""
         return joints_to_memory(self.speed_u)
 
     @functools.cached_property
-    def acceleration(self) -> Vector | None:
+    def acceleration(self) -> Floats | None:
         """Acceleration limits, rad/s² and mm/s², shape (5,); None where the controller gives none."""
         return None if self.acceleration_u == NOT_GIVEN else joints_to_memory(self.acceleration_u)
 
@@ -250,12 +248,12 @@ class Calibration(Record):
         return self.forearm_link_error_u / UNIT
 
     @functools.cached_property
-    def joint_offset(self) -> Vector:
+    def joint_offset(self) -> Floats:
         """True minus reported joints, rad and mm, shape (5,)."""
         return joints_to_memory(self.joint_offset_u)
 
     @functools.cached_property
-    def slide_tilt(self) -> Vector:
+    def slide_tilt(self) -> Floats:
         """Lean of the slide toward +x and +y, dimensionless, shape (2,)."""
         values = np.array([count / UNIT / 1000.0 for count in self.slide_tilt_u])
         values.setflags(write=False)

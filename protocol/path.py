@@ -14,6 +14,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.protocol.parameters import UNIT, counts_nearest
 from cutgate.protocol.wire import (
     I16,
@@ -32,7 +33,6 @@ from cutgate.protocol.wire import (
     digest,
 )
 
-Floats = NDArray[np.float64]
 Elbow = Literal["right", "left"]
 ElbowCode = Annotated[Elbow, Choice(("right", "left"))]
 
@@ -293,7 +293,7 @@ def _judge(codes: NDArray[np.int32], axes: Floats, first: int) -> None:
     _refuse_first(wrong, f"axis is more than {TURN_MAX_DEG} deg from the next pose's", first)
 
 
-def _refuse_first(wrong: NDArray[np.bool_], why: str, first: int = 0) -> None:
+def _refuse_first(wrong: Bools, why: str, first: int = 0) -> None:
     """Raise for the first pose at which something is wrong."""
     if np.any(wrong):
         raise RecordError(f"path pose {first + int(np.argmax(wrong))}: {why}")

@@ -19,7 +19,7 @@ DEAREST = (
     "errors",
     "runtime/verification/test_certified_against_dense.py",
     "docs",
-    "storms",
+    "fault_injection",
     "runtime/conform",
     "system/test_stops.py",
     "runtime/commands/test_conform.py",

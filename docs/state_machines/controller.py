@@ -74,7 +74,7 @@ def controller_case(state: Any, event: Any, after_s: float) -> str:  # noqa: C90
             return f"{_awaits(state)} waits" if state.awaiting else ""
         case controller_state.StopReceived(code, cause):
             return "withdrawing" if cause in WITHDRAWING else code.name
-        case controller_state.Fault(cause):
+        case controller_state.FaultArisen(cause):
             return "latching" if cause in LATCHING else "not latching"
         case controller_state.InputsChanged(inputs):
             if not inputs.emergency_stop_clear:

@@ -161,7 +161,7 @@ def runtime_case(  # noqa: C901, PLR0911, PLR0912 - one line each
             return "pending token" if token == state.token else "another token"
         case interlock_state.LogChanged(log):
             return "writable" if log.writable else "failed"
-        case interlock_state.Said(word):
+        case interlock_state.CommandGiven(word):
             return str(word)
         case interlock_state.Tick():
             return (

@@ -11,7 +11,7 @@ from cutgate.runtime.interlock import state as interlock_state
 from cutgate.runtime.interlock import table as interlock_table
 from cutgate.runtime.interlock.phases import ENDED, MOVING, PHASES, Deadline
 from cutgate.runtime.interlock.state import Phase
-from cutgate.runtime.interlock.tracking import Deviation, Seen
+from cutgate.runtime.interlock.tracking import Deviation, FrameSeen
 from docs.state_machines.interlock import runtime_edges
 from docs.state_machines.tables import names, table
 from tests.runtime.interlock import builders
@@ -101,7 +101,7 @@ def tracking_table() -> str:
     begun, seen = builders.monitor(builders.NOW), builders.monitor(builders.NOW - 10.0, builders.NOW)
     half_way = builders.measured(builders.HALF_WAY.joints_u, builders.NOW)
     ahead, _ = seen.sample(joints_to_memory(half_way.joints_u), builders.NOW, builders.NOW)
-    silent = replace(seen, progressed=Seen(0.0, builders.NOW - 9.0))
+    silent = replace(seen, progressed=FrameSeen(0.0, builders.NOW - 9.0))
     breaking = (
         (seen, builders.measured(builders.ELSEWHERE, builders.NOW), 0.0),
         (begun, half_way, -1.0),

@@ -11,7 +11,7 @@ import can
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.peer import peer_of
-from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
 
 HELLO_TIMEOUT_S: Final = 2.0
 ERROR_CONTROLLER: Final = 0x004
@@ -125,7 +125,7 @@ class VirtualBus(can.BusABC):
         self._failure = self._failure or "the bus was shut down by this program"
         self._sock.close()
 
-    def _record(self, msg: can.Message) -> Record:
+    def _record(self, msg: can.Message) -> HubRecord:
         """The record of a message, checked."""
         flags = (
             (Flag.EXTENDED if msg.is_extended_id else 0)
@@ -141,7 +141,7 @@ class VirtualBus(can.BusABC):
             raise can.CanOperationError("FD frame on a bus opened without FD; open it with fd=True")
         if not 0 <= length <= 64 or not 0 <= msg.arbitration_id <= 0xFFFF_FFFF:
             raise can.CanOperationError(f"no CAN frame: identifier {msg.arbitration_id}, length {length}")
-        record = Record(Kind.FRAME, int(flags), msg.arbitration_id, 0, length, data)
+        record = HubRecord(HubKind.FRAME, int(flags), msg.arbitration_id, 0, length, data)
         try:
             wire.check_frame(record)
         except WireError as error:
@@ -154,9 +154,9 @@ class VirtualBus(can.BusABC):
             record = wire.parse(raw)
         except WireError as error:
             raise self._fail(f"the hub at {self._path} sent an unknown record: {error}") from error
-        if record.kind is Kind.FRAME:
+        if record.kind is HubKind.FRAME:
             return _to_message(record, self.channel), False
-        if record.kind is Kind.OVERRUN:
+        if record.kind is HubKind.OVERRUN:
             self.lost_frames += record.number
             return _overrun_message(record, self.channel), True  # no filter may hide a loss
         reason = record.data.decode(errors="replace") or record.kind.name
@@ -171,7 +171,7 @@ class VirtualBus(can.BusABC):
             raise can.CanOperationError(self._failure)
 
 
-def _to_message(record: Record, channel: str) -> can.Message:
+def _to_message(record: HubRecord, channel: str) -> can.Message:
     flags = record.flags
     return can.Message(
         timestamp=record.time_ns * 1e-9,
@@ -189,7 +189,7 @@ def _to_message(record: Record, channel: str) -> can.Message:
     )
 
 
-def _overrun_message(record: Record, channel: str) -> can.Message:
+def _overrun_message(record: HubRecord, channel: str) -> can.Message:
     return can.Message(
         timestamp=record.time_ns * 1e-9,
         arbitration_id=ERROR_CONTROLLER,
@@ -208,7 +208,7 @@ def _wait(poll: select.poll, deadline: float) -> bool:
     return bool(poll.poll(math.ceil(max(0.0, left_s) * 1000)))
 
 
-def _join(path: str, hello: Record) -> socket.socket:
+def _join(path: str, hello: HubRecord) -> socket.socket:
     """Connect and be welcomed.
 
     Raises:
@@ -230,7 +230,7 @@ def _join(path: str, hello: Record) -> socket.socket:
     return sock
 
 
-def _refusal(sock: socket.socket, hello: Record) -> str | None:
+def _refusal(sock: socket.socket, hello: HubRecord) -> str | None:
     """Why this client does not join, or is not let in; None if it is."""
     stranger = peer_of(sock).stranger
     if stranger is not None:
@@ -244,4 +244,6 @@ def _refusal(sock: socket.socket, hello: Record) -> str | None:
     if not raw:
         return "the hub ended before it answered: start it again"
     reply = wire.parse(raw)
-    return None if reply.kind is Kind.WELCOME else f"the hub refused: {reply.data.decode(errors='replace')}"
+    return (
+        None if reply.kind is HubKind.WELCOME else f"the hub refused: {reply.data.decode(errors='replace')}"
+    )

@@ -28,7 +28,7 @@ from typing import Final, Self, TextIO
 from cutgate.config.signals import wake
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.peer import peer_of
-from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
 from cutgate.protocol import candump
 
 QUEUE_FRAMES: Final = 65_536
@@ -210,27 +210,27 @@ class Hub:
                 self._refuse(client, str(error))
                 return
 
-    def _take(self, client: _Client, record: Record) -> None:
-        if client.joined and record.kind is Kind.FRAME:
+    def _take(self, client: _Client, record: HubRecord) -> None:
+        if client.joined and record.kind is HubKind.FRAME:
             self._carry(client, record)
-        elif not client.joined and record.kind is Kind.HELLO and record.data == wire.MAGIC:
+        elif not client.joined and record.kind is HubKind.HELLO and record.data == wire.MAGIC:
             if sum(other.joined for other in self._clients.values()) >= MAX_CLIENTS:
                 raise WireError(f"the bus has {MAX_CLIENTS} clients already")
             client.fd_frames = bool(record.flags & Flag.FD)
             client.own_frames = bool(record.flags & Flag.OWN)
             client.joined = True
             self._silent.remove(client)
-            self._offer(client, Record(Kind.WELCOME).pack())
+            self._offer(client, HubRecord(HubKind.WELCOME).pack())
         else:
             raise WireError(f"{record.kind.name} is out of place")
 
-    def _carry(self, sender: _Client, frame: Record) -> None:
+    def _carry(self, sender: _Client, frame: HubRecord) -> None:
         """Put one frame on the bus: stamp it, log it, offer it to all who take it."""
         wire.check_frame(frame)
         if frame.flags & Flag.OWN:
             raise WireError("flag OWN is the hub's to set")
         self._last_ns = max(self._last_ns, time.time_ns())
-        stamped = Record(Kind.FRAME, frame.flags, frame.number, self._last_ns, frame.length, frame.data)
+        stamped = HubRecord(HubKind.FRAME, frame.flags, frame.number, self._last_ns, frame.length, frame.data)
         raw = stamped.pack()
         if self._log is not None:
             self._write_log(stamped)
@@ -240,8 +240,13 @@ class Hub:
             if client is not sender:
                 self._offer(client, raw)
             elif client.own_frames:
-                own = Record(
-                    Kind.FRAME, frame.flags | Flag.OWN, frame.number, self._last_ns, frame.length, frame.data
+                own = HubRecord(
+                    HubKind.FRAME,
+                    frame.flags | Flag.OWN,
+                    frame.number,
+                    self._last_ns,
+                    frame.length,
+                    frame.data,
                 )
                 self._offer(client, own.pack())
 
@@ -259,7 +264,7 @@ class Hub:
             queue.popleft()
         if client.lost and len(queue) <= self._queue_frames // 2:
             # Only half-way down, so that a client at its limit gets frames in runs, not one here and there.
-            told = Record(Kind.OVERRUN, number=min(client.lost, 0xFFFF_FFFF), time_ns=self._last_ns)
+            told = HubRecord(HubKind.OVERRUN, number=min(client.lost, 0xFFFF_FFFF), time_ns=self._last_ns)
             queue.append(told.pack())
             self._report(f"{client.name} lost {client.lost} frames: it reads too slowly")
             client.lost = 0
@@ -302,7 +307,7 @@ class Hub:
             self._refuse(self._silent.popleft(), f"it said no HELLO within {HELLO_S:g} s")
         self._drop_lost_clients()
 
-    def _write_log(self, frame: Record) -> None:
+    def _write_log(self, frame: HubRecord) -> None:
         assert self._log is not None  # noqa: S101 - narrowed by the caller
         try:
             self._log.write(log_line(frame, self._log_name))
@@ -412,7 +417,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def log_line(frame: Record, name: str) -> str:
+def log_line(frame: HubRecord, name: str) -> str:
     """A frame that ``wire.check_frame`` accepts, with the hub's time, as a line of its log."""
 
     def has(flag: Flag) -> bool:

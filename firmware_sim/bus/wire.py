@@ -33,7 +33,7 @@ class WireError(ValueError):
 
 
 @unique
-class Kind(IntEnum):
+class HubKind(IntEnum):
     """What a record is."""
 
     HELLO = 1
@@ -59,10 +59,10 @@ _ALL_FLAGS: Final = 0x7F
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class HubRecord:
     """One datagram between hub and client."""
 
-    kind: Kind
+    kind: HubKind
     flags: int = 0
     number: int = 0
     time_ns: int = 0
@@ -74,19 +74,19 @@ class Record:
         return _HEAD.pack(VERSION, self.kind, self.flags, self.number, self.time_ns, self.length) + self.data
 
 
-def hello(*, fd: bool, own: bool) -> Record:
+def hello(*, fd: bool, own: bool) -> HubRecord:
     """The record a client opens with."""
     flags = (Flag.FD if fd else 0) | (Flag.OWN if own else 0)
-    return Record(Kind.HELLO, flags=int(flags), length=len(MAGIC), data=MAGIC)
+    return HubRecord(HubKind.HELLO, flags=int(flags), length=len(MAGIC), data=MAGIC)
 
 
-def refused(reason: str) -> Record:
+def refused(reason: str) -> HubRecord:
     """The hub's refusal of a HELLO."""
     text = reason.encode()[:255]
-    return Record(Kind.REFUSED, length=len(text), data=text)
+    return HubRecord(HubKind.REFUSED, length=len(text), data=text)
 
 
-def parse(raw: bytes) -> Record:
+def parse(raw: bytes) -> HubRecord:
     """Read one datagram.
 
     Raises:
@@ -97,18 +97,18 @@ def parse(raw: bytes) -> Record:
     version, kind, flags, number, time_ns, length = _HEAD.unpack_from(raw)
     if version != VERSION:
         raise WireError(f"framing version {version}, this side speaks {VERSION}")
-    if kind not in Kind._value2member_map_:
+    if kind not in HubKind._value2member_map_:
         raise WireError(f"unknown kind {kind} of record")
     if flags & ~_ALL_FLAGS:
         raise WireError(f"unknown flags 0x{flags:04x}")
     data = raw[_HEAD.size :]
-    remote = kind == Kind.FRAME and flags & Flag.REMOTE
+    remote = kind == HubKind.FRAME and flags & Flag.REMOTE
     if len(data) != (0 if remote else length):
         raise WireError(f"record says {length} data bytes and brings {len(data)}")
-    return Record(Kind(kind), flags, number, time_ns, length, data)
+    return HubRecord(HubKind(kind), flags, number, time_ns, length, data)
 
 
-def check_frame(frame: Record) -> None:
+def check_frame(frame: HubRecord) -> None:
     """Refuse what no CAN bus can carry.
 
     Raises:

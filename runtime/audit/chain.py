@@ -20,7 +20,7 @@ _STAMPS: Final = struct.Struct("<QQIQ")
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class ChainLink:
     """What the chain covers of one message. Times in nanoseconds."""
 
     topic: str
@@ -33,7 +33,7 @@ class Link:
     data: bytes
 
 
-def advance(head: bytes, link: Link) -> bytes:
+def advance(head: bytes, link: ChainLink) -> bytes:
     """The head after this message, 32 bytes."""
     channel = of_channel(link.topic, link.encoding, link.schema_name, link.schema)
     return advance_in(channel, head, link.log_time, link.publish_time, link.sequence, link.data)

@@ -29,7 +29,7 @@ class Durable:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class LogFailed:
     """The log cannot be written any more. Reported once."""
 
     reason: str
@@ -48,7 +48,7 @@ class Closed:
     """The log is complete, durable and closed."""
 
 
-Event = Durable | Failed | Reserved | Closed
+Event = Durable | LogFailed | Reserved | Closed
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Append:
 
 
 @dataclass(frozen=True, slots=True)
-class Reserve:
+class ReserveSpace:
     """Space for so many more bytes of log and of raw frames, and for what closing writes beside them."""
 
     log: int
@@ -82,11 +82,11 @@ class Finish:
     head: bytes
 
 
-Job = Append | Reserve | Finish
+Job = Append | ReserveSpace | Finish
 
 
 @dataclass(frozen=True, slots=True)
-class Files:
+class LogFiles:
     """The open files of one log: new and empty ones, each with its name, and the directory's.
 
     Attributes:
@@ -104,7 +104,7 @@ class Files:
 class Committer:
     """The thread and its two queues. One other thread talks to it; none of these calls waits for the disk."""
 
-    def __init__(self, disk: Disk, files: Files) -> None:
+    def __init__(self, disk: Disk, files: LogFiles) -> None:
         self._disk = disk
         self._log, self._frames = (Written(disk, *file) for file in (files.log, files.frames))
         self._locked = files.locked
@@ -151,7 +151,7 @@ class Committer:
             while not self._work(self._next()):
                 pass
         except Exception as error:  # noqa: BLE001 - a thread must not die while its owner believes it runs
-            self._report(Failed(_reason(error)))
+            self._report(LogFailed(_reason(error)))
             self._head.discard()
         for file in (self._log, self._frames):
             with contextlib.suppress(OSError):  # the outcome is reported already; this only frees the number
@@ -167,10 +167,10 @@ class Committer:
 
     def _work(self, jobs: Sequence[Job]) -> bool:
         """Do the jobs; whether the log is closed."""
-        appended = [job for job in jobs if not isinstance(job, Reserve)]
+        appended = [job for job in jobs if not isinstance(job, ReserveSpace)]
         self._append(appended)
         for job in jobs:
-            if isinstance(job, Reserve):
+            if isinstance(job, ReserveSpace):
                 self._report(Reserved(job.size, self._reserve(job)))
             elif isinstance(job, Finish):
                 self._finish(job)
@@ -197,7 +197,7 @@ class Committer:
         self._log.check(enabling=enabling)
         self._frames.check(enabling=enabling)
 
-    def _reserve(self, job: Reserve) -> Reservation:
+    def _reserve(self, job: ReserveSpace) -> Reservation:
         """No space is an answer, not a failure: nothing that was written is lost."""
         try:
             found = (

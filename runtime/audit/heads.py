@@ -11,7 +11,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
 
-from cutgate.runtime.audit.chain import GENESIS, LINKED, Link, advance
+from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, advance
 from cutgate.runtime.audit.container.raw import MAGIC, PREFIX, RECORD_MAX
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
@@ -76,7 +76,7 @@ def _linked_on(file: BinaryIO) -> bytes | None:
             continue
         channel = summary.channels[message.channel_id]
         schema = summary.schemas[channel.schema_id]
-        link = Link(
+        link = ChainLink(
             channel.topic, channel.message_encoding, schema.name, schema.data,
             message.log_time, message.publish_time, message.sequence, message.data,
         )  # fmt: skip

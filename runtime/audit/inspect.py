@@ -18,7 +18,7 @@ from cutgate.runtime.audit.container.raw import PIECE
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
-from cutgate.runtime.audit.records import CanFrame, Close
+from cutgate.runtime.audit.records import AuditClose, CanFrame
 from cutgate.runtime.audit.second_reading import read_again
 from cutgate.runtime.audit.writer import PROFILE
 
@@ -117,7 +117,7 @@ def read_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> 
     for message in walk(file, found):
         judge.take(message)
     content = [*judge.problems, *judge.content(found)]
-    if found.zeros and judge.last_topic == Close.TOPIC:
+    if found.zeros and judge.last_topic == AuditClose.TOPIC:
         content.append("zeros stand behind its close record")
     unread, notes = (
         ("", ()) if content or not found.finished else read_again(file, found, judge.read.digest())

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED
 from cutgate.runtime.audit.container.stored import Scan, Stored
-from cutgate.runtime.audit.records import Attachment, CanFrame, Close, Open
+from cutgate.runtime.audit.records import AuditAttachment, AuditClose, AuditOpen, CanFrame
 from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.writer import ENCODING, METADATA
 
@@ -89,22 +89,22 @@ class Judge:
             self._too_many = True
             return
         self.places.append((topic, message.offset, len(message.data)))
-        if topic == Open.TOPIC:
+        if topic == AuditOpen.TOPIC:
             self._opens += 1
-        elif topic == Close.TOPIC:
+        elif topic == AuditClose.TOPIC:
             self._closes += 1
             if self._closes == 1:
                 self._counted.append((record or {}).get("message_count"))
-        elif topic == Attachment.TOPIC:
+        elif topic == AuditAttachment.TOPIC:
             self._attached.append(
                 tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
             )
 
     def content(self, found: Scan) -> Iterator[str]:
         """What the records say of the file and what the file holds, side by side."""
-        if self._first_topic not in (None, Open.TOPIC):
-            yield f"record 0 is {self._first_topic}, must be {Open.TOPIC}"
-        for topic, times in ((Open.TOPIC, self._opens), (Close.TOPIC, self._closes)):
+        if self._first_topic not in (None, AuditOpen.TOPIC):
+            yield f"record 0 is {self._first_topic}, must be {AuditOpen.TOPIC}"
+        for topic, times in ((AuditOpen.TOPIC, self._opens), (AuditClose.TOPIC, self._closes)):
             if times > 1:
                 yield f"{topic} is there {times} times"
         for count in self._counted:
@@ -145,7 +145,7 @@ def missing(found: Scan, judge: Judge) -> list[str]:
         )
     if found.zeros:
         lacks.append("it ends in zeros, as a file system leaves it after a loss of power")
-    if judge.last_topic != Close.TOPIC:
+    if judge.last_topic != AuditClose.TOPIC:
         lacks.append("there is no close record: the session did not end in order")
     return lacks
 

@@ -29,10 +29,10 @@ from cutgate.runtime.audit.commit import (
     Committer,
     Durable,
     Event,
-    Failed,
-    Files,
     Finish,
-    Reserve,
+    LogFailed,
+    LogFiles,
+    ReserveSpace,
 )
 from cutgate.runtime.audit.directory import (
     HEAD,
@@ -205,7 +205,7 @@ class AuditLog:
     # ------------------------------------------------------------ writing
 
     def write(
-        self, record: records.Record, *, log_time_ns: int | None = None, monotonic_ns: int | None = None
+        self, record: records.LogRecord, *, log_time_ns: int | None = None, monotonic_ns: int | None = None
     ) -> None:
         """Add a record. A decision closes its chunk and is handed over at once.
 
@@ -224,7 +224,7 @@ class AuditLog:
             monotonic_ns=self._clock.monotonic_ns() if monotonic_ns is None else monotonic_ns,
         )
         self._wait()
-        if isinstance(record, records.Decision):
+        if isinstance(record, records.AuditDecision):
             self.commit(None)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -233,7 +233,7 @@ class AuditLog:
             return
         self._writer.attach(name, media_type, data, log_time_ns=self._clock.utc_ns())
         digest = sha256(data).hexdigest()
-        self.write(records.Attachment(name=name, media_type=media_type, sha256=digest, size=len(data)))
+        self.write(records.AuditAttachment(name=name, media_type=media_type, sha256=digest, size=len(data)))
 
     def raw_frame(self, line: bytes) -> None:
         """Add a frame to the file of raw frames: its line of ``protocol.candump``."""
@@ -268,7 +268,7 @@ class AuditLog:
     def reserve(self, log: int, frames: int) -> None:
         """Ask for space for so many more bytes of log and of raw frames; a ``Reserved`` event answers."""
         if not self._stopped:
-            self._committer.submit(Reserve(log, frames))
+            self._committer.submit(ReserveSpace(log, frames))
 
     # ------------------------------------------------------------ what came of it
 
@@ -282,7 +282,7 @@ class AuditLog:
                 self._durable = event.offset
                 while self._pending and self._pending[0][0] <= self._durable:
                     self._pending.popleft()
-            elif isinstance(event, Failed):
+            elif isinstance(event, LogFailed):
                 self._failure = event.reason
                 self._frames.clear()
         return found
@@ -351,7 +351,7 @@ class AuditLog:
         clean: bool,
     ) -> None:
         self.write(
-            records.Close(
+            records.AuditClose(
                 final_state=final_state,
                 verdict=verdict,
                 outcome=outcome,
@@ -405,7 +405,7 @@ def _create_files(
     previous: Previous,
     listed: Listed,
     locked: int,
-) -> Files:
+) -> LogFiles:
     """The two files, HEAD marked open, the next HEAD prepared, all names durable. Raises OSError."""
     moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC)
     name = f"{moment:%Y%m%dT%H%M%SZ}-{log_id[:8]}"
@@ -422,11 +422,11 @@ def _create_files(
             with contextlib.suppress(OSError):
                 disk.close(descriptor)
         raise
-    return Files((made[0], path), (made[1], candump), (locked, directory / LOCK), head)
+    return LogFiles((made[0], path), (made[1], candump), (locked, directory / LOCK), head)
 
 
-def _open_record(log_id: str, opened: OpenInfo, candump: str, previous: Previous) -> records.Open:
-    return records.Open(
+def _open_record(log_id: str, opened: OpenInfo, candump: str, previous: Previous) -> records.AuditOpen:
+    return records.AuditOpen(
         log_id=log_id,
         software=opened.software,
         verifier=opened.verifier,

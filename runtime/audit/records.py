@@ -23,10 +23,17 @@ Disposition = Literal["decided", "authorised", "sent", "acknowledged", "withheld
 Stage = Literal["authorised", "sent", "acknowledged", "refused", "withheld"]
 
 
+def title_of(model: type) -> str:
+    """What a model is called in the log: there `AuditPermit` is the record of a permit, and there is no other."""
+    return model.__name__.removeprefix("Audit")
+
+
 class Entry(BaseModel):
     """Part of a record: frozen, closed, finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, strict=True, model_title_generator=title_of
+    )
 
 
 class Time(Entry):
@@ -50,7 +57,7 @@ class Time(Entry):
 ZERO: Final = Time(sec=0, nsec=0)
 
 
-class Record(Entry):
+class LogRecord(Entry):
     """One message of the log."""
 
     TOPIC: ClassVar[str]
@@ -65,7 +72,7 @@ class Record(Entry):
         return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
 
 
-class AuditRecord(Record):
+class AuditRecord(LogRecord):
     """A record of the chain. ``prev`` and the clocks are filled in by the log."""
 
     prev: str = ""
@@ -80,7 +87,7 @@ class Option(Entry):
     value: str
 
 
-class Open(AuditRecord):
+class AuditOpen(AuditRecord):
     """Record 0: what this log is, what wrote it, and what came before it."""
 
     TOPIC: ClassVar[str] = "/audit/open"
@@ -150,7 +157,7 @@ class PermissiveLike(Protocol):
     def remedy(self) -> str: ...  # noqa: D102
 
 
-class Decision(AuditRecord):
+class AuditDecision(AuditRecord):
     """One step of the interlock."""
 
     TOPIC: ClassVar[str] = "/audit/decision"
@@ -170,7 +177,7 @@ class Decision(AuditRecord):
     """Names the commit that an enabling decision waits for."""
 
 
-class Collected(AuditRecord):
+class AuditCollected(AuditRecord):
     """A parameter record of the controller against the site's approved one."""
 
     TOPIC: ClassVar[str] = "/audit/collected"
@@ -181,7 +188,7 @@ class Collected(AuditRecord):
     difference: str | None = None
 
 
-class Verdict(AuditRecord):
+class AuditVerdict(AuditRecord):
     """A verdict: the contract's document as text, and its key fields flat."""
 
     TOPIC: ClassVar[str] = "/audit/verdict"
@@ -236,7 +243,7 @@ class Verdict(AuditRecord):
         )
 
 
-class Boundary(AuditRecord):
+class AuditBoundary(AuditRecord):
     """One boundary's worst place; undefined values are left out and ``violated`` is true."""
 
     TOPIC: ClassVar[str] = "/audit/boundary"
@@ -252,14 +259,14 @@ class Boundary(AuditRecord):
     violated: bool
 
 
-def boundaries_of(document: Mapping[str, Any]) -> tuple[Boundary, ...]:
+def boundaries_of(document: Mapping[str, Any]) -> tuple[AuditBoundary, ...]:
     """The boundaries of the contract's verdict document, in its order.
 
     The document's own ``deadband`` of a boundary, where given, goes before the deadband of its unit.
     """
     deadband = {"mm": document["deadband"]["arm_mm"], "deg": document["deadband"]["wrist_deg"]}
     return tuple(
-        Boundary(
+        AuditBoundary(
             name=name,
             unit=entry["unit"],
             clearance=entry["clearance"],
@@ -274,12 +281,12 @@ def boundaries_of(document: Mapping[str, Any]) -> tuple[Boundary, ...]:
     )
 
 
-def _margin(boundary: Boundary) -> float:
+def _margin(boundary: AuditBoundary) -> float:
     """Certified clearance in deadbands; an undefined one is the worst."""
     return -math.inf if boundary.certified is None else boundary.certified / boundary.deadband
 
 
-class Approach(AuditRecord):
+class AuditApproach(AuditRecord):
     """The verdict on approach and retract, and what a permit binds of them; only beside an admissible verdict."""
 
     TOPIC: ClassVar[str] = "/audit/approach"
@@ -339,7 +346,7 @@ def _ratio(entry: Mapping[str, Any]) -> float:
     return -math.inf if certified is None else float(certified / entry["deadband"])
 
 
-class Guidance(AuditRecord):
+class AuditGuidance(AuditRecord):
     """Where to move the bone, after an inadmissible verdict; for people, it decides nothing.
 
     Logs of 0.1.0 hold it in the verdict's document.
@@ -360,7 +367,7 @@ class Guidance(AuditRecord):
         return cls(document=text, note=document.get("guidance_note"))
 
 
-class Permit(AuditRecord):
+class AuditPermit(AuditRecord):
     """A permit, start or reset on its way. ``authorised`` alone never means that it left."""
 
     TOPIC: ClassVar[str] = "/audit/permit"
@@ -381,7 +388,7 @@ class Permit(AuditRecord):
     reason: str | None = None
 
 
-class Controller(AuditRecord):
+class AuditController(AuditRecord):
     """The controller's reported state, whenever it changes."""
 
     TOPIC: ClassVar[str] = "/audit/controller"
@@ -395,7 +402,7 @@ class Controller(AuditRecord):
     fresh: bool
 
 
-class Fault(AuditRecord):
+class AuditFault(AuditRecord):
     """A fault, the controller's or our own."""
 
     TOPIC: ClassVar[str] = "/audit/fault"
@@ -406,7 +413,7 @@ class Fault(AuditRecord):
     detail: str | None = None
 
 
-class Operator(AuditRecord):
+class AuditOperator(AuditRecord):
     """A word of the operator, and whether it was taken."""
 
     TOPIC: ClassVar[str] = "/audit/operator"
@@ -417,7 +424,7 @@ class Operator(AuditRecord):
     reason: str | None = None
 
 
-class Process(AuditRecord):
+class AuditProcess(AuditRecord):
     """A process of the session. The arguments hold names of key files, never keys."""
 
     TOPIC: ClassVar[str] = "/audit/process"
@@ -427,7 +434,7 @@ class Process(AuditRecord):
     argv: tuple[str, ...] = ()
 
 
-class Attachment(AuditRecord):
+class AuditAttachment(AuditRecord):
     """An attachment's digest: readers skip the checksum of the attachment itself."""
 
     TOPIC: ClassVar[str] = "/audit/attachment"
@@ -454,7 +461,7 @@ class BusCounts(Entry):
         return cls(**asdict(statistics))
 
 
-class Close(AuditRecord):
+class AuditClose(AuditRecord):
     """The last record; ``prev`` is the chain's head over everything before it."""
 
     TOPIC: ClassVar[str] = "/audit/close"
@@ -472,7 +479,7 @@ class Close(AuditRecord):
     """Absent where no session was held, and in logs of 0.1."""
 
 
-class CanFrame(Record):
+class CanFrame(LogRecord):
     """A single frame; the fields of ROS ``can_msgs/Frame``, data in hex."""
 
     TOPIC: ClassVar[str] = "/can/frame"
@@ -487,7 +494,7 @@ class CanFrame(Record):
     data: str
 
 
-class CanTransfer(Record):
+class CanTransfer(LogRecord):
     """One reassembled record of an ISO-TP channel."""
 
     TOPIC: ClassVar[str] = "/can/transfer"
@@ -500,8 +507,8 @@ class CanTransfer(Record):
     sha256: str
 
 
-MODELS: Final[tuple[type[Record], ...]] = (
-    Open, Decision, Collected, Verdict, Boundary, Approach, Guidance, Permit, Controller, Fault, Operator, Process, Attachment, Close,
+MODELS: Final[tuple[type[LogRecord], ...]] = (
+    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

@@ -41,7 +41,7 @@ from cutgate.runtime.audit.recomputed.verdict import (
 )
 
 
-class Outcome(IntEnum):
+class ReplayOutcome(IntEnum):
     """What a replay shows; its number is the exit code."""
 
     IDENTICAL = 0
@@ -60,7 +60,7 @@ class Replay:
         verdict: the recomputed verdict document of the last verdict; None if there was none.
     """
 
-    outcome: Outcome
+    outcome: ReplayOutcome
     differences: tuple[str, ...]
     notes: tuple[str, ...]
     verdict: dict[str, Any] | None = None
@@ -85,7 +85,7 @@ def replay(log: Log, verify: Verify, *, verifier: str) -> Replay:
         verifier: its version, as permits name it.
     """
     if log.report.status is Status.UNREADABLE:
-        return Replay(Outcome.BAD_INPUT, log.report.reasons, ())
+        return Replay(ReplayOutcome.BAD_INPUT, log.report.reasons, ())
     found = _Findings()
     if log.report.status is not Status.OK:
         text = f"the log itself is {log.report.status.name}: {log.report.reasons[0]}"
@@ -93,17 +93,17 @@ def replay(log: Log, verify: Verify, *, verifier: str) -> Replay:
     try:
         _replay(log, verify, verifier, found)
     except ReplayError as error:
-        return Replay(Outcome.BAD_INPUT, (str(error),), tuple(found.notes))
-    outcome = Outcome.DIFFERS if found.differences else Outcome.IDENTICAL
+        return Replay(ReplayOutcome.BAD_INPUT, (str(error),), tuple(found.notes))
+    outcome = ReplayOutcome.DIFFERS if found.differences else ReplayOutcome.IDENTICAL
     verdict = found.documents[-1] if found.documents else None
     return Replay(outcome, tuple(found.differences), tuple(found.notes), verdict)
 
 
 def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
-    opened = typed(log, records.Open)
+    opened = typed(log, records.AuditOpen)
     if not opened:
         raise ReplayError("the log has no record 0")
-    verdicts = typed(log, records.Verdict)
+    verdicts = typed(log, records.AuditVerdict)
     if verdicts:
         _decided(log, opened[0], verdicts, verify, verifier, found)
     else:
@@ -113,8 +113,8 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
 
 def _decided(
     log: Log,
-    opened: records.Open,
-    verdicts: list[records.Verdict],
+    opened: records.AuditOpen,
+    verdicts: list[records.AuditVerdict],
     verify: Verify,
     verifier: str,
     found: _Findings,
@@ -129,11 +129,11 @@ def _decided(
         found.differences += verdict_differences(verdict, document, inputs, comparable=comparable)
     boundaries = expected_boundaries(verdicts)
     if boundaries is not None:  # else it is said already, of the verdict
-        recorded = typed(log, records.Boundary)
+        recorded = typed(log, records.AuditBoundary)
         found.differences += boundary_differences(recorded, boundaries, finished=log.scan.finished)
     if verdicts[-1].verdict == "admissible":
         found.differences += proof_differences(attachment(log, names.PROOF, inputs.size_max), inputs)
-    for approach in typed(log, records.Approach):
+    for approach in typed(log, records.AuditApproach):
         again = recomputed_approach(approach, inputs)
         found.approaches.append(again.verdict)
         found.differences += approach_differences(
@@ -143,7 +143,7 @@ def _decided(
         found.notes.append("the guidance was not computed again, nor the other elbow")
 
 
-def _comparable(opened: records.Open, verifier: str, found: _Findings) -> bool:
+def _comparable(opened: records.AuditOpen, verifier: str, found: _Findings) -> bool:
     """Whether last bits can be compared; says why not, and whether the verifier is another."""
     if opened.verifier != verifier:
         found.notes.append(f"verifier {opened.verifier} recorded, {verifier} recomputes")
@@ -157,27 +157,33 @@ def _comparable(opened: records.Open, verifier: str, found: _Findings) -> bool:
     return False
 
 
-def _enabled(log: Log, opened: records.Open, found: _Findings) -> Iterator[str]:
+def _enabled(log: Log, opened: records.AuditOpen, found: _Findings) -> Iterator[str]:
     """Nothing that left may lack its admissible verdict, its authorisation or a permissive."""
     documents, approaches = iter(found.documents), iter(found.approaches)
     ledger = Ledger(_configuration(log, opened))
-    kinds = (records.Verdict, records.Approach, records.Decision, records.Operator, records.Permit)
+    kinds = (
+        records.AuditVerdict,
+        records.AuditApproach,
+        records.AuditDecision,
+        records.AuditOperator,
+        records.AuditPermit,
+    )
     for topic, data in log.each(*(kind.TOPIC for kind in kinds)):
-        if topic == records.Verdict.TOPIC:
-            ledger.verdict(model_of(records.Verdict, data), next(documents))
-        elif topic == records.Approach.TOPIC:
-            ledger.approach(model_of(records.Approach, data), next(approaches, "not computed again"))
-        elif topic == records.Decision.TOPIC:
-            yield from decision_differences(model_of(records.Decision, data))
-        elif topic == records.Operator.TOPIC:
-            ledger.operator(model_of(records.Operator, data))
+        if topic == records.AuditVerdict.TOPIC:
+            ledger.verdict(model_of(records.AuditVerdict, data), next(documents))
+        elif topic == records.AuditApproach.TOPIC:
+            ledger.approach(model_of(records.AuditApproach, data), next(approaches, "not computed again"))
+        elif topic == records.AuditDecision.TOPIC:
+            yield from decision_differences(model_of(records.AuditDecision, data))
+        elif topic == records.AuditOperator.TOPIC:
+            ledger.operator(model_of(records.AuditOperator, data))
         else:
-            yield from ledger.permit(model_of(records.Permit, data))
+            yield from ledger.permit(model_of(records.AuditPermit, data))
     if ledger.enabling:
         yield from approved(log, inputs_of(log))
 
 
-def _configuration(log: Log, opened: records.Open) -> bytes:
+def _configuration(log: Log, opened: records.AuditOpen) -> bytes:
     """The configuration's digest by the files that are attached and the options of record 0."""
     robot, site = log.scan.attachment(names.ROBOT), log.scan.attachment(names.SITE)
     allowed = allowed_by_option((option.name, option.value) for option in opened.simulation)

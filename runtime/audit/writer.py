@@ -10,8 +10,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from mcap.writer import Writer as McapWriter
 
-from cutgate.runtime.audit.chain import GENESIS, Link, advance
-from cutgate.runtime.audit.records import AuditRecord, Record, Time
+from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance
+from cutgate.runtime.audit.records import AuditRecord, LogRecord, Time, title_of
 from cutgate.runtime.audit.schema import schema_bytes
 
 PROFILE: Final = "cutgate.audit/1"
@@ -69,7 +69,7 @@ class LogWriter:
         self._mcap.start(PROFILE, LIBRARY_IDENTIFIER)
         self._mcap.add_metadata(METADATA, {"log_id": log_id, **metadata})
 
-    def add(self, record: Record, *, log_time_ns: int, monotonic_ns: int) -> None:
+    def add(self, record: LogRecord, *, log_time_ns: int, monotonic_ns: int) -> None:
         """Add a message to the open chunk; an ``/audit/`` record gets its link and its times here.
 
         Args:
@@ -90,7 +90,7 @@ class LogWriter:
         data = record.encode()
         model = type(record)
         channel = self._channel(model)
-        link = Link(
+        link = ChainLink(
             topic=model.TOPIC,
             encoding=ENCODING,
             schema_name=schema_name(model),
@@ -131,7 +131,7 @@ class LogWriter:
         """The bytes that have come to stand in the file since the last call."""
         return self._buffer.take()
 
-    def _channel(self, model: type[Record]) -> int:
+    def _channel(self, model: type[LogRecord]) -> int:
         topic = model.TOPIC
         if topic not in self._channels:
             schema = self._mcap.register_schema(schema_name(model), SCHEMA_ENCODING, schema_bytes(model))
@@ -139,6 +139,6 @@ class LogWriter:
         return self._channels[topic]
 
 
-def schema_name(model: type[Record]) -> str:
+def schema_name(model: type[LogRecord]) -> str:
     """The schema's name in the file."""
-    return f"cutgate.{model.__name__}"
+    return f"cutgate.{title_of(model)}"

@@ -14,7 +14,7 @@ from cutgate.config.load import InputError
 from cutgate.config.screen import printable
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
-from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -31,7 +31,7 @@ Json = Annotated[
 ]
 
 VERIFY_WORST = (Status.TAMPERED, Status.UNREADABLE, Status.INCOMPLETE, Status.OK)
-REPLAY_WORST = (Outcome.DIFFERS, Outcome.BAD_INPUT, Outcome.IDENTICAL)
+REPLAY_WORST = (ReplayOutcome.DIFFERS, ReplayOutcome.BAD_INPUT, ReplayOutcome.IDENTICAL)
 """Of several logs the first of these is the exit code."""
 
 
@@ -114,18 +114,22 @@ def replay_command(logs: LogFiles, *, json: Json = False) -> None:
     raise typer.Exit(min(found, key=REPLAY_WORST.index))
 
 
-def _replayed(log: Path, told: "_Documents") -> Outcome:
+def _replayed(log: Path, told: "_Documents") -> ReplayOutcome:
     try:
         with _reading(log) as read, working(f"deciding {log} again"):
             result = replay(read, certified.verify, verifier=VERIFIER)
     except InputError as error:
         echo(str(error), err=True)
-        told.add({"log": str(log), "outcome": Outcome.BAD_INPUT.name, "notes": [str(error)]})
-        return Outcome.BAD_INPUT
+        told.add({"log": str(log), "outcome": ReplayOutcome.BAD_INPUT.name, "notes": [str(error)]})
+        return ReplayOutcome.BAD_INPUT
     if told.json:
         told.add({"log": str(log), **asdict(result), "outcome": result.outcome.name})
         return result.outcome
-    headline = {Outcome.IDENTICAL: "IDENTICAL", Outcome.DIFFERS: "DIFFERS", Outcome.BAD_INPUT: "BAD INPUT"}
+    headline = {
+        ReplayOutcome.IDENTICAL: "IDENTICAL",
+        ReplayOutcome.DIFFERS: "DIFFERS",
+        ReplayOutcome.BAD_INPUT: "BAD INPUT",
+    }
     echo(f"{headline[result.outcome]}: {printable(str(log))}")
     for line in (*result.differences, *result.notes):
         echo(f"  {printable(line)}")

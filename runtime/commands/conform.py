@@ -28,7 +28,7 @@ from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.cases import Case
 from cutgate.runtime.conform.failures import HaltError
 from cutgate.runtime.conform.report import ABOUT, document, milliseconds, summary
-from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
+from cutgate.runtime.conform.suite import CaseVerdict, Result, SuiteOutcome, run
 from cutgate.runtime.conform.table import cases
 from cutgate.runtime.verification.report.document import document_text
 
@@ -186,7 +186,7 @@ def _bench(bus: can.BusABC, key: bytes, settings: Site, *, fd: bool) -> Bench:
     )
 
 
-def _run(bench: Bench, chosen: tuple[Case, ...]) -> Outcome:
+def _run(bench: Bench, chosen: tuple[Case, ...]) -> SuiteOutcome:
     """The suite; whatever ends it early stops the controller first."""
     try:
         bench.hello()
@@ -212,7 +212,7 @@ def _tell(result: Result) -> None:
     messages().print(f"{result.verdict.value:8}{result.case.name}", soft_wrap=True)
 
 
-def _print(outcome: Outcome, *, whole: bool) -> None:
+def _print(outcome: SuiteOutcome, *, whole: bool) -> None:
     console = output()
     table = Table("verdict", "case", "came", "ms", box=None, pad_edge=False)
     for result in outcome.results:
@@ -221,7 +221,7 @@ def _print(outcome: Outcome, *, whole: bool) -> None:
         table.add_row(result.verdict.value, result.case.name, printable(result.came), shown)
     console.print(table)
     for result in outcome.results:
-        if result.verdict is not Verdict.PASS:
+        if result.verdict is not CaseVerdict.PASS:
             case = result.case
             console.print(
                 f"\n{result.verdict.value}: {case.name} (docs/protocol.md: {case.requirement})\n"

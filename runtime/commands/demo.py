@@ -22,7 +22,7 @@ from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import printable
 from cutgate.config.signals import ENDING, handled, name_of
 from cutgate.protocol.permit import KEY_BYTES
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
@@ -73,7 +73,7 @@ def demo(
     why += [
         f"{review['log']}: verify {review['verify']}, replay {review['replay']}"
         for review in reviews
-        if (review["verify"], review["replay"]) != ("OK", Outcome.IDENTICAL.name)
+        if (review["verify"], review["replay"]) != ("OK", ReplayOutcome.IDENTICAL.name)
     ]
     elapsed_s = time.monotonic() - began_s
     if json:
@@ -170,7 +170,7 @@ def _summary(
     console.print()
     for review in reviews:
         judgement = f"{review['headline']}, replay {review['replay']}"
-        style = GOOD if review["verify"] == "OK" and review["replay"] == Outcome.IDENTICAL.name else BAD
+        style = GOOD if review["verify"] == "OK" and review["replay"] == ReplayOutcome.IDENTICAL.name else BAD
         console.print(Text.assemble(printable(f"{review['log']}: "), (judgement, style)), soft_wrap=True)
         for reason in review["why"]:
             console.print(printable(f"  {reason}"), soft_wrap=True)

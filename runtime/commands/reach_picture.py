@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.config.screen import printable
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.placing.reach import RATES, Position
 
-Floats = NDArray[np.float64]
 Arcs = Sequence[tuple[str, Floats]]
 
 PANELS_MAX: Final = 12
@@ -23,7 +22,7 @@ RATIO_MAX: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class PictureKind:
     """What keeps a position from being admissible: a letter, a pale tint, and words."""
 
     letter: str
@@ -32,15 +31,15 @@ class Kind:
 
 
 KINDS: Final = {
-    "inner": Kind("I", "#f7d3bd", "I: too near the column (inner)"),
-    "outer": Kind("O", "#d2e6f7", "O: too far out (outer)"),
-    "left": Kind("L", "#ddd0ef", "L: q0 at its upper limit (left)"),
-    "right": Kind("R", "#d9cba3", "R: q0 at its lower limit (right)"),
-    "top": Kind("T", "#dddddd", "T: slide at its upper end (top)"),
-    "bottom": Kind("B", "#c6c6c6", "B: slide at its lower end (bottom)"),
-    "roll": Kind("W", "#f4c6dd", "W: roll of the wrist (q3)"),
-    "pitch": Kind("P", "#c3e6d8", "P: pitch of the tool (q4)"),
-    "speed": Kind("S", "#fbc4c4", "S: joint too fast, or accelerating too much, at this feed"),
+    "inner": PictureKind("I", "#f7d3bd", "I: too near the column (inner)"),
+    "outer": PictureKind("O", "#d2e6f7", "O: too far out (outer)"),
+    "left": PictureKind("L", "#ddd0ef", "L: q0 at its upper limit (left)"),
+    "right": PictureKind("R", "#d9cba3", "R: q0 at its lower limit (right)"),
+    "top": PictureKind("T", "#dddddd", "T: slide at its upper end (top)"),
+    "bottom": PictureKind("B", "#c6c6c6", "B: slide at its lower end (bottom)"),
+    "roll": PictureKind("W", "#f4c6dd", "W: roll of the wrist (q3)"),
+    "pitch": PictureKind("P", "#c3e6d8", "P: pitch of the tool (q4)"),
+    "speed": PictureKind("S", "#fbc4c4", "S: joint too fast, or accelerating too much, at this feed"),
 }
 
 

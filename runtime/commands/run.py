@@ -29,7 +29,7 @@ from cutgate.runtime.interlock.state import Interlock
 from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.conduct import conduct
 from cutgate.runtime.session.interruption import signals_wake
-from cutgate.runtime.session.job import Files, make_job, read_files, utc_now
+from cutgate.runtime.session.job import InputFiles, make_job, read_files, utc_now
 from cutgate.runtime.session.new_log import new_log
 from cutgate.runtime.session.withdrawal import withdrawn_in
 from cutgate.runtime.verification.asked import AskedTurns
@@ -139,7 +139,9 @@ def _tell(previous: Previous, view: SessionView) -> None:
         view.note(f"the log directory: {previous.note}")
 
 
-def _bus(interface: str | None, channel: str | None, files: Files, *, fd: bool) -> tuple[can.BusABC, str]:
+def _bus(
+    interface: str | None, channel: str | None, files: InputFiles, *, fd: bool
+) -> tuple[can.BusABC, str]:
     """The bus of the options, of site.toml, or the default; and its name."""
     site = files.settings.bus
     chosen = (interface or site.interface, channel or site.channel)
@@ -155,7 +157,7 @@ def _bus(interface: str | None, channel: str | None, files: Files, *, fd: bool) 
     return bus, f"{chosen[0]}/{chosen[1]}"
 
 
-def _key(option: Path | None, files: Files) -> bytes:
+def _key(option: Path | None, files: InputFiles) -> bytes:
     """The pre-shared key; there is no built-in one."""
     file = option or (Path(files.settings.key_file) if files.settings.key_file else None)
     if file is None:

@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from cutgate.config.exits import OK
-from cutgate.config.screen import SAID_MAX, STDERR, STDOUT, diverted, printable, screens
+from cutgate.config.screen import LINE_MAX, STDERR, STDOUT, diverted, printable, screens
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.screen import LiveConsole
@@ -33,13 +33,13 @@ from cutgate.runtime.interlock.permissives import (
 from cutgate.runtime.interlock.phases import ENDINGS, PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
+    CommandGiven,
     Effect,
     Event,
     Interlock,
+    OperatorCommand,
     Phase,
     Refused,
-    Said,
-    Word,
 )
 from cutgate.runtime.review.show import stop_lines
 from cutgate.runtime.review.stopped import Stopped, Way, stop_document
@@ -47,7 +47,7 @@ from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.journal import simulation
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.verification.advice import Guidance
-from cutgate.runtime.verification.approach.model import Approach
+from cutgate.runtime.verification.approach.model import ApproachVerdict
 from cutgate.runtime.verification.approach.report import summary
 from cutgate.runtime.verification.plausibility import cautions_of_move
 
@@ -98,7 +98,7 @@ class SessionView:
     def note(self, text: str, style: str = "") -> None:
         """One line with the time since the beginning."""
         elapsed = f"{time.monotonic() - self._began_s:8.2f} s  "
-        text = text[:SAID_MAX]
+        text = text[:LINE_MAX]
         self._messages.print(
             lambda: Text.assemble((elapsed, "dim"), (printable(text), style)), soft_wrap=True
         )
@@ -107,11 +107,11 @@ class SessionView:
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
     ) -> None:
         """One step of the interlock."""
-        if self.interrupted_by and isinstance(event, Said) and event.word is Word.QUIT:
+        if self.interrupted_by and isinstance(event, CommandGiven) and event.command is OperatorCommand.QUIT:
             self.note(f"{self.interrupted_by}: the session ends")
         for effect in effects:
             if isinstance(effect, Refused):
-                self.note(f"{effect.word} refused: {effect.reason}", "yellow")
+                self.note(f"{effect.command} refused: {effect.reason}", "yellow")
         if isinstance(event, Announced) and after.session is not None and before.session is None:
             announce = event.announce
             self.note(
@@ -119,8 +119,8 @@ class SessionView:
             )
         if after.phase is not before.phase:
             self._entered(after, now_s)
-        self._watch_hold(after, now_s)
-        self._watch_device(after, now_s)
+        self._tell_what_is_carried(after, now_s)
+        self._tell_the_device(after, now_s)
 
     def _entered(self, state: Interlock, now_s: float) -> None:
         announced = PHASES[state.phase].announced
@@ -135,7 +135,7 @@ class SessionView:
         elif announced:
             self.note(announced)
 
-    def _watch_hold(self, state: Interlock, now_s: float) -> None:
+    def _tell_what_is_carried(self, state: Interlock, now_s: float) -> None:
         """Tell the operator what holds the controller and which command is next: once each."""
         if state.phase is not Phase.HELD or state.controller is None:
             return
@@ -148,7 +148,7 @@ class SessionView:
             self._hold = prompt
             self.note(prompt)
 
-    def _watch_device(self, state: Interlock, now_s: float) -> None:
+    def _tell_the_device(self, state: Interlock, now_s: float) -> None:
         """Tell the operator when start may be given: once per press of the enabling device."""
         pressed = state.controller is not None and state.controller.device_pressed
         if not pressed or state.phase is not Phase.PERMITTED:
@@ -204,7 +204,7 @@ def verdict_lines(answer: Answer) -> Group:
     return Group(headline(answer.proved), "", boundaries_table(answer.proved), "", facts, *apart, "")
 
 
-def approach_line(approach: Approach) -> Text:
+def approach_line(approach: ApproachVerdict) -> Text:
     """Approach and retract: the answer in one line, and what decided it."""
     verdict_text, style = ("ADMISSIBLE", GOOD) if approach.admissible else ("INADMISSIBLE", BAD)
     lengths = f", entry {approach.entry_um / 1000:.3f} mm, exit {approach.exit_um / 1000:.3f} mm"

@@ -6,15 +6,15 @@ from rich.text import Text
 
 from cutgate.protocol.records import joints_to_memory
 from cutgate.runtime.commands.verdict_view import WARNED
-from cutgate.runtime.verification.approach.model import Approach
+from cutgate.runtime.verification.approach.model import ApproachVerdict
 from cutgate.runtime.verification.approach.report import shown
 from cutgate.runtime.verification.asked import OPTION
-from cutgate.runtime.verification.verdict import Branch, Verdict, Winding
+from cutgate.runtime.verification.verdict import JointBranch, Verdict, Winding
 
 REVOLUTION_DEG = 360.0
 
 
-def travel_lines(planned: Approach, start_joints_u: tuple[int, ...], cut: Verdict) -> list[Text]:
+def travel_lines(planned: ApproachVerdict, start_joints_u: tuple[int, ...], cut: Verdict) -> list[Text]:
     """How far each joint goes from where the arm stands to the entry pose, and a warning for each that winds.
 
     Args:
@@ -61,5 +61,5 @@ def _winding(windings: Sequence[Winding], joint: int) -> Winding | None:
     return next((one for one in windings if one.joint == f"q{joint}"), None)
 
 
-def _taken(branch: Branch, joint: int) -> int:
+def _taken(branch: JointBranch, joint: int) -> int:
     return branch.q0_turns if joint == 0 else branch.roll_turns

@@ -4,7 +4,7 @@ import math
 from typing import Any, Final
 
 from cutgate.protocol import records
-from cutgate.runtime.conform.suite import Outcome, Result, Verdict
+from cutgate.runtime.conform.suite import CaseVerdict, Result, SuiteOutcome
 
 SCHEMA: Final = "cutgate.conform/1"
 
@@ -19,7 +19,7 @@ cutter may spin up. START is sent as well, and must be refused because the enabl
 
 
 def document(
-    outcome: Outcome, announce: records.Announce | None, timing: records.Timing, *, bus: str, whole: bool
+    outcome: SuiteOutcome, announce: records.Announce | None, timing: records.Timing, *, bus: str, whole: bool
 ) -> dict[str, Any]:
     """The report as one JSON document.
 
@@ -30,7 +30,7 @@ def document(
         bus: interface and channel.
         whole: whether all cases were asked for.
     """
-    counts = {verdict.value: 0 for verdict in Verdict}
+    counts = {verdict.value: 0 for verdict in CaseVerdict}
     for result in outcome.results:
         counts[result.verdict.value] += 1
     return {
@@ -70,10 +70,10 @@ def _case(result: Result) -> dict[str, Any]:
     }
 
 
-def summary(outcome: Outcome, *, whole: bool) -> str:
+def summary(outcome: SuiteOutcome, *, whole: bool) -> str:
     """The last lines for people."""
-    found = {v: sum(result.verdict is v for result in outcome.results) for v in Verdict}
-    text = f"{found[Verdict.PASS]} passed, {found[Verdict.FAIL]} failed, {found[Verdict.NOT_RUN]} not run."
+    found = {v: sum(result.verdict is v for result in outcome.results) for v in CaseVerdict}
+    text = f"{found[CaseVerdict.PASS]} passed, {found[CaseVerdict.FAIL]} failed, {found[CaseVerdict.NOT_RUN]} not run."
     if outcome.passed:
         text += (
             " The controller conforms."

@@ -9,22 +9,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol import records
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.parameters import ROTATION_DEG_GOES, UNIT, Calibration, Limits, Tool, joints_to_counts
 from cutgate.protocol.path import Elbow
 from cutgate.protocol.records import Path, RecordError
-from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
-
-Floats = NDArray[np.float64]
+from cutgate.runtime.kinematics.arm import REVOLUTION, TrueArm, turns
 
 STEP_MM: Final = 0.02
 FEED_MM_S: Final = 1.0
 SHORT: Final = 3
 LONG: Final = 250
 """Poses of a path that takes two blocks."""
-BEYOND_MM: Final = 20.0
+OUTSIDE_MM: Final = 20.0
 TILT_MIN_RAD: Final = math.radians(2.0)
 
 
@@ -102,7 +100,7 @@ def outside_limits(good: Sample, reported: Reported) -> Path:
     """The same path with its last pose 20 mm above the slide's upper limit."""
     poses = good.path.poses.copy()
     wrist_mm = good.last[2]
-    poses[-1, 2] += round(1000.0 * (float(reported.limits.q_max[2]) - float(wrist_mm) + BEYOND_MM))
+    poses[-1, 2] += round(1000.0 * (float(reported.limits.q_max[2]) - float(wrist_mm) + OUTSIDE_MM))
     return replace(good.path, pose_bytes=poses.tobytes())
 
 
@@ -122,10 +120,12 @@ def approach(good: Sample, reported: Reported, *, clearance_um: int, speed_perce
     for pose, joints in ((0, good.first), (-1, good.last)):
         along = (path.tips_mm - path.tips_mm[pose]) @ path.axes[pose]
         distance_um = math.ceil(clearance_um + 1000.0 * float(along.max()))
-        lifted = path.tips_mm[pose] + distance_um / 1000.0 * path.axes[pose]
-        found = reported.arm.joints(lifted[np.newaxis], path.axes[pose][np.newaxis], path.tool_length_mm)[0]
+        retracted = path.tips_mm[pose] + distance_um / 1000.0 * path.axes[pose]
+        found = reported.arm.joints(retracted[np.newaxis], path.axes[pose][np.newaxis], path.tool_length_mm)[
+            0
+        ]
         for joint in (0, 3):
-            found[joint] += TURN * round((joints[joint] - found[joint]) / TURN)
+            found[joint] += REVOLUTION * round((joints[joint] - found[joint]) / REVOLUTION)
         if not np.all((reported.limits.q_min <= found) & (found <= reported.limits.q_max)):
             raise RecordError("the sample path's entry or exit is outside the joint limits")
         ends.append((distance_um, joints_to_counts(found)))

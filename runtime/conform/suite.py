@@ -16,7 +16,7 @@ ATTEMPTS: Final = 3
 """A case that fails while the tester's own loop stood still is run again, so often in all."""
 
 
-class Verdict(StrEnum):
+class CaseVerdict(StrEnum):
     """What a case has shown."""
 
     PASS = "PASS"  # noqa: S105 - a verdict
@@ -37,14 +37,14 @@ class Result:
     """
 
     case: Case
-    verdict: Verdict
+    verdict: CaseVerdict
     came: str
     latency_s: float | None = None
     frames: tuple[Seen, ...] = ()
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SuiteOutcome:
     """What came of the suite.
 
     Attributes:
@@ -60,7 +60,7 @@ class Outcome:
     @property
     def passed(self) -> bool:
         """Whether every case has passed; one that was not run has not."""
-        return bool(self.results) and all(result.verdict is Verdict.PASS for result in self.results)
+        return bool(self.results) and all(result.verdict is CaseVerdict.PASS for result in self.results)
 
     @property
     def needs_reset(self) -> bool:
@@ -68,7 +68,9 @@ class Outcome:
         return self.state is not ControllerState.INHIBITED
 
 
-def run(bench: Bench, cases: Sequence[Case], tell: Callable[[Result], None] = lambda _r: None) -> Outcome:
+def run(
+    bench: Bench, cases: Sequence[Case], tell: Callable[[Result], None] = lambda _r: None
+) -> SuiteOutcome:
     """Run the cases one after the other. After a halt nothing more is said to the controller.
 
     Raises:
@@ -78,7 +80,7 @@ def run(bench: Bench, cases: Sequence[Case], tell: Callable[[Result], None] = la
     halted: str | None = None
     for case in cases:
         if halted is not None and case is not NOTHING_MOVED:
-            result = Result(case, Verdict.NOT_RUN, f"not run: {halted}")
+            result = Result(case, CaseVerdict.NOT_RUN, f"not run: {halted}")
         elif case is NOTHING_MOVED:  # needs no session, is true or not whatever has happened
             result = _conclude(bench, case, heard=bench.announce is not None)
         else:
@@ -86,17 +88,17 @@ def run(bench: Bench, cases: Sequence[Case], tell: Callable[[Result], None] = la
         results.append(result)
         tell(result)
     last = bench.announce
-    return Outcome(tuple(results), last.state if last else None, last.cause if last else None)
+    return SuiteOutcome(tuple(results), last.state if last else None, last.cause if last else None)
 
 
 def _conclude(bench: Bench, case: Case, *, heard: bool) -> Result:
     """The last case is judged from what the whole suite has watched."""
     if not heard:
-        return Result(case, Verdict.NOT_RUN, "no controller was heard")
+        return Result(case, CaseVerdict.NOT_RUN, "no controller was heard")
     try:
-        return Result(case, Verdict.PASS, case.run(bench))
+        return Result(case, CaseVerdict.PASS, case.run(bench))
     except DeviationError as error:
-        return Result(case, Verdict.FAIL, str(error))
+        return Result(case, CaseVerdict.FAIL, str(error))
 
 
 def _repeated(bench: Bench, case: Case) -> tuple[Result, str | None]:
@@ -104,32 +106,32 @@ def _repeated(bench: Bench, case: Case) -> tuple[Result, str | None]:
     for _ in range(ATTEMPTS):
         result, halted = _once(bench, case)
         slow_s = bench.longest_gap_s
-        if halted is not None or result.verdict is not Verdict.FAIL or slow_s <= bench.allowance_s:
+        if halted is not None or result.verdict is not CaseVerdict.FAIL or slow_s <= bench.allowance_s:
             return result, halted
     text = f"the tester stood still for {slow_s * 1000:.0f} ms, {ATTEMPTS} times over: use a faster machine"
-    return Result(case, Verdict.NOT_RUN, f"{text}; came: {result.came}", frames=result.frames), None
+    return Result(case, CaseVerdict.NOT_RUN, f"{text}; came: {result.came}", frames=result.frames), None
 
 
 def _once(bench: Bench, case: Case) -> tuple[Result, str | None]:
     bench.begin()
     halted: str | None = None
     try:
-        verdict, came = Verdict.PASS, case.run(bench)
+        verdict, came = CaseVerdict.PASS, case.run(bench)
     except DeviationError as error:
-        verdict, came = Verdict.FAIL, str(error)
+        verdict, came = CaseVerdict.FAIL, str(error)
     except InconclusiveError as error:
-        verdict, came = Verdict.NOT_RUN, str(error)
+        verdict, came = CaseVerdict.NOT_RUN, str(error)
     except HaltError as error:
         bench.stop_now()
-        verdict = Verdict.NOT_RUN if isinstance(error, OperatorError) else Verdict.FAIL
+        verdict = CaseVerdict.NOT_RUN if isinstance(error, OperatorError) else CaseVerdict.FAIL
         came = halted = str(error)
     latency_s = bench.latency_s
     wrong = bench.violations()
-    if verdict is Verdict.PASS and wrong:
-        verdict, came = Verdict.FAIL, f"{came}; but the controller's own frames: {'; '.join(wrong)}"
+    if verdict is CaseVerdict.PASS and wrong:
+        verdict, came = CaseVerdict.FAIL, f"{came}; but the controller's own frames: {'; '.join(wrong)}"
     trouble = _back(bench)
     if trouble is not None:
-        verdict, came, halted = Verdict.FAIL, f"{came}; afterwards: {trouble}", halted or trouble
+        verdict, came, halted = CaseVerdict.FAIL, f"{came}; afterwards: {trouble}", halted or trouble
     return Result(case, verdict, came, latency_s, tuple(bench.frames)), halted
 
 

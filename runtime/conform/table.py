@@ -153,7 +153,7 @@ def _permits() -> tuple[Case, ...]:
         changed("other entry joints", "q0 at entry 1 deg off", Refusal.APPROACH, _other_entry_joints, ends),
         changed("other approach speed", "another percentage than OPEN's", Refusal.APPROACH_SPEED, _other_speed, ends),
         changed("start joints elsewhere", "q3 5 deg off", Refusal.START_JOINTS, c.elsewhere, ends),
-        Case("permit: overtaken by a stop", "Conversation", "STOP and the permit in one turn", "stopped; the permit is dead on arrival", c.overtaken_by_stop),
+        Case("permit: overtaken by a stop", "Conversation", "STOP and the permit in one cycle", "stopped; the permit is dead on arrival", c.overtaken_by_stop),
         Case("permit: after a stop", "Conversation", "STOP, then a permit made before it", "Reply VOIDED_BY_STOP, UNACKNOWLEDGED_STOP, NOT_IN_STATE, NO_NONCE or EPOCH", c.after_a_stop),
         Case("permit: after the nonce's lifetime", page, "a right permit after permit_lifetime_s", "Reply NONCE_EXPIRED", c.after_the_lifetime),
         Case("permit: expires", page, "a right permit, then no start for permit_lifetime_s", "PERMIT_EXPIRED, cutting mode off", c.permit_expires),

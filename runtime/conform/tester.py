@@ -110,7 +110,7 @@ class Tester:
         """What a stop may take beyond the time-out or the frame that causes it."""
         return STOP_PERIODS * self.heartbeat_s
 
-    def turn(self) -> None:
+    def run_cycle(self) -> None:
         """One cycle: read, watch, send the heartbeat that is due, flush, wait.
 
         Raises:
@@ -139,7 +139,7 @@ class Tester:
         """Cycle until something is found; None once it was not found for so long."""
         begun_s = self._clock()
         while True:
-            self.turn()
+            self.run_cycle()
             value = found()
             if value is not None or not self._clock() - begun_s <= limit_s:
                 return value

@@ -146,8 +146,8 @@ def converse(children: dict[str, subprocess.Popen[str]], say: Say) -> None:
                     last[key.fd] = text = line.decode("utf-8", "replace").rstrip()
                     say(name, text)
                     answer(cues, text, children, say)
-        said = "; ".join(f"the {name} last said: {last[number]}" for number, (name, _) in talk.items())
-    raise DemoError(f"the session did not end within {DEADLINE_S:g} s; {said}")
+        last_lines = "; ".join(f"the {name} last said: {last[number]}" for number, (name, _) in talk.items())
+    raise DemoError(f"the session did not end within {DEADLINE_S:g} s; {last_lines}")
 
 
 def answer(cues: list[Cue], text: str, children: dict[str, subprocess.Popen[str]], say: Say) -> None:

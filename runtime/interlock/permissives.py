@@ -533,7 +533,7 @@ FOLLOWS: dict[Evaluate, Evaluate] = {
 """What fails only because another one does: a person need not read it."""
 
 
-def hopeless(state: Interlock, now_s: float) -> tuple[Permissive, ...]:
+def unrecoverable(state: Interlock, now_s: float) -> tuple[Permissive, ...]:
     """Those for the permit that do not hold and never will, without what only follows; the file system may still answer."""
     unanswered = {log_space} if state.log.reserved_bytes == 0 else set()
     judged = {permissive: permissive(state, now_s) for permissive in FINAL if permissive not in unanswered}

@@ -55,7 +55,7 @@ class Phase(StrEnum):
     STOPPED = auto()
 
 
-class Word(StrEnum):
+class OperatorCommand(StrEnum):
     """What the operator can say."""
 
     START = auto()
@@ -130,7 +130,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Session:
+class SessionIdentity:
     """The session both sides derive from their nonces."""
 
     boot_nonce: bytes
@@ -170,7 +170,7 @@ class Collected:
 
 
 @dataclass(frozen=True)
-class Stored:
+class UploadedPath:
     """The controller's word on the uploaded path."""
 
     digest: bytes
@@ -179,7 +179,7 @@ class Stored:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CutVerdict:
     """A verdict on cut, approach and retract, and what it was made for."""
 
     request: int
@@ -220,14 +220,14 @@ class Interlock:
     """When this phase was entered."""
     began_s: float | None = None
     """When the first event came."""
-    session: Session | None = None
+    session: SessionIdentity | None = None
     epoch: int = 0
     controller: ControllerView | None = None
     heartbeat_fresh: bool = False
     collected: Collected = field(default_factory=Collected)
     block: int = 0
-    stored: Stored | None = None
-    verdict: Verdict | None = None
+    stored: UploadedPath | None = None
+    verdict: CutVerdict | None = None
     confirmed: frozenset[str] = frozenset()
     """Codes of the warnings that the operator has confirmed."""
     nonce: bytes | None = None
@@ -285,24 +285,24 @@ class ParameterReceived:
 
 
 @dataclass(frozen=True)
-class BlockStored:
+class BlockConfirmed:
     """The controller has block ``index`` of the path."""
 
     index: int
 
 
 @dataclass(frozen=True)
-class PathStored:
+class PathConfirmed:
     """The controller has the whole path and has judged it."""
 
-    stored: Stored
+    stored: UploadedPath
 
 
 @dataclass(frozen=True)
 class VerdictReady:
     """The worker's verdict."""
 
-    verdict: Verdict
+    verdict: CutVerdict
 
 
 @dataclass(frozen=True)
@@ -402,10 +402,10 @@ class Gone:
 
 
 @dataclass(frozen=True)
-class Said:
-    """An operator word; ``what`` it is about, where it names something: a warning, or the signal that says quit."""
+class CommandGiven:
+    """An operator command; ``what`` it is about, where it names something: a warning, or the signal that says quit."""
 
-    word: Word
+    command: OperatorCommand
     what: str = ""
 
 
@@ -418,8 +418,8 @@ Event = (
     Announced
     | SessionOpened
     | ParameterReceived
-    | BlockStored
-    | PathStored
+    | BlockConfirmed
+    | PathConfirmed
     | VerdictReady
     | NonceReceived
     | ReplyReceived
@@ -432,7 +432,7 @@ Event = (
     | LogChanged
     | Failed
     | Gone
-    | Said
+    | CommandGiven
     | Tick
 )
 
@@ -466,14 +466,14 @@ class SendStop:
 class UseSession:
     """Records carry this session from now on."""
 
-    session: Session
+    session: SessionIdentity
 
 
 @dataclass(frozen=True)
 class OpenLink:
     """Heartbeats flow and are supervised from now on."""
 
-    session: Session
+    session: SessionIdentity
 
 
 @dataclass(frozen=True)
@@ -502,9 +502,9 @@ class Withheld:
 
 @dataclass(frozen=True)
 class Refused:
-    """An operator word that does not apply now, with the reason to show."""
+    """An operator command that does not apply now, with the reason to show."""
 
-    word: Word
+    command: OperatorCommand
     reason: str
 
 

@@ -26,15 +26,16 @@ from cutgate.runtime.interlock.permissives import (
     Evaluate,
     all_hold,
     failing,
-    hopeless,
     measured_now,
     unconfirmed,
+    unrecoverable,
 )
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, MOVING, PHASES, SIGNED
 from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     Commit,
     ControllerView,
     DeviceCycle,
@@ -52,25 +53,24 @@ from cutgate.runtime.interlock.state import (
     LogChanged,
     NonceReceived,
     OpenLink,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     Phase,
     ProgressReported,
     RecordDurable,
     Refused,
     ReplyReceived,
-    Said,
     Send,
     SendBlock,
     SendStop,
-    Session,
+    SessionIdentity,
     SessionOpened,
     Tick,
     UseSession,
     VerdictReady,
     Verify,
     Withheld,
-    Word,
 )
 from cutgate.runtime.interlock.tracking import Deviation, TrackingMonitor
 
@@ -178,16 +178,18 @@ def log_changed(state: Interlock, event: LogChanged, now_s: float) -> Outcome:
     return changed, ()
 
 
-def said(state: Interlock, event: Said, now_s: float) -> Outcome:
-    """Words that apply everywhere; start, acknowledge, reset and confirm only where the table lists them."""
-    match event.word:
-        case Word.STOP:
+def command_given(state: Interlock, event: CommandGiven, now_s: float) -> Outcome:
+    """Commands that apply everywhere; start, acknowledge, reset and confirm only where the table lists them."""
+    match event.command:
+        case OperatorCommand.STOP:
             return stop(state, StopCause.OPERATOR_STOP, "the operator said stop", now_s)
-        case Word.WITHDRAW:
+        case OperatorCommand.WITHDRAW:
             return stop(state, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
-        case Word.QUIT:
+        case OperatorCommand.QUIT:
             return quit_session(state, now_s, event.what)
-    return state, (Refused(event.word, f"{event.word} does not apply while {PHASES[state.phase].situation}"),)
+    return state, (
+        Refused(event.command, f"{event.command} does not apply while {PHASES[state.phase].situation}"),
+    )
 
 
 def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:
@@ -205,7 +207,7 @@ def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:
 
 def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
     announce = event.announce
-    session = Session(
+    session = SessionIdentity(
         boot_nonce=announce.boot_nonce,
         runtime_nonce=event.nonce,
         serial=announce.serial,
@@ -223,7 +225,7 @@ def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
     return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(_open(state.job, session)))
 
 
-def _open(job: Job, session: Session) -> records.Open:
+def _open(job: Job, session: SessionIdentity) -> records.Open:
     return records.Open(
         protocol_version=records.PROTOCOL_VERSION,
         boot_nonce=session.boot_nonce,
@@ -265,16 +267,16 @@ def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome
 # ---------------------------------------------------------------- a controller that is held
 
 
-def said_while_held(state: Interlock, event: Said, now_s: float) -> Outcome:
+def command_while_held(state: Interlock, event: CommandGiven, now_s: float) -> Outcome:
     view = state.controller
-    if event.word is Word.ACKNOWLEDGE:
+    if event.command is OperatorCommand.ACKNOWLEDGE:
         return acknowledge(state, view)
-    if event.word is Word.RESET:
+    if event.command is OperatorCommand.RESET:
         missing = failing(FOR_RESET, state, now_s)
         if missing:
-            return state, (Refused(event.word, _reasons(missing)),)
+            return state, (Refused(event.command, _reasons(missing)),)
         return _enter(state, Phase.NONCE_RESET, now_s), (Send(records.NonceRequest(purpose=Purpose.RESET)),)
-    return said(state, event, now_s)
+    return command_given(state, event, now_s)
 
 
 def acknowledge(state: Interlock, view: ControllerView | None) -> Outcome:
@@ -285,7 +287,7 @@ def acknowledge(state: Interlock, view: ControllerView | None) -> Outcome:
         reason = "it is acknowledged already: say reset"
     else:
         return replace(state, acknowledged=view.cause), (Send(records.Acknowledge(cause=view.cause)),)
-    return state, (Refused(Word.ACKNOWLEDGE, reason),)
+    return state, (Refused(OperatorCommand.ACKNOWLEDGE, reason),)
 
 
 def acknowledge_answered(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
@@ -293,7 +295,7 @@ def acknowledge_answered(state: Interlock, event: ReplyReceived, _now_s: float) 
         return _drop_reply(state)
     if event.refusal is Refusal.ACCEPTED:
         return state, ()
-    return state, (Refused(Word.ACKNOWLEDGE, f"the controller refused: {told(event.refusal)}"),)
+    return state, (Refused(OperatorCommand.ACKNOWLEDGE, f"the controller refused: {told(event.refusal)}"),)
 
 
 def heartbeat_while_resetting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -345,7 +347,7 @@ def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outc
     held = _enter(state, Phase.HELD, now_s, nonce=None)
     if event.refusal is Refusal.ACCEPTED:
         return held, ()
-    return held, (Refused(Word.RESET, f"the controller refused the reset: {told(event.refusal)}"),)
+    return held, (Refused(OperatorCommand.RESET, f"the controller refused the reset: {told(event.refusal)}"),)
 
 
 # ---------------------------------------------------------------- collecting, uploading, verifying
@@ -375,7 +377,7 @@ def parameter_changed(state: Interlock, event: ParameterReceived, now_s: float) 
     return stop(state, cause, "the controller sent parameters that were not asked for", now_s)
 
 
-def block_stored(state: Interlock, event: BlockStored, _now_s: float) -> Outcome:
+def block_stored(state: Interlock, event: BlockConfirmed, _now_s: float) -> Outcome:
     if event.index != state.block:
         return state, (Dropped(f"receipt for block {event.index} while block {state.block} is under way"),)
     following = state.block + 1
@@ -384,7 +386,7 @@ def block_stored(state: Interlock, event: BlockStored, _now_s: float) -> Outcome
     return replace(state, block=following), (SendBlock(following),)
 
 
-def path_stored(state: Interlock, event: PathStored, now_s: float) -> Outcome:
+def path_stored(state: Interlock, event: PathConfirmed, now_s: float) -> Outcome:
     """Verify even what the controller refused: the operator wants to know where to move the bone."""
     return verify_if_measured(replace(state, stored=event.stored), now_s)
 
@@ -412,7 +414,7 @@ def verdict_ready(state: Interlock, event: VerdictReady, now_s: float) -> Outcom
 
 def offer_permit(state: Interlock, now_s: float) -> Outcome:
     """Ask for the permit's nonce once everything holds; end if something never can."""
-    final = hopeless(state, now_s)
+    final = unrecoverable(state, now_s)
     if final:
         return refuse(state, _reasons(final), now_s)
     if not all_hold(FOR_PERMIT, state, now_s):
@@ -426,15 +428,15 @@ def heartbeat_while_admitted(state: Interlock, event: HeartbeatReceived, now_s: 
     return offer_permit(seen, now_s) if seen.phase is Phase.ADMITTED else (seen, effects)
 
 
-def said_while_admitted(state: Interlock, event: Said, now_s: float) -> Outcome:
+def command_while_admitted(state: Interlock, event: CommandGiven, now_s: float) -> Outcome:
     """A warning counts as confirmed only by its own name, and only here, where it has been shown."""
-    if event.word is not Word.CONFIRM:
-        return said(state, event, now_s)
+    if event.command is not OperatorCommand.CONFIRM:
+        return command_given(state, event, now_s)
     awaited = unconfirmed(state)
     if event.what not in awaited:
         waits = f"say confirm {awaited[0]}" if awaited else "none waits"
         named = f"{event.what} is no warning that waits to be confirmed" if event.what else "name the warning"
-        return state, (Refused(event.word, f"{named}; {waits}"),)
+        return state, (Refused(event.command, f"{named}; {waits}"),)
     return offer_permit(replace(state, confirmed=state.confirmed | {event.what}), now_s)
 
 
@@ -497,12 +499,12 @@ def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Out
 # ---------------------------------------------------------------- start
 
 
-def start_said(state: Interlock, event: Said, now_s: float) -> Outcome:
-    if event.word is not Word.START:
-        return said(state, event, now_s)
+def start_commanded(state: Interlock, event: CommandGiven, now_s: float) -> Outcome:
+    if event.command is not OperatorCommand.START:
+        return command_given(state, event, now_s)
     missing = failing(FOR_START, state, now_s)
     if missing:
-        return state, (Refused(Word.START, _reasons(missing)),)
+        return state, (Refused(OperatorCommand.START, _reasons(missing)),)
     return _enter(state, Phase.NONCE_START, now_s), (Send(records.NonceRequest(purpose=Purpose.START)),)
 
 
@@ -545,7 +547,7 @@ def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: fl
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     reason = "the enabling device was released: hold it, then say start again"
     back = _enter(seen, Phase.PERMITTED, now_s, nonce=None)
-    return back, (Refused(Word.START, reason), *withheld)
+    return back, (Refused(OperatorCommand.START, reason), *withheld)
 
 
 def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
@@ -554,7 +556,9 @@ def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outc
     if event.refusal is Refusal.ACCEPTED:
         return _enter(state, Phase.CUTTING, now_s), ()
     refused = _enter(state, Phase.PERMITTED, now_s, nonce=None, tracking=None)
-    return refused, (Refused(Word.START, f"the controller refused the start: {told(event.refusal)}"),)
+    return refused, (
+        Refused(OperatorCommand.START, f"the controller refused the start: {told(event.refusal)}"),
+    )
 
 
 # ---------------------------------------------------------------- cutting and watching
@@ -674,11 +678,11 @@ def _cycle(cycle: DeviceCycle, view: ControllerView) -> DeviceCycle:
     return DeviceCycle.UNSEEN if cycle is DeviceCycle.UNSEEN else DeviceCycle.PRESSED
 
 
-def said_while_stopping(state: Interlock, event: Said, now_s: float) -> Outcome:
+def command_while_stopping(state: Interlock, event: CommandGiven, now_s: float) -> Outcome:
     """The session is ending; a stop is repeated, and a withdrawal still reaches the controller."""
-    if event.word in (Word.STOP, Word.WITHDRAW):
-        return said(state, event, now_s)
-    return state, (Refused(event.word, "the session is being stopped"),)
+    if event.command in (OperatorCommand.STOP, OperatorCommand.WITHDRAW):
+        return command_given(state, event, now_s)
+    return state, (Refused(event.command, "the session is being stopped"),)
 
 
 def measured(state: Interlock, event: JointsMeasured, _now_s: float) -> Outcome:
@@ -753,7 +757,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.OPENING, SessionOpened): opened,
     (P.OPENING, ReplyReceived): open_refused,
     (P.OPENING, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
-    (P.HELD, Said): said_while_held,
+    (P.HELD, CommandGiven): command_while_held,
     (P.HELD, HeartbeatReceived): heartbeat_while_held,
     (P.HELD, ReplyReceived): acknowledge_answered,
     (P.NONCE_RESET, NonceReceived): reset_nonce,
@@ -763,16 +767,16 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.RESETTING, ReplyReceived): reset_answered,
     (P.RESETTING, HeartbeatReceived): heartbeat_while_resetting,
     (P.COLLECTING, ParameterReceived): parameter,
-    (P.UPLOADING, BlockStored): block_stored,
-    (P.UPLOADING, PathStored): path_stored,
+    (P.UPLOADING, BlockConfirmed): block_stored,
+    (P.UPLOADING, PathConfirmed): path_stored,
     (P.UPLOADING, JointsMeasured): measured_while_uploading,
     (P.VERIFYING, VerdictReady): verdict_ready,
     (P.ADMITTED, HeartbeatReceived): heartbeat_while_admitted,
-    (P.ADMITTED, Said): said_while_admitted,
+    (P.ADMITTED, CommandGiven): command_while_admitted,
     (P.NONCE_PERMIT, NonceReceived): permit_nonce,
     (P.AUTHORISING_PERMIT, RecordDurable): permit_durable,
     (P.PERMITTING, ReplyReceived): permit_answered,
-    (P.PERMITTED, Said): start_said,
+    (P.PERMITTED, CommandGiven): start_commanded,
     (P.NONCE_START, NonceReceived): start_nonce,
     (P.NONCE_START, HeartbeatReceived): heartbeat_before_start,
     (P.AUTHORISING_START, RecordDurable): start_durable,
@@ -793,7 +797,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
     (P.STOPPING, FaultReceived): fault_while_stopping,
     (P.STOPPING, ReplyReceived): reply_while_stopping,
-    (P.STOPPING, Said): said_while_stopping,
+    (P.STOPPING, CommandGiven): command_while_stopping,
 }
 """What only one phase answers to."""
 
@@ -801,8 +805,8 @@ EVERYWHERE: dict[type, Handler] = {
     Announced: rebooted,
     SessionOpened: dropped,
     ParameterReceived: parameter_changed,
-    BlockStored: dropped,
-    PathStored: dropped,
+    BlockConfirmed: dropped,
+    PathConfirmed: dropped,
     VerdictReady: dropped,
     NonceReceived: dropped,
     ReplyReceived: dropped,
@@ -815,7 +819,7 @@ EVERYWHERE: dict[type, Handler] = {
     LogChanged: log_changed,
     Failed: failed,
     Gone: gone,
-    Said: said,
+    CommandGiven: command_given,
     Tick: tick,
 }
 """What every other phase answers."""

@@ -22,13 +22,11 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
 from cutgate.protocol.records import Timing
 from cutgate.runtime.interlock.permissive import Permissive
-
-Floats = NDArray[np.float64]
 
 CHORD_RAD: Final = math.radians(ROTATION_DEG / 2.0)
 CHORD_MM: Final = SLIDE_MM / 2.0
@@ -150,7 +148,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Seen:
+class FrameSeen:
     """A frame that came at ``at_s``: the arm was no earlier on the trajectory than ``earliest_s``."""
 
     earliest_s: float
@@ -175,8 +173,8 @@ class TrackingMonitor:
 
     trajectory: ReferenceTrajectory
     bounds: Bounds
-    sampled: Seen
-    progressed: Seen
+    sampled: FrameSeen
+    progressed: FrameSeen
     heard_s: float
     """When joints came last that were young enough to say where the arm is."""
     lead_s: float
@@ -194,7 +192,7 @@ class TrackingMonitor:
     ) -> "TrackingMonitor":
         """The start leaves now; the arm stands at the start joints."""
         bounds = Bounds.of(timing, tolerance, scale, trajectory.links_mm)
-        seen, lead_s = Seen(0.0, now_s), -bounds.rate * (now_s - bounds.latency_s)
+        seen, lead_s = FrameSeen(0.0, now_s), -bounds.rate * (now_s - bounds.latency_s)
         return cls(trajectory, bounds, seen, seen, now_s, lead_s)
 
     def reach_s(self, now_s: float) -> float:
@@ -228,7 +226,7 @@ class TrackingMonitor:
             return self, _off(found, f"near {trajectory.name(found.time_s)}")
         lead_s, young = self._lead(found.latest_s, sent_s), now_s - measured_s <= bounds.missing_s
         heard_s = now_s if young else self.heard_s  # off the path it would count at any age
-        return replace(self, sampled=Seen(found.earliest_s, now_s), heard_s=heard_s, lead_s=lead_s), None
+        return replace(self, sampled=FrameSeen(found.earliest_s, now_s), heard_s=heard_s, lead_s=lead_s), None
 
     # ------------------------------------------------------------ progress
 
@@ -271,7 +269,7 @@ class TrackingMonitor:
                 text=text,
                 bound=f"at most {bounds.latency_s * 1000:g} ms behind {where}",
             )
-        progressed, lead_s = Seen(earliest_s, now_s), self._lead(latest_s, sent_s)
+        progressed, lead_s = FrameSeen(earliest_s, now_s), self._lead(latest_s, sent_s)
         return replace(self, progressed=progressed, progress=(segment, fraction), lead_s=lead_s), None
 
     def _interval(self, segment: int, fraction: int) -> tuple[float, float]:

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 
-TURN = 2.0 * math.pi
+REVOLUTION = 2.0 * math.pi
 
 
 def wrap(angle: Floats) -> Floats:
     """Angles modulo a turn into (-pi, pi]."""
-    return angle - TURN * turns(angle)
+    return angle - REVOLUTION * turns(angle)
 
 
 def turns(angle: Floats) -> Floats:
     """Whole turns k such that ``angle - 2 pi k`` lies in (-pi, pi]."""
-    return np.ceil((angle - math.pi) / TURN)
+    return np.ceil((angle - math.pi) / REVOLUTION)
 
 
 @dataclass(frozen=True, slots=True)

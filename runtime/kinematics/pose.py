@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 
 
 def transform_poses(transform: Floats, tips_mm: Floats, axes: Floats) -> tuple[Floats, Floats]:

@@ -20,7 +20,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats, Ints
+from cutgate.protocol.arrays import Bools, Floats, Ints
 from cutgate.runtime.workspace.distance import signed_distance
 from cutgate.runtime.workspace.planar import PlanarWorkspace
 
@@ -83,7 +83,7 @@ class ExactPlanar:
         return signed_distance(points, self.workspace)
 
 
-class Path(Protocol):
+class ArmPath(Protocol):
     """A continuous path of n segments, each with a parameter 0..1."""
 
     @property
@@ -144,7 +144,7 @@ class Decision:
 
 
 def certify(
-    path: Path,
+    path: ArmPath,
     distance: Distance,
     deadband: float,
     *,
@@ -198,7 +198,7 @@ def certify(
         evaluations += len(chosen)
 
 
-def _whole_segments(path: Path, distance: Distance, pieces: int) -> tuple[Floats, float]:
+def _whole_segments(path: ArmPath, distance: Distance, pieces: int) -> tuple[Floats, float]:
     """Rows (segment, first and last fraction, value at each) of all segments, and the largest coordinate."""
     segment = np.arange(pieces)
     points = path.at(np.append(segment, pieces - 1), np.append(np.zeros(pieces), 1.0))
@@ -207,7 +207,7 @@ def _whole_segments(path: Path, distance: Distance, pieces: int) -> tuple[Floats
     return table, float(np.abs(points).max())
 
 
-def _halves(rows: Floats, path: Path, distance: Distance) -> Floats:
+def _halves(rows: Floats, path: ArmPath, distance: Distance) -> Floats:
     """Both halves of each interval, the middle evaluated. Shape (m, 5) -> (2 m, 5)."""
     middle = (rows[:, 1] + rows[:, 2]) / 2.0
     value = distance(path.at(rows[:, 0].astype(np.int64), middle))

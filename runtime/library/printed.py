@@ -25,7 +25,7 @@ import math
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import Geometry, canonical
 from cutgate.runtime.verification.bounds.points import Points
 from cutgate.runtime.verification.defects import defects
@@ -48,7 +48,7 @@ def printed_sides(points: Floats, workspace: PlanarWorkspace) -> Floats:
     out = np.stack((r, r, r, r), axis=1)
     out[:, 0] -= workspace.radius(workspace.q1_hi)
     out[:, 1] = workspace.radius(workspace.q1_lo) - r
-    if workspace.full_turn:
+    if workspace.full_revolution:
         out[:, 2:] = np.inf
         return out
     x1, y1 = a0 * math.cos(workspace.q0_hi), a0 * math.sin(workspace.q0_hi)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from cutgate.config.load import InputError, decode
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.plan.model import poses_of, shorter
 
 HEADER: Final = "x,y,z,i,j,k"

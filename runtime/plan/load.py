@@ -18,7 +18,7 @@ from cutgate.config.load import (
     read_settings,
     validate,
 )
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.plan.csv import parse_csv
 from cutgate.runtime.plan.model import Plan, PlanDocument, Registration, poses_of, shorter, table_of
 

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, Strict
 from cutgate.config.constants import CONSTANTS
 from cutgate.config.model import Real, Strictly, Text, broken
 from cutgate.config.refusal import InputError, shown
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 
 COORDINATE_MM: Final = 10_000.0
 TRANSLATION_MM: Final = 100_000.0

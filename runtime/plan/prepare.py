@@ -14,8 +14,8 @@ import numpy as np
 from cutgate.config.load import InputError, Loaded
 from cutgate.config.model import Robot
 from cutgate.config.records import tool_record
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.records import Path, RecordError
-from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.plan.model import Plan, Registration
 

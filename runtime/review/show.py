@@ -262,8 +262,8 @@ def _why(decision: Mapping[str, Any]) -> str:
         f"{_text(entry, 'name')}: {_shown(entry)} (required: {_text(entry, 'bound')})"
         for entry in failing(decision)
     ]
-    said_already = any(reason in line for line in missing)
-    parts = [f"first-out {first_out}" if first_out else "", "" if said_already else reason, *missing]
+    told_already = any(reason in line for line in missing)
+    parts = [f"first-out {first_out}" if first_out else "", "" if told_already else reason, *missing]
     return "\n".join(filter(None, parts))
 
 

@@ -185,8 +185,8 @@ def _again(stopped: Stopped) -> tuple[str, ...]:
     if stopped.standing is StopCause.NONE:
         asked = "" if stopped.at_rest else "; say acknowledge, and reset, when it asks for them"
         return (f"Start a new session{whole}{asked}.",)
-    words = "say acknowledge, then reset" if stopped.latched else "say acknowledge"
-    return (f"Start a new session and {words}{whole}.",)
+    acts = "say acknowledge, then reset" if stopped.latched else "say acknowledge"
+    return (f"Start a new session and {acts}{whole}.",)
 
 
 def _place(stopped: Stopped, permitted: Way | None) -> dict[str, Any] | None:

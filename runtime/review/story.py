@@ -11,22 +11,22 @@ from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.records import (
-    Approach,
-    Attachment,
+    AuditApproach,
+    AuditAttachment,
+    AuditBoundary,
+    AuditClose,
+    AuditCollected,
+    AuditController,
+    AuditDecision,
+    AuditFault,
+    AuditGuidance,
+    AuditOpen,
+    AuditOperator,
+    AuditPermit,
+    AuditProcess,
     AuditRecord,
-    Boundary,
+    AuditVerdict,
     CanFrame,
-    Close,
-    Collected,
-    Controller,
-    Decision,
-    Fault,
-    Guidance,
-    Open,
-    Operator,
-    Permit,
-    Process,
-    Verdict,
 )
 from cutgate.runtime.interlock.phases import MOVING, STOPPING
 from cutgate.runtime.review.last_seen import LastSeen
@@ -46,22 +46,22 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         path: its file.
         candump: the raw frames beside it, or None if they are not there.
     """
-    opened = _first(log, Open)
+    opened = _first(log, AuditOpen)
     start_ns = _nanoseconds(opened.get("monotonic"))
     timed = {
         model: [_entry(record, start_ns) for record in log.of(model.TOPIC) if record]  # empty: not JSON
         for model in (
-            Decision,
-            Collected,
-            Verdict,
-            Boundary,
-            Approach,
-            Guidance,
-            Permit,
-            Fault,
-            Operator,
-            Process,
-            Attachment,
+            AuditDecision,
+            AuditCollected,
+            AuditVerdict,
+            AuditBoundary,
+            AuditApproach,
+            AuditGuidance,
+            AuditPermit,
+            AuditFault,
+            AuditOperator,
+            AuditProcess,
+            AuditAttachment,
         )
     }
     return {
@@ -74,18 +74,18 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         "messages": log.report.messages,
         "head": log.report.head,
         "opened": _entry(opened, start_ns) | {"utc_ns": _nanoseconds(opened.get("utc"))},
-        "verdicts": _verdicts(timed[Verdict], timed[Boundary], timed[Guidance]),
-        "approaches": timed[Approach],
-        "decisions": timed[Decision],
-        "collected": timed[Collected],
-        "permits": timed[Permit],
-        "faults": timed[Fault],
-        "operator": timed[Operator],
-        "processes": timed[Process],
-        "attachments": timed[Attachment],
+        "verdicts": _verdicts(timed[AuditVerdict], timed[AuditBoundary], timed[AuditGuidance]),
+        "approaches": timed[AuditApproach],
+        "decisions": timed[AuditDecision],
+        "collected": timed[AuditCollected],
+        "permits": timed[AuditPermit],
+        "faults": timed[AuditFault],
+        "operator": timed[AuditOperator],
+        "processes": timed[AuditProcess],
+        "attachments": timed[AuditAttachment],
         "allowed": [_entry(one, start_ns) | {"what": what} for what, one in _allowed(log).items()],
         "stop": _stop(log),
-        "closed": _entry(_first(log, Close), start_ns) or None,
+        "closed": _entry(_first(log, AuditClose), start_ns) or None,
     }
 
 
@@ -153,7 +153,7 @@ SENT: Final = {"send Permit": "permit", "send Start": "start"}
 def _allowed(log: Log) -> dict[str, dict[str, Any]]:
     """The decisions by which the permit and the start left; of several the last."""
     found = {}
-    for decision in log.of(Decision.TOPIC):
+    for decision in log.of(AuditDecision.TOPIC):
         effects = decision.get("effects")
         for effect in effects if isinstance(effects, list) else ():
             if decision.get("disposition") == "sent" and isinstance(effect, str) and effect in SENT:
@@ -171,14 +171,14 @@ ENTRY_UM_MAX: Final = 10_000_000
 
 def _stop(log: Log) -> dict[str, Any] | None:
     """What is to be known after a stop, from the log alone; None where it tells of none."""
-    steps = [one for one in log.of(Decision.TOPIC) if isinstance(one.get("from_state"), str)]
+    steps = [one for one in log.of(AuditDecision.TOPIC) if isinstance(one.get("from_state"), str)]
     first = next(
         (one for one in steps if one["from_state"] not in STOPPING and one.get("to_state") in STOPPING), None
     )
     if first is None and not _broken_off(log, steps):
         return None
     first = first or BROKEN_OFF | {"from_state": steps[-1]["to_state"]}
-    controller = next(iter(log.of(Controller.TOPIC)[-1:]), {})
+    controller = next(iter(log.of(AuditController.TOPIC)[-1:]), {})
     session = next((one["session"] for one in steps if one.get("session")), None)
     seen, tag = _last_seen(log), _tag(session)
     return stop_document(
@@ -198,7 +198,7 @@ def _stop(log: Log) -> dict[str, Any] | None:
 
 def _broken_off(log: Log, steps: list[dict[str, Any]]) -> bool:
     """Whether the log ends while the arm could move."""
-    return bool(steps) and steps[-1].get("to_state") in MOVING and not log.of(Close.TOPIC)
+    return bool(steps) and steps[-1].get("to_state") in MOVING and not log.of(AuditClose.TOPIC)
 
 
 def _cause(name: object) -> StopCause:
@@ -226,7 +226,7 @@ def _tag(session: object) -> int:
 
 def _permitted(log: Log) -> Way | None:
     """What the arm was to do, by the attachments and the approach."""
-    approach = next(iter(log.of(Approach.TOPIC)[-1:]), {})
+    approach = next(iter(log.of(AuditApproach.TOPIC)[-1:]), {})
     entry_um = approach.get("entry_um")
     if not isinstance(entry_um, int) or not 0 <= entry_um <= ENTRY_UM_MAX:
         return None

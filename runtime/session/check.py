@@ -4,7 +4,7 @@ The controller's limits, calibration and tool must equal the approved ones, or t
 to be proved is known before it opens, but for where the arm stands. Hence the search for the verdict, the proof of the
 cut and its check, the straight lines at entry and exit and the reference trajectory between them are done before (`Check`). In the session
 remain the two joint lines, which cost the same whatever the path is: they are taken step by step (`steps`), each well
-under a millisecond, between the turns of the loop.
+under a millisecond, between the cycle of the loop.
 
 The verification process must say the same (`disagreement`): it can refuse, and it cannot permit.
 """
@@ -15,14 +15,14 @@ from typing import Any, Final, NamedTuple
 
 from cutgate.config.model import Robot
 from cutgate.protocol import records
-from cutgate.runtime.interlock.state import Collected, Job, Verdict
-from cutgate.runtime.session import course
+from cutgate.runtime.interlock.state import Collected, CutVerdict, Job
+from cutgate.runtime.session import reference
 from cutgate.runtime.session.messages import Bound, Claim, Request
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification import verdict as verdicts
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import decision, report
-from cutgate.runtime.verification.approach.model import Approach, Start, StraightLines
+from cutgate.runtime.verification.approach.model import ApproachVerdict, StartJoints, StraightLines
 from cutgate.runtime.verification.approach.straight_line import straight_lines
 from cutgate.runtime.verification.placing.other_elbow import other_elbow
 from cutgate.runtime.verification.plausibility import Caution, Placed, cautions, cautions_of_move, described
@@ -32,7 +32,7 @@ from cutgate.runtime.verification.report.document import Digests, guidance_entri
 from cutgate.runtime.verification.report.summary import summary
 from cutgate.runtime.verification.steps import Steps
 
-WORD: Final = {True: "ADMISSIBLE", False: "INADMISSIBLE"}
+ANSWER: Final = {True: "ADMISSIBLE", False: "INADMISSIBLE"}
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class Answer:
     ``approach``, its document and ``proof`` (a certificate's bytes) are None where the cut itself is not admissible.
     """
 
-    verdict: Verdict
+    verdict: CutVerdict
     proved: verdicts.Verdict
     document: dict[str, Any]
-    approach: Approach | None
+    approach: ApproachVerdict | None
     approach_document: dict[str, Any] | None
     proof: bytes | None
     cautions: tuple[Caution, ...] = ()
@@ -61,8 +61,8 @@ class _Ground(NamedTuple):
     cautions: tuple[Caution, ...]
     document: dict[str, Any]
     proof: bytes | None
-    lines: StraightLines | Approach | None
-    between: course.Between | None
+    lines: StraightLines | ApproachVerdict | None
+    between: reference.Between | None
 
 
 class Check:
@@ -140,7 +140,9 @@ def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
     proof = checked_proof(problem, verdict)
     lines = straight_lines(problem, job.timing.approach_clearance_um)
     bound = report.bound(lines, job.timing.approach_speed_percent)
-    return _Ground(verdict, found, document, proof, lines, course.between(problem, bound) if bound else None)
+    return _Ground(
+        verdict, found, document, proof, lines, reference.between(problem, bound) if bound else None
+    )
 
 
 def checked_proof(problem: Problem, verdict: verdicts.Verdict) -> bytes:
@@ -163,7 +165,7 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
     way, way_document, bound, trajectory = None, None, None, None
     if ground.lines is not None:
         timing = job.timing
-        start = Start.of(
+        start = StartJoints.of(
             start_joints_u,
             clearance_um=timing.approach_clearance_um,
             tolerance_mm=timing.start_tolerance_mm,
@@ -174,8 +176,8 @@ def _steps(job: Job, ground: _Ground, request: int, start_joints_u: tuple[int, .
         bound = report.bound(way, job.timing.approach_speed_percent)
     if bound is not None:
         assert ground.between is not None  # noqa: S101 - its straight lines are admissible
-        trajectory = yield from course.from_start(ground.between, start_joints_u)
-    verdict = Verdict(
+        trajectory = yield from reference.from_start(ground.between, start_joints_u)
+    verdict = CutVerdict(
         request=request,
         admissible=ground.proved.admissible,
         path=job.path_digest,
@@ -201,7 +203,7 @@ def with_guidance(answer: Answer, found: Guidance | None, note: str) -> Answer:
     return replace(answer, guidance=found, document={**answer.document, **told})
 
 
-def disagreement(claim: Claim, own: Verdict) -> str:
+def disagreement(claim: Claim, own: CutVerdict) -> str:
     """What the verification process said otherwise than this side has found; empty where it said the same."""
     for name in ("path", "limits", "calibration", "tool"):
         if getattr(claim, name) != getattr(own, name).hex():
@@ -218,8 +220,8 @@ def disagreement(claim: Claim, own: Verdict) -> str:
     return ""
 
 
-def _otherwise(of_what: str, said: bool, found: bool, reason: str) -> str:
+def _otherwise(of_what: str, claimed: bool, found: bool, reason: str) -> str:
     return (
-        f"the verification process said {WORD[said]}{of_what}, "
-        f"this side's own check says {WORD[found]}: {reason}"
+        f"the verification process said {ANSWER[claimed]}{of_what}, "
+        f"this side's own check says {ANSWER[found]}: {reason}"
     )

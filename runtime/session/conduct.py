@@ -7,10 +7,10 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.audit.log import AuditLog, Paths
-from cutgate.runtime.interlock.state import Interlock, Word
+from cutgate.runtime.interlock.state import Interlock, OperatorCommand
 from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.interruption import Signals
-from cutgate.runtime.session.job import Files
+from cutgate.runtime.session.job import InputFiles
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.view import View
@@ -19,7 +19,7 @@ from cutgate.runtime.session.worker import Worker
 
 
 def conduct(
-    files: Files,
+    files: InputFiles,
     check: Check,
     state: Interlock,
     key: bytes,
@@ -71,7 +71,7 @@ def conduct(
         journal=journal,
         worker=worker,
         view=view,
-        words=typed(Word),
+        commands=typed(OperatorCommand),
         checkpoint_deadline_s=files.settings.log.checkpoint_deadline_ms / 1000,
     )
     signals.interrupts(session)

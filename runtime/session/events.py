@@ -8,17 +8,17 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerHeartbeat
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     ControllerView,
     Event,
     NonceReceived,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     ReplyReceived,
-    Said,
     SessionOpened,
-    Stored,
-    Word,
+    UploadedPath,
 )
 
 OF_RECORD: Final[Mapping[type[records.Record], Callable[[Any], Event]]] = MappingProxyType(
@@ -27,8 +27,8 @@ OF_RECORD: Final[Mapping[type[records.Record], Callable[[Any], Event]]] = Mappin
         records.Limits: ParameterReceived,
         records.Calibration: ParameterReceived,
         records.Tool: ParameterReceived,
-        records.BlockStored: lambda r: BlockStored(r.index),
-        records.PathStored: lambda r: PathStored(Stored(r.digest, r.refusal, r.pose)),
+        records.BlockStored: lambda r: BlockConfirmed(r.index),
+        records.PathStored: lambda r: PathConfirmed(UploadedPath(r.digest, r.refusal, r.pose)),
         records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
         records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause, r.detail != 0),
     }
@@ -60,9 +60,13 @@ def view_of(beat: ControllerHeartbeat) -> ControllerView:
     )
 
 
-def of_operator(text: Word | str) -> Said | None:
+def of_operator(text: OperatorCommand | str) -> CommandGiven | None:
     """What the operator said; only a confirmation names something besides, and None is no word here."""
-    if isinstance(text, Word):
-        return Said(text)
-    word, *what = text.split(maxsplit=1)
-    return Said(Word.CONFIRM, "".join(what).upper()) if word == Word.CONFIRM else None
+    if isinstance(text, OperatorCommand):
+        return CommandGiven(text)
+    command, *what = text.split(maxsplit=1)
+    return (
+        CommandGiven(OperatorCommand.CONFIRM, "".join(what).upper())
+        if command == OperatorCommand.CONFIRM
+        else None
+    )

@@ -25,7 +25,7 @@ VERIFIER = f"cutgate {__version__}"
 
 
 @dataclass(frozen=True)
-class Files:
+class InputFiles:
     """What was read, each file once; parsing, digests and attachments use the same bytes."""
 
     robot: Loaded[Robot]
@@ -37,8 +37,8 @@ class Files:
     @property
     def simulation_allowed_by(self) -> str:
         """Who said that the controller may be a simulation; empty where nobody did."""
-        said = {ALLOW_SIMULATED: self.allow_simulated, "site.toml": self.settings.controller.simulated}
-        return " and ".join(name for name, allowed in said.items() if allowed)
+        allowed_by = {ALLOW_SIMULATED: self.allow_simulated, "site.toml": self.settings.controller.simulated}
+        return " and ".join(name for name, allowed in allowed_by.items() if allowed)
 
     @property
     def placed(self) -> Placed | None:
@@ -66,7 +66,7 @@ def read_files(
     feed_mm_s: float | None,
     *,
     allow_simulated: bool = False,
-) -> Files:
+) -> InputFiles:
     """Read and check every input file.
 
     Raises:
@@ -79,10 +79,10 @@ def read_files(
     size_limit = bounds.file_size_limit_mb * BYTES_PER_MB
     wanted = load_plan(plan, size_limit=size_limit, pose_limit=bounds.pose_limit)
     prepared = prepare(wanted, placed, arm.value, now=datetime.now(UTC), feed_mm_s=feed_mm_s)
-    return Files(arm, settings, prepared, allow_simulated)
+    return InputFiles(arm, settings, prepared, allow_simulated)
 
 
-def make_job(files: Files, *, now: datetime, asked: AskedTurns = BEST, key_fingerprint: str = "") -> Job:
+def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_fingerprint: str = "") -> Job:
     """The job of these files: approved records, the path on its joint branch, digests and deadlines.
 
     Args:
@@ -134,7 +134,7 @@ def _on_branch(path: records.Path, problem: Problem, asked: AskedTurns) -> recor
     return with_branch(path, *chosen) if chosen else path
 
 
-def configuration(files: Files) -> bytes:
+def configuration(files: InputFiles) -> bytes:
     """The digest that a permit binds of the site's files and options."""
     site = files.site.sha256 if files.site else None
     return configuration_digest(files.robot.sha256, site, allow_simulated=files.allow_simulated)

@@ -22,7 +22,8 @@ from cutgate.runtime.interlock.permissives import (
 from cutgate.runtime.interlock.phases import PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     Commit,
     ControllerView,
     Dropped,
@@ -39,12 +40,11 @@ from cutgate.runtime.interlock.state import (
     LogChanged,
     NonceReceived,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     ProgressReported,
     RecordDurable,
     Refused,
     ReplyReceived,
-    Said,
     Send,
     SendBlock,
     SendStop,
@@ -86,8 +86,8 @@ NAMES: dict[type, Callable[[Any], str]] = {
     Announced: lambda _: "controller announced",
     SessionOpened: lambda _: "session opened",
     ParameterReceived: lambda e: f"{type(e.record).__name__.lower()} received",
-    BlockStored: lambda _: "path block stored",
-    PathStored: lambda _: "path stored",
+    BlockConfirmed: lambda _: "path block stored",
+    PathConfirmed: lambda _: "path stored",
     VerdictReady: lambda e: "verdict admissible" if e.verdict.admissible else "verdict inadmissible",
     NonceReceived: lambda e: f"nonce for {KINDS[e.purpose]}",
     ReplyReceived: lambda e: f"reply {e.refusal.name} to {BY_TYPE.get(e.request_type, hex(e.request_type))}",
@@ -100,7 +100,7 @@ NAMES: dict[type, Callable[[Any], str]] = {
     LogChanged: lambda _: "log's health",
     Failed: lambda e: f"failed {e.cause.name}",
     Gone: lambda e: f"gave up {e.cause.name}",
-    Said: lambda e: f"said {e.word} {plain(e.what)}".strip(),
+    CommandGiven: lambda e: f"said {e.command} {plain(e.what)}".strip(),
     Tick: lambda _: "time passed",
 }
 """What each event is called in the log."""
@@ -150,7 +150,7 @@ class Journal:
         deviation = next((effect for effect in effects if isinstance(effect, Deviation)), None)
         shown = deviation.judged if deviation else shown
         self.log.write(
-            audit.Decision(
+            audit.AuditDecision(
                 sequence=self._sequence,
                 session=after.session.digest.hex() if after.session else None,
                 event=NAMES[type(event)](event),
@@ -170,7 +170,7 @@ class Journal:
         if self._sent is not None:
             kind, token = self._sent
             reason = "void: it had not left the transmit queue when a stop was ordered"
-            self.log.write(audit.Permit(kind=kind, stage="withheld", token=token, reason=reason))
+            self.log.write(audit.AuditPermit(kind=kind, stage="withheld", token=token, reason=reason))
         self._sent = None
 
     def ended_without_the_table(self, before: Interlock, after: Interlock, event: Gone) -> None:
@@ -178,7 +178,7 @@ class Journal:
         self._fault(event.cause, event.reason)
         self._sequence += 1
         self.log.write(
-            audit.Decision(
+            audit.AuditDecision(
                 sequence=self._sequence,
                 event=NAMES[Gone](event),
                 from_state=before.phase,
@@ -201,7 +201,7 @@ class Journal:
                 self._sent = (sent.kind, after.token)
             case Withheld(token=token):
                 self.log.write(
-                    audit.Permit(
+                    audit.AuditPermit(
                         kind=self._authorised,
                         stage="withheld",
                         token=token,
@@ -219,22 +219,24 @@ class Journal:
                 self._sent = None
                 accepted = event.refusal is Refusal.ACCEPTED
                 self.log.write(
-                    audit.Permit(
+                    audit.AuditPermit(
                         kind=BY_TYPE[event.request_type],
                         stage="acknowledged" if accepted else "refused",
                         reply=event.refusal.name,
                     )
                 )
             case FaultReceived():
-                self.log.write(audit.Fault(source="controller", code=event.code.name, cause=event.cause.name))
+                self.log.write(
+                    audit.AuditFault(source="controller", code=event.code.name, cause=event.cause.name)
+                )
             case Failed() | Gone():
                 self._fault(event.cause, event.reason)
-            case Said(word=word, what=what):
+            case CommandGiven(command=command, what=what):
                 refused = next((effect.reason for effect in effects if isinstance(effect, Refused)), None)
                 reason = None if refused is None else plain(refused)
                 self.log.write(
-                    audit.Operator(
-                        word=word, what=plain(what) or None, accepted=refused is None, reason=reason
+                    audit.AuditOperator(
+                        word=command, what=plain(what) or None, accepted=refused is None, reason=reason
                     )
                 )
         for effect in effects:
@@ -243,7 +245,9 @@ class Journal:
 
     def _fault(self, cause: StopCause, reason: str) -> None:
         """What this side itself has found."""
-        self.log.write(audit.Fault(source="runtime", code="STOP", cause=cause.name, detail=plain(reason)))
+        self.log.write(
+            audit.AuditFault(source="runtime", code="STOP", cause=cause.name, detail=plain(reason))
+        )
 
     def _collected(self, before: Interlock, record: records.Record) -> None:
         data, job = record.body(), before.job
@@ -258,7 +262,7 @@ class Journal:
             # Nothing will be verified with them, and what they were is what decided.
             self.log.attach(ATTACHED[kind], "application/octet-stream", data)
         self.log.write(
-            audit.Collected(
+            audit.AuditCollected(
                 kind=kind,  # type: ignore[arg-type]
                 sha256=records.digest(data).hex(),
                 matches_approved=matches,
@@ -272,7 +276,7 @@ class Journal:
             return
         self._view = event.view
         self.log.write(
-            audit.Controller(
+            audit.AuditController(
                 state=event.view.state.name,
                 cause=event.view.cause.name,
                 epoch=event.view.epoch,
@@ -286,7 +290,7 @@ class Journal:
     def verdict(self, document: dict[str, Any], tool: bytes, reason: str) -> None:
         """The verdict and each boundary's worst place."""
         self.log.write(
-            audit.Verdict.of(
+            audit.AuditVerdict.of(
                 document, verifier=VERIFIER, tool_sha256=records.digest(tool).hex(), reason=reason
             )
         )
@@ -295,7 +299,7 @@ class Journal:
 
     def guidance(self, document: dict[str, Any]) -> None:
         """Where to move the bone, once the verdict's document says it, or why it does not."""
-        self.log.write(audit.Guidance.of(document))
+        self.log.write(audit.AuditGuidance.of(document))
 
     def approach(
         self,
@@ -305,7 +309,9 @@ class Journal:
         reason: str,
     ) -> None:
         """The verdict on approach and retract, and what a permit binds of them."""
-        self.log.write(audit.Approach.of(document, start_joints_u=start_joints_u, bound=bound, reason=reason))
+        self.log.write(
+            audit.AuditApproach.of(document, start_joints_u=start_joints_u, bound=bound, reason=reason)
+        )
 
     def reserve(self, seconds: float, job: Job) -> int:
         """Ask for twice the space that a session takes from its verdict on; the bytes that it takes once.
@@ -340,8 +346,8 @@ class Journal:
 
     def processes(self, worker_pid: int) -> None:
         """Who takes part, by process number."""
-        self.log.write(audit.Process(role="runtime", pid=os.getpid(), argv=tuple(map(plain, sys.argv))))
-        self.log.write(audit.Process(role="verifier", pid=worker_pid))
+        self.log.write(audit.AuditProcess(role="runtime", pid=os.getpid(), argv=tuple(map(plain, sys.argv))))
+        self.log.write(audit.AuditProcess(role="verifier", pid=worker_pid))
 
     # ------------------------------------------------------------ the bus
 
@@ -399,7 +405,7 @@ class Journal:
         )
 
 
-def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) -> audit.Permit:
+def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) -> audit.AuditPermit:
     kind = SIGNED[type(record)]
     digests: dict[str, str] = {}
     if isinstance(record, records.Permit):
@@ -407,7 +413,7 @@ def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) ->
             f"{name}_sha256": getattr(record, f"{name}_digest").hex()
             for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
         }
-    return audit.Permit(
+    return audit.AuditPermit(
         kind=kind,
         stage=stage,
         token=token,

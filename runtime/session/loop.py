@@ -14,7 +14,7 @@ from typing import assert_never
 
 import can
 
-from cutgate.config.terminal import WordReader
+from cutgate.config.terminal import CommandReader
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.cycle import Cycle
@@ -31,10 +31,10 @@ from cutgate.protocol.path import PathHeader
 from cutgate.protocol.port import Port
 from cutgate.protocol.states import StopCause, StopCode
 from cutgate.runtime.audit import names
-from cutgate.runtime.audit.commit import Durable, Reserved
-from cutgate.runtime.audit.commit import Failed as LogFailed
+from cutgate.runtime.audit.commit import Durable, LogFailed, Reserved
 from cutgate.runtime.interlock.phases import ENDED, PHASES, STOPPING
 from cutgate.runtime.interlock.state import (
+    CommandGiven,
     Commit,
     Dropped,
     Effect,
@@ -49,11 +49,11 @@ from cutgate.runtime.interlock.state import (
     LogChanged,
     LogHealth,
     OpenLink,
+    OperatorCommand,
     Phase,
     ProgressReported,
     RecordDurable,
     Refused,
-    Said,
     Send,
     SendBlock,
     SendStop,
@@ -62,7 +62,6 @@ from cutgate.runtime.interlock.state import (
     VerdictReady,
     Verify,
     Withheld,
-    Word,
 )
 from cutgate.runtime.interlock.table import step
 from cutgate.runtime.interlock.tracking import Deviation
@@ -93,7 +92,7 @@ class Session:
         journal: the audit log.
         worker: the verification process.
         view: shows what happens.
-        words: the operator's terminal, None without one.
+        commands: the operator's terminal, None without one.
         clock: monotonic seconds.
         random: the operating system's generator.
     """
@@ -108,7 +107,7 @@ class Session:
         journal: Journal,
         worker: Worker,
         view: View,
-        words: WordReader[Word] | None = None,
+        commands: CommandReader[OperatorCommand] | None = None,
         checkpoint_deadline_s: float,
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
@@ -123,7 +122,7 @@ class Session:
         self._journal = journal
         self._worker = worker
         self._view = view
-        self._words = words
+        self._commands = commands
         self._checkpoint_deadline_s = checkpoint_deadline_s
         self._clock = clock
         self._random = random
@@ -161,7 +160,7 @@ class Session:
         self.begin(wake)
         try:
             while self.state.phase not in ENDED:
-                self.turn(self._waited(wake))
+                self.run_cycle(self._waited(wake))
         finally:
             self._leave_last()
         return self.state
@@ -170,8 +169,8 @@ class Session:
         """Before the first turn: what to wait for, space for the log, and the one look at the whole path."""
         for descriptor in (wake, self._port.bus.fileno(), self._journal.log.fileno(), self._worker.fileno()):
             self._poller.register(descriptor, select.POLLIN)
-        if self._words is not None and self._words.descriptor is not None:
-            self._poller.register(self._words.descriptor, select.POLLIN)
+        if self._commands is not None and self._commands.descriptor is not None:
+            self._poller.register(self._commands.descriptor, select.POLLIN)
         job = self.state.job
         needed = self._journal.reserve(estimated_s(job), job)
         self.state = replace(self.state, log=LogHealth(writable=True, needed_bytes=needed))
@@ -195,19 +194,19 @@ class Session:
             os.read(wake, 4096)
         return ready
 
-    def turn(self, ready: set[int]) -> None:
+    def run_cycle(self, ready: set[int]) -> None:
         """One turn. Whatever goes wrong in it stops the session; what cannot be mended is raised after the stop.
 
         Args:
             ready: descriptors that can be read.
         """
         try:
-            self._turn(ready)
+            self._run_cycle(ready)
         except BaseException as error:
             self._give_up(error)
             raise
 
-    def _turn(self, ready: set[int]) -> None:
+    def _run_cycle(self, ready: set[int]) -> None:
         cycle = self._cycle
         cycle.begin()
         self._pauses.cycle(cycle.gap_s, cycle.now_s)
@@ -217,7 +216,7 @@ class Session:
                 self._item(item)
             self._read_disk(cycle.now_s)
             self._verdict(ready)
-            self._read_words(ready)
+            self._read_commands(ready)
             self._heartbeat()
             self._port.flush()
             self._go_on_verifying()
@@ -249,7 +248,7 @@ class Session:
             cause = before.cause or event.cause
             ended = replace(before, phase=Phase.STOPPED, cause=cause, reason=event.reason)
             self.state = replace(ended, permit=None, nonce=None, tracking=None)
-            self._watch_for_stop(before)
+            self._note_stop(before)
         with suppress(Exception):  # without heartbeats the controller stops as well
             self._stop_now(event.cause)
         with suppress(Exception):  # the log will not be called clean
@@ -382,21 +381,21 @@ class Session:
         self._journal.guidance(self.answer.document)
         self._view.guidance(found, note)
 
-    def _read_words(self, ready: set[int]) -> None:
+    def _read_commands(self, ready: set[int]) -> None:
         if self._interrupted is not None:
             signal, self._interrupted = self._interrupted, None
-            self._feed(Said(Word.QUIT, signal))
-        words = self._words
-        if words is None or words.descriptor not in ready:
+            self._feed(CommandGiven(OperatorCommand.QUIT, signal))
+        commands = self._commands
+        if commands is None or commands.descriptor not in ready:
             return
-        descriptor = words.descriptor
-        for word in words.read():
-            said = events.of_operator(word)
-            if said is not None:
-                self._feed(said)
+        descriptor = commands.descriptor
+        for text in commands.read():
+            given = events.of_operator(text)
+            if given is not None:
+                self._feed(given)
             else:
-                self._view.note(f"{word!r} is no command here; say one of {', '.join(Word)}")
-        if words.descriptor is None and descriptor is not None:
+                self._view.note(f"{text!r} is no command here; say one of {', '.join(OperatorCommand)}")
+        if commands.descriptor is None and descriptor is not None:
             self._poller.unregister(descriptor)
 
     # ------------------------------------------------------------ the table and its effects
@@ -410,13 +409,13 @@ class Session:
         """One step of the table, carried out and recorded; nothing else changes the phase."""
         before = self.state
         self.state, effects = step(before, event, now_s)
-        self._watch_for_stop(before)
+        self._note_stop(before)
         for effect in effects:
             self._carry_out(effect)
         self._journal.step(before, event, self.state, effects, now_s)
         return effects
 
-    def _watch_for_stop(self, before: Interlock) -> None:
+    def _note_stop(self, before: Interlock) -> None:
         if before.phase not in STOPPING and self.state.phase in STOPPING:
             self.stopped_in = before.phase
 

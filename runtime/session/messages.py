@@ -23,14 +23,14 @@ from cutgate.config.model import Robot
 from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.runtime.verification import advice as guiding
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 
 LENGTH_BYTES: Final = 4
 REQUEST_BYTES_MAX: Final = 1 << 18
 ANSWER_BYTES_MAX: Final = 1 << 14
 """Ours take under 4 kB. One so long that is wrong in every place is refused within 5 ms."""
 TEXT_MAX: Final = 2000
-SAID_MAX: Final = 200
+SHOWN_MAX: Final = 200
 """Characters of foreign text in a sentence of ours."""
 
 
@@ -105,9 +105,9 @@ class Request:
     speed_percent: int
 
     @property
-    def start(self) -> Start:
+    def start(self) -> StartJoints:
         """Where approach and retract begin and end."""
-        return Start.of(
+        return StartJoints.of(
             self.start_joints_u,
             clearance_um=self.clearance_um,
             tolerance_mm=self.start_tolerance_mm,
@@ -197,7 +197,7 @@ class Claim(_Plain):
     """None unless approach and retract are admissible."""
 
 
-class Move(_Plain):
+class ToldMove(_Plain):
     """As in `guidance.Move`."""
 
     boundary: Annotated[Text, StringConstraints(max_length=40)]
@@ -207,13 +207,13 @@ class Move(_Plain):
     angle_deg: float | None
 
 
-class Guidance(_Plain):
+class ToldGuidance(_Plain):
     """As `guidance.Guidance`: for people, who see whether it holds when the bone is verified where it stands then."""
 
     translation_mm: Vector | None
     yaw_deg: float
     pivot_mm: Vector
-    moves: Annotated[tuple[Move, ...], Field(max_length=20, fail_fast=True)]
+    moves: Annotated[tuple[ToldMove, ...], Field(max_length=20, fail_fast=True)]
     predicted_clearance_mm: float | None
     verified: bool
     text: Text
@@ -234,7 +234,7 @@ class Guided(_Plain):
 
     kind: Literal["guided"] = "guided"
     request: Number
-    guidance: Guidance | None
+    guidance: ToldGuidance | None
 
     @classmethod
     def of(cls, request: int, found: guiding.Guidance | None) -> Self:
@@ -265,5 +265,5 @@ def parse_answer(body: bytes) -> Answer:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise MessageError(shown(f"{place}: {first['msg']}" if place else first["msg"], SAID_MAX)) from None
+        raise MessageError(shown(f"{place}: {first['msg']}" if place else first["msg"], SHOWN_MAX)) from None
     return answer

@@ -10,7 +10,7 @@ from cutgate.config.ours import user
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
-from cutgate.runtime.session.job import VERIFIER, Files
+from cutgate.runtime.session.job import VERIFIER, InputFiles
 from cutgate.runtime.session.journal import plain
 from cutgate.runtime.verification.asked import AskedTurns
 
@@ -19,7 +19,7 @@ BRANCH: Final = "joint branch"
 
 
 def new_log(
-    directory: Path, files: Files, path: bytes, bus: str, asked: AskedTurns, operator: str | None
+    directory: Path, files: InputFiles, path: bytes, bus: str, asked: AskedTurns, operator: str | None
 ) -> AuditLog:
     """A new log, in a directory that is locked from now on. Waits for the disk.
 
@@ -60,7 +60,7 @@ def new_log(
     return log
 
 
-def _options(files: Files, bus: str, asked: AskedTurns) -> tuple[tuple[str, str], ...]:
+def _options(files: InputFiles, bus: str, asked: AskedTurns) -> tuple[tuple[str, str], ...]:
     """What record 0 says of the bus, of a joint branch that was asked for, and of a simulation where one is allowed."""
     allowed_by = files.simulation_allowed_by
     allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()

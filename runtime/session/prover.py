@@ -10,7 +10,7 @@ import socket
 from collections.abc import Iterator
 
 from cutgate.protocol import records
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.session.messages import (
     REQUEST_BYTES_MAX,
     TEXT_MAX,

@@ -15,7 +15,7 @@ import numpy as np
 from cutgate.protocol import candump, records
 from cutgate.runtime.audit.records import CanFrame, Time
 from cutgate.runtime.interlock.state import Job
-from cutgate.runtime.kinematics.arm import TURN
+from cutgate.runtime.kinematics.arm import REVOLUTION
 from cutgate.runtime.kinematics.pose import turn_angles
 
 FRAMES_PER_HEARTBEAT: Final = 6
@@ -52,7 +52,7 @@ def estimated_s(job: Job) -> float:
     lengths_mm = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     turned_mm = path.tool_length_mm * turn_angles(axes[:-1], axes[1:])
     cut_s = float(np.sum(np.maximum(lengths_mm, turned_mm))) / path.feed_mm_s
-    travel = np.minimum(limits.q_max - limits.q_min, [TURN, TURN, np.inf, TURN, TURN])
+    travel = np.minimum(limits.q_max - limits.q_min, [REVOLUTION, REVOLUTION, np.inf, REVOLUTION, REVOLUTION])
     line_s = float(np.max(travel / limits.speed)) * 100.0 / job.timing.approach_speed_percent
     way_mm = float(np.linalg.norm(np.ptp(tips, axis=0))) + job.timing.approach_clearance_mm
     return cut_s + 2.0 * (line_s + way_mm / path.feed_mm_s)

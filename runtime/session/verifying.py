@@ -101,8 +101,8 @@ class Verifying:
             request: what it must be about.
         """
         match self._worker.wait(wake, timeout_s):
-            case Guided(request=number) as said if number == request:
-                return said
+            case Guided(request=number) as told if number == request:
+                return told
             case Broken(reason=reason):
                 return NotVerified(reason)
             case Claim() | Guided():

@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol, Self
 from cutgate.config.interpreter import program
 from cutgate.runtime.session.messages import (
     ANSWER_BYTES_MAX,
-    SAID_MAX,
+    SHOWN_MAX,
     Answer,
     Broken,
     Frames,
@@ -32,11 +32,11 @@ JOIN_S = 0.5
 """It has nothing to lose: one that is busy is killed."""
 KILLED_S = 5.0
 """What is killed ends at once; on a busy computer it is gone a little later."""
-LAST_WORDS_BYTES: Final = 1 << 16
+LAST_LINES_BYTES: Final = 1 << 16
 """So much of what the process has said on its standard error is looked at when it has failed: what a pipe holds."""
 
 
-class Process(Protocol):
+class StartedProcess(Protocol):
     """What is asked of the process itself; `subprocess.Popen` has it."""
 
     pid: int
@@ -47,7 +47,7 @@ class Process(Protocol):
     def kill(self) -> None: ...  # noqa: D102
 
 
-def launch(path: int, line: int) -> Process:
+def launch(path: int, line: int) -> StartedProcess:
     """Start the verification process.
 
     Args:
@@ -149,7 +149,7 @@ class Worker:
         line: what it is spoken with over.
     """
 
-    def __init__(self, process: Process, line: Line) -> None:
+    def __init__(self, process: StartedProcess, line: Line) -> None:
         self._process = process
         self._line = line
 
@@ -180,7 +180,7 @@ class Worker:
         except MessageError as error:
             return Broken(reason=f"the verification process's answer is none: {error}")
         except OSError:
-            return Broken(reason=f"the verification process ended{self._code}{self._last_words}")
+            return Broken(reason=f"the verification process ended{self._code}{self._last_line}")
 
     def wait(self, wake: int, timeout_s: float) -> Answer | None:
         """The next answer; None if it is not there in time, or somebody wants to leave.
@@ -208,15 +208,15 @@ class Worker:
         return "" if code is None else f" with code {code}"
 
     @property
-    def _last_words(self) -> str:
+    def _last_line(self) -> str:
         """The last line that it said on its standard error, for people."""
         if self._process.stderr is None:
             return ""
         os.set_blocking(self._process.stderr.fileno(), False)
-        said = self._process.stderr.read(LAST_WORDS_BYTES) or b""
-        lines = said.decode("utf-8", "replace").split("\n")
+        printed = self._process.stderr.read(LAST_LINES_BYTES) or b""
+        lines = printed.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        return f": {shown(last, SAID_MAX)}" if last else ""
+        return f": {shown(last, SHOWN_MAX)}" if last else ""
 
     def close(self) -> None:
         """End the worker; killed if it does not end by itself within a bounded time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from cutgate.runtime.arrays import Vector
+from cutgate.protocol.arrays import Vector
 
 
 @dataclass(frozen=True, slots=True)

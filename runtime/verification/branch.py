@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
-from cutgate.runtime.kinematics.arm import TURN, turns
+from cutgate.runtime.kinematics.arm import REVOLUTION, turns
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Winding
 
@@ -71,18 +71,18 @@ def candidates(
     least, most = reach if proven is None else proven
 
     def candidate(whole: int) -> Candidate:
-        shift = TURN * whole
+        shift = REVOLUTION * whole
         margin = min(reach[0] + shift - lower, upper - reach[1] - shift)
         reports = low <= least + shift and most + shift <= high
         return Candidate(shift, _reported(geometry, joint, start + shift), margin >= 0.0 and reports, margin)
 
     if asked is not None:
         return [candidate(round(geometry.side * (asked - _reported(geometry, joint, start))))]
-    first = math.ceil(max(lower - reach[0], low - least) / TURN)
-    last = math.floor(min(upper - reach[1], high - most) / TURN)
+    first = math.ceil(max(lower - reach[0], low - least) / REVOLUTION)
+    last = math.floor(min(upper - reach[1], high - most) / REVOLUTION)
     if first > last:
         middle = (max(lower, low) + min(upper, high)) / 2
-        nearest = round((middle - (reach[0] + reach[1]) / 2) / TURN)
+        nearest = round((middle - (reach[0] + reach[1]) / 2) / REVOLUTION)
         around = [candidate(nearest + k) for k in (-1, 0, 1)]
         return [max(around, key=lambda c: (c.margin, -abs(c.turns)))]
     return sorted((candidate(k) for k in range(first, last + 1)), key=lambda c: (abs(c.turns), -c.margin))

@@ -38,8 +38,8 @@ from typing import Final
 
 import numpy as np
 
+from cutgate.protocol.arrays import Floats, Ints
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
-from cutgate.runtime.arrays import Floats, Ints
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.bisection import Aim, survey
 from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, build, cut
@@ -232,7 +232,7 @@ class _Proof:
         self.limits = limits
         self.turns = branch
         self.held = held_roll(problem, limits)
-        self.full = geometry.workspace.full_turn
+        self.full = geometry.workspace.full_revolution
         self.q0 = _candidate(geometry, 0, float(chain.points.shoulder[0]), branch[0])
         self.roll = _candidate(geometry, 3, float(chain.points.roll[0]), branch[1])
         self.target = self._target()

@@ -19,7 +19,7 @@ Example:
 
     >>> verdict = verify(stroke)
     >>> verdict.admissible, verdict.branch
-    (True, Branch(elbow='right', q0_turns=0, roll_turns=0))
+    (True, JointBranch(elbow='right', q0_turns=0, roll_turns=0))
     >>> tight = verify(replace(stroke, deadband=Deadband(arm_mm=200.0, wrist_rad=0.03)))
     >>> tight.admissible, [name for name, b in tight.boundaries.items() if b.violated]
     (False, ['top', 'bottom'])
@@ -34,7 +34,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.bisection import Aim, Survey, survey
 from cutgate.runtime.verification.bounds.chain import Chain, build
@@ -71,8 +71,8 @@ from cutgate.runtime.verification.report.reasons import roll_out_of_frame, sente
 from cutgate.runtime.verification.verdict import (
     BOUNDARIES,
     Boundary,
-    Branch,
     Evaluations,
+    JointBranch,
     Quantity,
     SpeedLine,
     Verdict,
@@ -162,7 +162,7 @@ class _Verification:
         roll = self._roll(first, values)
         branch = None
         if shoulder is not None and roll is not None:
-            branch = Branch(self.problem.arm.elbow, shoulder.turns, roll.turns)
+            branch = JointBranch(self.problem.arm.elbow, shoulder.turns, roll.turns)
         boundaries = self._boundaries(values)
         lines = self._rates(first)
         other = self._other_reasons(values, branch)
@@ -188,7 +188,7 @@ class _Verification:
 
     def _first_columns(self) -> Bools:
         wanted = np.ones(COLUMNS, dtype=np.bool_)
-        full = self.geometry.workspace.full_turn
+        full = self.geometry.workspace.full_revolution
         wanted[[LEFT, RIGHT]] = not full
         wanted[[Q0_MIN, Q0_MAX]] = full or not confined(self.geometry, 0)
         wanted[ACCELERATION:] = self.problem.acceleration is not None
@@ -231,7 +231,7 @@ class _Verification:
         start = float(self.chain.points.shoulder[0])
         if not (self.chain.winding_known and math.isfinite(start)):
             return None
-        full = self.geometry.workspace.full_turn
+        full = self.geometry.workspace.full_revolution
         if not all(values[name].attained >= 0.0 for name in (SIDES[:LEFT] if full else SIDES)):
             return None  # out of these there is no shoulder to follow
         reach, proven = self._shoulder_range(first)
@@ -344,7 +344,7 @@ class _Verification:
         left_out = set()
         if self.held is not None:
             left_out = {"wrist_singularity", "pitch_min"} - set(values)
-        if self.geometry.workspace.full_turn and self.chain.winding_known:
+        if self.geometry.workspace.full_revolution and self.chain.winding_known:
             left_out |= {"left", "right"} - set(values)
         for name in BOUNDARIES:
             source = MIRRORED.get(name, name) if self.geometry.side < 0 else name
@@ -373,14 +373,14 @@ class _Verification:
             joint, limit, peak if known else None, place, ok=known and peak <= limit, quantity=quantity
         )
 
-    def _other_reasons(self, values: dict[str, Enclosed], branch: Branch | None) -> tuple[str, ...]:
+    def _other_reasons(self, values: dict[str, Enclosed], branch: JointBranch | None) -> tuple[str, ...]:
         out = []
         if not bool(self.chain.points.inside[0]):
             out.append(
                 "the path starts outside the planar workspace: no joint position within the limits "
                 "reaches the first wrist centre; move the bone toward the workspace"
             )
-        bounding = SIDES[:LEFT] if self.geometry.workspace.full_turn else SIDES
+        bounding = SIDES[:LEFT] if self.geometry.workspace.full_revolution else SIDES
         if branch is None and min(values[name].attained for name in bounding) < 0.0:
             out.append("no joint branch holds the whole path: it leaves the reach")
         elif branch is None:

@@ -30,7 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Vector
+from cutgate.protocol.arrays import Floats, Vector
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance

@@ -29,7 +29,7 @@ from typing import Literal
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 
 
 def _zeros(n: int) -> Floats:
@@ -46,7 +46,7 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class ArmCalibration:
     """What calibration found: exact corrections, and residuals it left unexplained.
 
     ``joint_offset`` (5,): true = reported + offset. ``slide_tilt`` (2,): lean of the slide
@@ -99,7 +99,7 @@ class Problem:
     upper: Floats
     speed: Floats
     deadband: Deadband
-    calibration: Calibration = field(default_factory=Calibration)
+    calibration: ArmCalibration = field(default_factory=ArmCalibration)
     hold_roll: float | None = None
     branch: tuple[int, int] | None = None
     acceleration: Floats | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.bounds.closed_form import Extreme, Extremes
 from cutgate.runtime.verification.bounds.enclosures import ACCELERATION, SPEED
 from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Segments, errors

@@ -5,7 +5,7 @@ import math
 from cutgate.config.model import Robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband, Problem
 
 
 def off_line_problem(path: records.Path, robot: Robot) -> Problem:
@@ -63,7 +63,7 @@ def problem_from_records(
         upper=bounds.q_max,
         speed=bounds.speed,
         acceleration=bounds.acceleration,
-        calibration=Calibration(
+        calibration=ArmCalibration(
             upper_link_error_mm=found.upper_link_error_mm,
             forearm_link_error_mm=found.forearm_link_error_mm,
             joint_offset=found.joint_offset,

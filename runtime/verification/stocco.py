@@ -39,7 +39,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.kinematics.arm import turns
 from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES, Geometry, Segments, canonical
 from cutgate.runtime.verification.bounds.points import Points, at
@@ -47,7 +47,7 @@ from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import Enclosed, boundary, refused, wrist_length
 from cutgate.runtime.verification.report.reasons import sentences
-from cutgate.runtime.verification.verdict import BOUNDARIES, Branch, Evaluations, Verdict
+from cutgate.runtime.verification.verdict import BOUNDARIES, Evaluations, JointBranch, Verdict
 from cutgate.runtime.workspace.distance import signed_sides
 from cutgate.runtime.workspace.planar import SIDES
 
@@ -198,8 +198,8 @@ def locate(ends: Floats, lengths: Floats, place: float) -> tuple[int, float]:
 
 
 def _arm_distances(geometry: Geometry, points: Points) -> Floats:
-    full = geometry.workspace.full_turn
-    sides = signed_sides(points.distances, points.inside, full_turn=full)[0]
+    full = geometry.workspace.full_revolution
+    sides = signed_sides(points.distances, points.inside, full_revolution=full)[0]
     if full:  # unlimited joints of the paper's Figure 2: only the two circles bound the set
         sides[2:] = np.inf
     return with_slide(geometry, points, sides)
@@ -237,10 +237,10 @@ def _enclosed(geometry: Geometry, run: March, lengths: Floats, names: tuple[str,
     return found
 
 
-def _branch(problem: Problem, geometry: Geometry, first: Points) -> Branch:
+def _branch(problem: Problem, geometry: Geometry, first: Points) -> JointBranch:
     q0 = geometry.side * (first.shoulder - geometry.offset[0])
     q3 = geometry.side * (first.roll - geometry.offset[3])
-    return Branch(problem.arm.elbow, int(turns(q0)[0]), int(turns(q3)[0]))
+    return JointBranch(problem.arm.elbow, int(turns(q0)[0]), int(turns(q3)[0]))
 
 
 def _stops(arm: March, wrist: March, geometry: Geometry, *, started: bool) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ BOUNDARIES = ARM_BOUNDARIES + WRIST_BOUNDARIES
 
 
 @dataclass(frozen=True, slots=True)
-class Branch:
+class JointBranch:
     """The joint branch of the whole path: ``q = wrap(q) + 360 deg * turns`` at the first pose."""
 
     elbow: Literal["right", "left"]
@@ -131,7 +131,7 @@ class Verdict:
     axis_angle_rad: float
     deadband_arm_mm: float
     deadband_wrist_rad: float
-    branch: Branch | None
+    branch: JointBranch | None
     evaluations: Evaluations
     boundaries: dict[str, Boundary]
     speed: tuple[SpeedLine, ...]

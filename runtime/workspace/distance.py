@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.workspace.planar import PlanarWorkspace, distance_to_arc
 
 
@@ -16,20 +16,20 @@ def side_distances(points: Floats, workspace: PlanarWorkspace) -> Floats:
     return np.stack([distance_to_arc(points, arc) for arc in workspace.arcs], axis=1)
 
 
-def signed_sides(distances: Floats, inside: Bools, *, full_turn: bool) -> Floats:
+def signed_sides(distances: Floats, inside: Bools, *, full_revolution: bool) -> Floats:
     """Give the distances their sign: outside, the nearest arc's is negative, the others' positive.
 
     Args:
         distances: unsigned, shape (n, 4).
         inside: membership, shape (n,).
-        full_turn: only the circles bound the set, left and right keep their sign.
+        full_revolution: only the circles bound the set, left and right keep their sign.
 
     Returns:
         Shape (n, 4).
     """
     out = distances.copy()
     outside = np.flatnonzero(~inside)
-    bounding = distances[outside, : 2 if full_turn else 4]
+    bounding = distances[outside, : 2 if full_revolution else 4]
     nearest = np.argmin(bounding, axis=1)
     out[outside, nearest] = -bounding[np.arange(len(outside)), nearest]
     return out
@@ -37,6 +37,6 @@ def signed_sides(distances: Floats, inside: Bools, *, full_turn: bool) -> Floats
 
 def signed_distance(points: Floats, workspace: PlanarWorkspace) -> Floats:
     """D(x, W): signed distance to the nearest boundary, mm. Shape (n, 2) -> (n,)."""
-    distances = side_distances(points, workspace)[:, : 2 if workspace.full_turn else 4]
+    distances = side_distances(points, workspace)[:, : 2 if workspace.full_revolution else 4]
     nearest: Floats = distances.min(axis=1)
     return np.where(workspace.inside(points), nearest, -nearest)

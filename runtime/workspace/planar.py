@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats
-from cutgate.runtime.kinematics.arm import TURN, elbow_angle, shoulder_offset
+from cutgate.protocol.arrays import Bools, Floats
+from cutgate.runtime.kinematics.arm import REVOLUTION, elbow_angle, shoulder_offset
 
 SIDES = ("inner", "outer", "left", "right")
 """Order of the four arcs everywhere; names as for the right elbow."""
@@ -68,9 +68,9 @@ class PlanarWorkspace:
         )
 
     @property
-    def full_turn(self) -> bool:
+    def full_revolution(self) -> bool:
         """Whether every shoulder direction is reachable, so that only the circles bound the set."""
-        return self.q0_hi - self.q0_lo >= TURN
+        return self.q0_hi - self.q0_lo >= REVOLUTION
 
     def radius(self, elbow: float) -> float:
         """Distance of the wrist from the column at an elbow angle, mm."""
@@ -81,7 +81,7 @@ class PlanarWorkspace:
     @property
     def arcs(self) -> tuple[Arc, Arc, Arc, Arc]:
         """Inner, outer, left (q0 at its upper limit) and right arc."""
-        span = min(self.q0_hi - self.q0_lo, TURN)
+        span = min(self.q0_hi - self.q0_lo, REVOLUTION)
         bend = self.q1_hi - self.q1_lo
         beta_c, beta_d = (
             float(shoulder_offset(np.float64(e), self.a0, self.a1))  # type: ignore[arg-type]
@@ -104,19 +104,19 @@ class PlanarWorkspace:
             return np.zeros(len(points), dtype=np.bool_)
         r = np.hypot(points[:, 0], points[:, 1])
         radial = (r >= self.radius(self.q1_hi)) & (r <= self.radius(self.q1_lo))
-        if self.full_turn:
+        if self.full_revolution:
             return radial
         elbow = elbow_angle(r, self.a0, self.a1)
         q0 = np.arctan2(points[:, 1], points[:, 0]) - shoulder_offset(elbow, self.a0, self.a1)
         with np.errstate(invalid="ignore"):
-            return radial & (np.mod(q0 - self.q0_lo, TURN) <= self.q0_hi - self.q0_lo)
+            return radial & (np.mod(q0 - self.q0_lo, REVOLUTION) <= self.q0_hi - self.q0_lo)
 
 
 def distance_to_arc(points: Floats, arc: Arc) -> Floats:
     """Distance from each point to the clipped arc, mm. Shape (n, 2) -> (n,)."""
     dx, dy = points[:, 0] - arc.x, points[:, 1] - arc.y
     radial: Floats = np.abs(np.sqrt(dx * dx + dy * dy) - arc.radius)
-    if arc.span >= TURN:
+    if arc.span >= REVOLUTION:
         return radial
     (x1, y1), (x2, y2) = arc.ends
     nearer = np.minimum(
@@ -134,7 +134,7 @@ def nearest_on_arc(points: Floats, arc: Arc) -> Floats:
     on = np.stack((arc.x + arc.radius * np.cos(angle), arc.y + arc.radius * np.sin(angle)), axis=1)
     ends = np.array(arc.ends)
     gaps = np.linalg.norm(points[:, None, :] - ends, axis=2)
-    extent = np.full(len(points), True) if arc.span >= TURN else _within_extent(dx, dy, arc)
+    extent = np.full(len(points), True) if arc.span >= REVOLUTION else _within_extent(dx, dy, arc)
     out: Floats = np.where(extent[:, None], on, ends[np.argmin(gaps, axis=1)])
     return out
 
@@ -182,7 +182,7 @@ def segment_to_arc(first: Floats, second: Floats, arc: Arc) -> tuple[Floats, Flo
     off = first + centre[:, None] * step - (arc.x, arc.y)
     half = np.sqrt(np.maximum(arc.radius**2 - np.einsum("ij,ij->i", off, off), 0.0) / safe)
     candidates = [np.zeros_like(square), np.ones_like(square), centre, centre - half, centre + half]
-    if arc.span < TURN:
+    if arc.span < REVOLUTION:
         candidates += [foot(x, y) for x, y in arc.ends]
     t = np.clip(candidates, 0.0, 1.0)
     points = first + t[:, :, None] * step

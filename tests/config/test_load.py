@@ -25,7 +25,7 @@ from cutgate.config.load import (
     site_from_bytes,
     validate,
 )
-from cutgate.config.model import Robot, Site, Timing
+from cutgate.config.model import Robot, Site, TimingSettings
 from cutgate.config.records import calibration_record, limits_record, tool_record
 
 ROOT = Path(__file__).parents[2]
@@ -103,7 +103,7 @@ def test_what_the_file_says_is_what_the_robot_has():
 def test_the_example_site_is_read_also_with_every_commented_key():
     text = (ROOT / "examples" / "site.toml").read_text(encoding="utf-8")
     site = site_from_bytes("site.toml", text.encode())
-    assert site == Site(timing=Timing(heartbeat_ms=100, timeout_ms=1000))
+    assert site == Site(timing=TimingSettings(heartbeat_ms=100, timeout_ms=1000))
     everything = re.sub(r"^# (?=\[|\w+ = )", "", text, flags=re.MULTILINE)
     site = site_from_bytes("site.toml", everything.encode())
     assert site.model_fields_set >= {"key_file", "registration_max_age_s", "timing", "bus", "log"}
@@ -399,6 +399,16 @@ def test_a_site_sets_what_it_names_and_keeps_the_rest(tmp_path):
 def test_a_bad_site_is_refused_naming_key_value_and_bound(text, parts):
     message = str(refusal('schema = "cutgate.site/1"\n' + text, site_from_bytes))
     assert all(part in message for part in parts), message
+
+
+@pytest.mark.parametrize("text", ["{}.", "[1, {}-]", '{{"a": {}_}}', '{{"{}": {}x}}'])
+def test_a_number_too_large_that_runs_into_what_follows_is_refused_in_words(text):
+    digits = "9" * 400
+    with pytest.raises(InputError) as caught:
+        parse_json("plan.json", text.format(digits, digits).encode())
+    message = str(caught.value)
+    assert "must be a finite number" in message
+    assert "line 1 column" in message
 
 
 def test_a_missing_file_a_folder_and_a_pipe_are_refused(tmp_path):

@@ -4,11 +4,11 @@ import builtins
 
 import pytest
 
-from cutgate.config.refusal import MAX_SHOWN, InputError, Problem, shown
+from cutgate.config.refusal import MAX_SHOWN, FileProblem, InputError, shown
 
 
 def test_a_flood_of_problems_is_cut_short_and_says_so():
-    error = InputError.of([Problem("f", f"k{n}", "1", "2", "") for n in range(MAX_SHOWN + 3)])
+    error = InputError.of([FileProblem("f", f"k{n}", "1", "2", "") for n in range(MAX_SHOWN + 3)])
     assert str(error).splitlines()[-1] == "... and 3 more"
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from cutgate.config import screen as screen_module
 from cutgate.config.screen import (
-    SAID_MAX,
+    LINE_MAX,
     SHOWN_MAX,
     WAITING_MAX,
     Screen,
@@ -162,7 +162,7 @@ def test_a_descriptor_that_others_have_made_fail_instead_of_wait_is_waited_for(r
         ("no\udcff byte", r"no\udcff byte"),
         ("[bold]x[/]", "[bold]x[/]"),
         ("Hüftschaft 5 µm", "Hüftschaft 5 µm"),
-        ("x" * (SAID_MAX + 1), "x" * SAID_MAX + "..."),
+        ("x" * (LINE_MAX + 1), "x" * LINE_MAX + "..."),
     ],
 )
 def test_what_is_said_is_data_on_one_line_of_a_bounded_length(reader, line, shown):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from cutgate.config import terminal
 from cutgate.config.interpreter import program
-from cutgate.config.terminal import LINE_BYTES_MAX, PASSED_ON_BYTES, READ_BYTES, WordReader, typed
+from cutgate.config.terminal import LINE_BYTES_MAX, PASSED_ON_BYTES, READ_BYTES, CommandReader, typed
 
 WAIT_S = 20.0
 
@@ -32,7 +32,7 @@ class Typing:
     def __init__(self):
         reading, self.writing = os.pipe2(os.O_NONBLOCK)
         self.descriptor = reading
-        self.reader = WordReader(reading, Word)
+        self.reader = CommandReader(reading, Word)
 
     def words(self, data):
         os.write(self.writing, data)
@@ -112,7 +112,7 @@ def test_the_end_of_the_file_ends_its_last_line(typing, left, words):
 
 def test_a_descriptor_that_fails_ends_the_reading():
     reading, writing = os.pipe()
-    reader = WordReader(writing, Word)  # cannot be read
+    reader = CommandReader(writing, Word)  # cannot be read
     assert reader.read() == []
     assert reader.descriptor is None
     os.close(reading)
@@ -295,7 +295,7 @@ def test_a_flood_of_input_waits_where_it_comes_from(shared):
 
 
 def test_a_reader_that_goes_ends_the_reading(shared):
-    (thread,) = (one for one in threading.enumerate() if one.name == "words")
+    (thread,) = (one for one in threading.enumerate() if one.name == "commands")
     os.close(shared.reader.descriptor)
     os.write(shared.writing, b"stop\n")
     thread.join(WAIT_S)

@@ -20,7 +20,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.records import Channel
 from tests.errors.scene import UNLISTED_ID, Scene, resealed, with_data
-from tests.runtime.session.pair import TURN_S
+from tests.runtime.session.pair import CYCLE_S
 from tests.runtime.session.wire import RUNTIME, flip
 
 Inject = Callable[[Scene], None]
@@ -121,7 +121,7 @@ def _after_the_next(scene: Scene, act: Callable[[can.Message], None]) -> None:
 
     def change(scene: Scene, count: int, message: can.Message) -> list[can.Message]:
         if count == 0:
-            scene.later(TURN_S / 2, lambda: marked(message))
+            scene.later(CYCLE_S / 2, lambda: marked(message))
         return [message]
 
     def marked(message: can.Message) -> None:

@@ -22,7 +22,7 @@ from cutgate.protocol.states import FaultCode, Purpose, StopCause, StopCode
 from cutgate.runtime.interlock.state import Phase
 from tests.errors import injections as do
 from tests.errors.scene import SHORT, UNLISTED_ID, Message, Observed, Scene
-from tests.runtime.session.pair import TURN_S, Pair
+from tests.runtime.session.pair import CYCLE_S, Pair
 
 
 class Error(StrEnum):
@@ -41,7 +41,7 @@ class Error(StrEnum):
 HEARTBEAT_S, TIMEOUT_S, REPLY_S = 0.020, 0.100, 2.0
 LATE_S = REPLY_S + 0.2
 """The defaults both loops run with."""
-BOTH_WAYS_S = 2 * TURN_S
+BOTH_WAYS_S = 2 * CYCLE_S
 """A frame to its receiver, and the receiver's stop back."""
 
 
@@ -58,10 +58,10 @@ BY_LEVEL = Bound("the next heartbeat", HEARTBEAT_S + BOTH_WAYS_S)
 BY_GAP = Bound("four heartbeats", 4 * HEARTBEAT_S + BOTH_WAYS_S)
 BY_SILENCE = Bound("time-out and a heartbeat", TIMEOUT_S + HEARTBEAT_S + BOTH_WAYS_S)
 BY_AGE = Bound("two time-outs and a heartbeat", 2 * TIMEOUT_S + HEARTBEAT_S + BOTH_WAYS_S)
-BY_CARRIER = Bound("a transfer's frames", 6 * TURN_S + BOTH_WAYS_S)
+BY_CARRIER = Bound("a transfer's frames", 6 * CYCLE_S + BOTH_WAYS_S)
 BY_REPLY = Bound("reply time-out", REPLY_S + BOTH_WAYS_S)
 BY_UPLOAD = Bound(
-    "upload time-out, from the upload on", SHORT["transfer_timeout_s"] + 10 * TURN_S + BOTH_WAYS_S
+    "upload time-out, from the upload on", SHORT["transfer_timeout_s"] + 10 * CYCLE_S + BOTH_WAYS_S
 )
 BY_ANNOUNCE = Bound("waiting time for a controller", SHORT["announce_wait_s"] + BOTH_WAYS_S)
 BY_OPERATOR = Bound(
@@ -201,7 +201,7 @@ MESSAGES = (*CYCLIC, STOP, FAULT, *RECORDS)
 def _cyclic() -> Iterator[Row]:
     """Frames that come with every heartbeat, while the arm cuts."""
     for message in CYCLIC:
-        # a sound Progress that nobody sent is off the course before its successor's counter is wrong
+        # a sound Progress that nobody sent is off reference trajectory before its successor's counter is wrong
         unlike = (
             ("tracking monitor", stops(StopCause.TRACKING_DEVIATION), AT_ONCE)
             if message is PROGRESS
@@ -244,7 +244,7 @@ def _heartbeats() -> Iterator[Row]:
 
 
 def _watched() -> Iterator[Row]:
-    """While the arm cuts the runtime holds joints and progress against the verified course, and misses them."""
+    """While the arm cuts the runtime holds joints and progress against the reference trajectory, and misses them."""
     lost = stops(StopCause.TRACKING_DEVIATION)
     for message in STATUS:
         yield Row(message, Error.LOSS, False, "every frame while the arm cuts", do.lose_frames(10_000),

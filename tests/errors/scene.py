@@ -259,7 +259,7 @@ class Scene:
         stands = not goes_on and self._stands()
         if goes_on:
             pair.say("stop").end()
-            pair.run(2 * pair.turn_s)
+            pair.run(2 * pair.cycle_s)
         closed = pair.close().closed
         log = pair.read()
         named = {record.get("first_out") for record in log.of("/audit/decision")} - {None}
@@ -280,7 +280,7 @@ class Scene:
         settled_s = None
         while self.pair.clock() < until_s:
             self.lead()
-            self.pair.turn()
+            self.pair.run_cycle()
             now_s = self.pair.clock()
             if self.stopped_s is None and self.began_s is not None and self._inhibited():
                 self.stopped_s = now_s

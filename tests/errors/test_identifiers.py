@@ -82,9 +82,9 @@ def at(pair: Pair, phase: str) -> Pair:
     pair.prover.answer = (lambda _request: None) if phase == "collecting" else pair.prover.answer
     match phase:
         case "no session":
-            pair.controller_turns = False
+            pair.controller_runs = False
             pair.run(0.02)
-            pair.controller_turns = True
+            pair.controller_runs = True
             pair.process._next_announce_s = pair.clock() + 10.0
         case "collecting":
             pair.to(Phase.COLLECTING)
@@ -275,7 +275,7 @@ def test_one_frame_of_each_class_is_ignored_or_stops_the_loop_and_never_begins_a
 def test_a_misshapen_frame_on_the_stop_identifier_stops_unless_it_is_extended(pair, name):
     at(pair, "cutting")
     pair.wire.nodes[CONTROLLER].inbox.append(BY[name].message(STOP))
-    pair.run(2 * pair.turn_s)
+    pair.run(2 * pair.cycle_s)
     stopped = name != "extended"
     assert pair.controller.may_move is not stopped
     assert (pair.controller.cause is StopCause.CORRUPTION) is stopped
@@ -286,7 +286,7 @@ def test_a_sound_stop_of_another_session_stops(pair):
     at(pair, "cutting")
     frame = encode_frame(RuntimeStop(StopCode.END, StopCause.NONE), 0, pair.state.session.tag ^ 1)
     pair.wire.nodes[CONTROLLER].put(*frame)
-    pair.run(2 * pair.turn_s)
+    pair.run(2 * pair.cycle_s)
     assert not pair.controller.may_move
     assert pair.controller.cause is StopCause.CORRUPTION
 
@@ -294,7 +294,7 @@ def test_a_sound_stop_of_another_session_stops(pair):
 def test_no_frame_of_any_class_keeps_a_gate_open_that_has_lost_its_peer(pair):
     """A bus full of everything but heartbeats refreshes nothing."""
     at(pair, "cutting")
-    pair.runtime_turns = False
+    pair.runtime_runs = False
     began_s = pair.clock()
 
     def noise() -> None:
@@ -303,5 +303,5 @@ def test_no_frame_of_any_class_keeps_a_gate_open_that_has_lost_its_peer(pair):
         pair.wire.nodes[CONTROLLER].inbox.append(BY["8 bytes"].message(0x640))
 
     pair.until(lambda: not pair.controller.may_move, act=noise)
-    assert pair.clock() - began_s <= 0.100 + 2 * pair.turn_s
+    assert pair.clock() - began_s <= 0.100 + 2 * pair.cycle_s
     assert pair.controller.cause is StopCause.HEARTBEAT_LOST

@@ -359,7 +359,7 @@ def test_a_permit_that_nobody_starts_expires_on_both_sides_and_ends_the_cutting_
     pair.to(Phase.PERMITTED)
     began_s = pair.state.nonce_at_s
     pair.until(lambda: not pair.controller.cutting_mode, limit_s=11.0, act=lambda: None)
-    assert pair.clock() - began_s <= 10.0 + 3 * pair.turn_s
+    assert pair.clock() - began_s <= 10.0 + 3 * pair.cycle_s
     pair.run(0.1)
     assert pair.phase is Phase.STOPPED
     assert (pair.state.cause, pair.controller.cause) == (StopCause.PERMIT_EXPIRED,) * 2

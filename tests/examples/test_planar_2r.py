@@ -19,7 +19,7 @@ UNLIMITED = (-math.inf, math.inf)
 
 def like(space, sign=1.0):
     """The arm of an exact right-elbow workspace, or its mirror image."""
-    q0 = UNLIMITED if space.full_turn else (space.q0_lo, space.q0_hi)
+    q0 = UNLIMITED if space.full_revolution else (space.q0_lo, space.q0_hi)
     q1 = (space.q1_lo, space.q1_hi)
     if sign < 0:
         q0, q1 = (-q0[1], -q0[0]), (-q1[1], -q1[0])

@@ -19,7 +19,7 @@ from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach import decision
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.recorded import problem_from_records
 
 SCRIPTS = {
@@ -84,7 +84,7 @@ def test_a_plan_is_admissible_with_room_to_spare(name):
 def test_the_simulated_arm_reaches_it_and_comes_back_from_where_it_stands_at_power_up(name):
     problem, site = placed(name), Site()
     branch = certified.verify(problem).branch
-    start = Start(
+    start = StartJoints(
         np.array(middle_of(limits_record(ROBOT))),
         round(1000 * site.approach.approach_clearance_mm),
         site.start.start_tolerance_mm,

@@ -32,6 +32,6 @@ asks for it, as its program does, or cannot; power is lost between steps, which 
 
 Invariant 5 needs no attacker: from every runtime the operator's stop leads to the end of its process, whatever arrives
 meanwhile (a stopping one can do nothing else); without a process, and with everything delivered at once and in order,
-every controller that was met gets back to motion (``calm``). What was still under way when the attacker fell silent
+every controller that was met gets back to motion (``recovery``). What was still under way when the attacker fell silent
 leads to another state that was met.
 """

@@ -50,7 +50,7 @@ def causes(world: World) -> tuple[StopCause, ...]:
 # ---------------------------------------------------------------- to the runtime
 
 
-STORED = r.Stored(fixed.PATH.digest, Refusal.ACCEPTED, 0)
+STORED = r.UploadedPath(fixed.PATH.digest, Refusal.ACCEPTED, 0)
 LIMITS = (builders.LIMITS, records.Limits.parse(OTHER_LIMITS))
 
 
@@ -68,10 +68,10 @@ def unsigned_records() -> Iterable[r.Event]:
             yield r.NonceReceived(purpose, DEAD, epoch)
     for record in (*LIMITS, builders.CALIBRATION, builders.TOOL):
         yield r.ParameterReceived(record)
-    yield r.BlockStored(0)
-    yield r.PathStored(STORED)
-    yield r.PathStored(replace(STORED, refusal=Refusal.POSE_OUTSIDE_LIMITS))
-    yield r.PathStored(replace(STORED, digest=bytes(32)))
+    yield r.BlockConfirmed(0)
+    yield r.PathConfirmed(STORED)
+    yield r.PathConfirmed(replace(STORED, refusal=Refusal.POSE_OUTSIDE_LIMITS))
+    yield r.PathConfirmed(replace(STORED, digest=bytes(32)))
     for kind in (records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge):
         for refusal in (Refusal.ACCEPTED, Refusal.NOT_IN_STATE, Refusal.MAC_INVALID):
             yield r.ReplyReceived(kind.TYPE, refusal, StopCause.NONE, device_pressed=False)
@@ -132,7 +132,7 @@ def unsigned(causes: Iterable[StopCause]) -> Iterable[c.Event]:
 
 @cache
 def earlier_records(
-    session: c.Session, issued: Purpose | None, latched: StopCause, *, exact: bool
+    session: c.ControllerSession, issued: Purpose | None, latched: StopCause, *, exact: bool
 ) -> tuple[Message, ...]:
     """Permit, start and reset that serve no more for one reason alone; with more reasons they serve even less.
 
@@ -152,7 +152,7 @@ def earlier_records(
 
 
 def _records(
-    of: c.Session, latched: StopCause, session: bytes, boot: bytes, nonce: bytes, epoch: int
+    of: c.ControllerSession, latched: StopCause, session: bytes, boot: bytes, nonce: bytes, epoch: int
 ) -> list[Any]:
     names: dict[str, Any] = {"nonce": nonce, "session_digest": session, "epoch": epoch}
     permit = replace(fixed.PERMIT, boot_nonce=boot, registration_digest=of.registration, **names)
@@ -161,7 +161,9 @@ def _records(
     return [permit, start, replace(fixed.RESET, cause=latched, **names)]
 
 
-def present_records(session: c.Session, permit: records.Permit | None, latched: StopCause) -> list[Any]:
+def present_records(
+    session: c.ControllerSession, permit: records.Permit | None, latched: StopCause
+) -> list[Any]:
     """Permit, start and reset for the present session, epoch and nonce, not signed."""
     new, start, reset = _records(session, latched, session.digest, BOOT, LIVE, EPOCH)
     return [new, replace(start, permit_digest=permit.digest) if permit else start, reset]
@@ -169,7 +171,7 @@ def present_records(session: c.Session, permit: records.Permit | None, latched: 
 
 @cache
 def forged_records(
-    session: c.Session, permit: records.Permit | None, latched: StopCause
+    session: c.ControllerSession, permit: records.Permit | None, latched: StopCause
 ) -> tuple[Message, ...]:
     """The same with a wrong code: all that they name can be read on the bus."""
     forged = (one.with_mac(bytes(15) + b"x") for one in present_records(session, permit, latched))

@@ -12,6 +12,7 @@ from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
 from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_controller, cause_class
+from tests.exploration.labels import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
 from tests.exploration.names import (
     BOOT,
     EPOCH,
@@ -21,7 +22,6 @@ from tests.exploration.names import (
     Passing,
     rename_controller,
 )
-from tests.exploration.words import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
 from tests.exploration.world import (
     FLIPPED_PATH,
     OFF_START,
@@ -52,7 +52,7 @@ class Controller:
         self.known: dict[tuple[c.Controller, int], int] = {}
         self.attacked: dict[int, list[Change]] = {}
         self.heard: dict[tuple[int, Message], list[Change]] = {}
-        self.calm: dict[int, list[Change]] = {}
+        self.recovery: dict[int, list[Change]] = {}
 
     def changes(self, number: int) -> list[Change]:
         """Everything but what somebody with the key has said and what only the present runtime may open."""
@@ -80,11 +80,11 @@ class Controller:
 
     def own(self, number: int) -> list[Change]:
         """What happens to it without faults, but for arrivals."""
-        if number not in self.calm:
+        if number not in self.recovery:
             state = self.states.values[number]
             found = [*self._own(number, state), *self._beats(number, state)]
-            self.calm[number] = distinct(number, [one for one in found if one.move.sound])
-        return self.calm[number]
+            self.recovery[number] = distinct(number, [one for one in found if one.move.sound])
+        return self.recovery[number]
 
     def _with_failures(self, number: int, changes: Callable[[], list[Change]]) -> list[Change]:
         """All these, once with a memory that is written and once with one that cannot be."""
@@ -109,8 +109,8 @@ class Controller:
         yield feed("clock", c.Tick(), sound=True, late_s=LATE)
         yield feed("plant", c.PathFinished(), sound=True, first=STANDING)
         yield feed("plant", c.PathFinished(), first=AWAY)
-        yield feed("shell", c.Fault(StopCause.SEQUENCE_ERROR))
-        yield feed("shell", c.Fault(StopCause.SECOND_NODE))
+        yield feed("shell", c.FaultArisen(StopCause.SEQUENCE_ERROR))
+        yield feed("shell", c.FaultArisen(StopCause.SECOND_NODE))
         if world.bone:
             yield feed("sensor", c.BoneMoved())
         if world.limits:

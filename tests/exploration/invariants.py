@@ -42,7 +42,7 @@ def must_stand_after(event: c.Event) -> bool:
             return event.code is not RuntimeCode.CUT or event.cause is not StopCause.NONE or not event.fresh
         case c.InputsChanged(inputs=inputs):
             return not (inputs.device_pressed and inputs.emergency_stop_clear)
-        case c.StopReceived() | c.HeartbeatLost() | c.Fault() | c.BoneMoved() | c.LimitsChanged():
+        case c.StopReceived() | c.HeartbeatLost() | c.FaultArisen() | c.BoneMoved() | c.LimitsChanged():
             return True
     return False
 
@@ -121,8 +121,10 @@ def _stop_cause(before: r.Interlock, event: r.Event) -> bool:
     match event:
         case r.Gone():
             return True
-        case r.Said(word=word):
-            return word in (r.Word.STOP, r.Word.WITHDRAW) or (word is r.Word.QUIT and before.phase in MOVING)
+        case r.CommandGiven(command=command):
+            return command in (r.OperatorCommand.STOP, r.OperatorCommand.WITHDRAW) or (
+                command is r.OperatorCommand.QUIT and before.phase in MOVING
+            )
         case r.HeartbeatReceived(view=view):
             released = before.phase in MOVING and not view.device_pressed
             return view.cause is not StopCause.NONE or (released and view.state is not ControllerState.DONE)

@@ -19,6 +19,7 @@ from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.phases import ENDED, PHASES
 from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_runtime, cause_class
+from tests.exploration.labels import ARRIVED, COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
 from tests.exploration.names import (
     BOOT,
     EARLIER_BOOT,
@@ -31,7 +32,6 @@ from tests.exploration.names import (
     digest_of,
     signed,
 )
-from tests.exploration.words import ARRIVED, COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
 from tests.exploration.world import (
     FRESH,
     OFF_START,
@@ -65,7 +65,7 @@ class Runtime:
         self.none = self.sides.number(None)
         self.known: dict[RuntimeSide, int] = {}
         self.attacked: dict[tuple[int, bool], list[Change]] = {}
-        self.calm: dict[int, list[Change]] = {}
+        self.recovery: dict[int, list[Change]] = {}
 
     def fresh(self) -> int:
         """A process that has just begun."""
@@ -87,22 +87,22 @@ class Runtime:
 
     def own(self, number: int) -> list[Change]:
         """What happens to it without faults, but for arrivals."""
-        if number not in self.calm:
+        if number not in self.recovery:
             side = self.sides.values[number]
             found = [] if side is None else [*self._own(side), *self._beats(side)]
-            self.calm[number] = distinct(number, [one for one in found if one.move.sound])
-        return self.calm[number]
+            self.recovery[number] = distinct(number, [one for one in found if one.move.sound])
+        return self.recovery[number]
 
     # ------------------------------------------------------------ its own, people, disk, clock
 
     def _own(self, side: RuntimeSide) -> Iterable[Change]:
         state = side.interlock
         feed = partial(self.feed, side)
-        yield feed("operator", r.Said(r.Word.STOP), sound=True)
-        yield feed("operator", r.Said(r.Word.START), sound=True)
-        yield feed("operator", r.Said(r.Word.ACKNOWLEDGE), sound=True)
-        yield feed("operator", r.Said(r.Word.RESET), sound=True)
-        yield feed("operator", r.Said(r.Word.QUIT), sound=True)
+        yield feed("operator", r.CommandGiven(r.OperatorCommand.STOP), sound=True)
+        yield feed("operator", r.CommandGiven(r.OperatorCommand.START), sound=True)
+        yield feed("operator", r.CommandGiven(r.OperatorCommand.ACKNOWLEDGE), sound=True)
+        yield feed("operator", r.CommandGiven(r.OperatorCommand.RESET), sound=True)
+        yield feed("operator", r.CommandGiven(r.OperatorCommand.QUIT), sound=True)
         yield feed("clock", r.Tick(), sound=True, late_s=LATE, deviates=state.tracking is not None)
         if link_open(state):
             yield feed("clock", r.HeartbeatLost(), sound=True)
@@ -117,10 +117,10 @@ class Runtime:
         if self.world.disk:
             yield feed("disk", r.LogChanged(replace(state.log, writable=False)))
         if self.world.bone:
-            yield feed("operator", r.Said(r.Word.WITHDRAW))
+            yield feed("operator", r.CommandGiven(r.OperatorCommand.WITHDRAW))
         if self.world.warned:
-            yield feed("operator", r.Said(r.Word.CONFIRM, *WARNED.to_confirm), sound=True)
-            yield feed("operator", r.Said(r.Word.CONFIRM, "ANOTHER"))
+            yield feed("operator", r.CommandGiven(r.OperatorCommand.CONFIRM, *WARNED.to_confirm), sound=True)
+            yield feed("operator", r.CommandGiven(r.OperatorCommand.CONFIRM, "ANOTHER"))
         over = Passing.SESSION if state.session else 0
         yield Change(Move("runtime", "its process dies"), self.none, (), over)
 
@@ -162,7 +162,7 @@ class Runtime:
             return
         for event in attacker.unsigned_records():
             yield feed(event)
-        yield feed(r.PathStored(attacker.STORED), first=STANDING)
+        yield feed(r.PathConfirmed(attacker.STORED), first=STANDING)
         if link_open(state):
             for cause in attacker.causes(self.world):
                 yield feed(r.FaultReceived(FaultCode.LATCHED, cause))
@@ -201,7 +201,7 @@ class Runtime:
             case records.Limits() | records.Calibration() | records.Tool():
                 return feed(r.ParameterReceived(content))
             case records.PathStored(digest=digest, refusal=refusal, pose=pose):
-                return feed(r.PathStored(r.Stored(digest, refusal, pose)), first=STANDING)
+                return feed(r.PathConfirmed(r.UploadedPath(digest, refusal, pose)), first=STANDING)
             case records.Nonce():
                 return feed(r.NonceReceived(content.purpose, content.nonce, content.epoch))
             case records.Reply() as reply:

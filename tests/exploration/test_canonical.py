@@ -19,11 +19,11 @@ from cutgate.protocol.states import StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration import attacker, canonical, controller_side, runtime_side
-from tests.exploration.calm import Calm
 from tests.exploration.canonical import NOW, cause_class
 from tests.exploration.model import Model
 from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, signed
-from tests.exploration.ways import LATCHED, TO_MOVING, TO_RESET
+from tests.exploration.recovery import Recovery
+from tests.exploration.traces import LATCHED, TO_MOVING, TO_RESET
 from tests.exploration.world import JOB, VERDICT, World
 
 pytestmark = [pytest.mark.no_cover, pytest.mark.slow]
@@ -87,7 +87,7 @@ def places() -> tuple[tuple[RuntimeSide | None, c.Controller], ...]:
     for world, way in ((WORLD, TO_MOVING), (replace(WORLD, begin=LATCHED), TO_RESET)):
         model = Model(world)
         for length in range(len(way) + 1):
-            run, con, _ = Calm(model).follow(way[:length])
+            run, con, _ = Recovery(model).follow(way[:length])
             found.append((model.runtime.sides.values[run], model.controller.states.values[con]))
     return tuple(found)
 
@@ -213,7 +213,7 @@ def raw_controller_input(given: Input, raw: c.Controller, form: c.Controller, ch
             event = replace(event, fresh=chance.randbytes(16))
         case c.HeartbeatReceived(epoch=epoch, cause=cause):
             event = replace(event, epoch=raw_epoch(raw, epoch), cause=another(cause, chance))
-        case c.StopReceived(cause=cause) | c.Fault(cause=cause):
+        case c.StopReceived(cause=cause) | c.FaultArisen(cause=cause):
             event = replace(event, cause=another(cause, chance))
         case c.AcknowledgeReceived(cause=cause):
             event = replace(event, cause=raw.cause if cause is form.cause else another(cause, chance))

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from cutgate.firmware_sim.state import HeartbeatLost
-from tests.exploration.calm import runtimes_that_do_not_end, stuck
 from tests.exploration.model import Model
+from tests.exploration.recovery import runtimes_that_do_not_end, stuck
 from tests.exploration.search import Found, explore, trace, trace_to_controller
 from tests.exploration.world import World
 

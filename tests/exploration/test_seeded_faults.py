@@ -16,10 +16,10 @@ from cutgate.firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
 from cutgate.protocol.states import ControllerState, FaultCode, Refusal
 from cutgate.runtime.interlock.state import Gone, HeartbeatLost, NonceReceived, Phase, Send, Tick
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from tests.exploration.calm import Calm, runtimes_that_do_not_end, stuck
 from tests.exploration.model import Model
+from tests.exploration.recovery import Recovery, runtimes_that_do_not_end, stuck
 from tests.exploration.search import explore, trace, trace_to_controller
-from tests.exploration.ways import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
+from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
 from tests.exploration.world import World
 from tests.firmware_sim.controllers import PERMIT
 
@@ -30,7 +30,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
 def _finds(world: World, way: tuple[str, ...], invariant: str, longest: int) -> str:
     """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart."""
     model = Model(replace(world, exact=True))
-    found = explore(model, Calm(model).follow(way), deepest=longest)
+    found = explore(model, Recovery(model).follow(way), deepest=longest)
     assert found.wrong is not None, found.figures
     shown = trace(found)
     print("\n" + shown)  # noqa: T201 - shown on request
@@ -176,7 +176,7 @@ def test_a_runtime_that_waits_for_the_confirmation_of_its_stop_for_ever_is_found
     _replaced(monkeypatch, table.TABLE, (Phase.STOPPING, HeartbeatLost), _unchanged)
     _replaced(monkeypatch, table.EVERYWHERE, Tick, _unchanged)
     model = Model(World(exact=True))
-    explore(model, Calm(model).follow(TO_MOVING), deepest=1)
+    explore(model, Recovery(model).follow(TO_MOVING), deepest=1)
     endless = runtimes_that_do_not_end(model)
     assert endless
     assert model.runtime.sides.values[endless[0]].interlock.phase is Phase.STOPPING
@@ -202,7 +202,7 @@ def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
     def said_only(state, event, _now_s):
         return state, (c.SendFault(FaultCode.STOPPED, event.cause),)
 
-    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.Fault, said_only)
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.FaultArisen, said_only)
     _finds(World(), TO_PERMITTED, "6: a Start from before a stop", 8)
 
 

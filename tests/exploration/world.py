@@ -18,7 +18,7 @@ JOB = replace(
     registration_max_age_s=None,
 )
 FRESH = r.Interlock(job=JOB, log=builders.READY.log, token=TOKEN)
-VERDICT = r.Verdict(
+VERDICT = r.CutVerdict(
     request=TOKEN,
     admissible=True,
     path=fixed.PATH.digest,

@@ -5,8 +5,8 @@ from collections import deque
 
 import can
 
-from cutgate.config.terminal import WordReader
-from cutgate.firmware_sim.console import Word
+from cutgate.config.terminal import CommandReader
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.endpoint import Endpoint
@@ -78,7 +78,7 @@ class Bench:
             Port(self.bus, endpoint),
             self.file,
             options=Options(**options),
-            commands=WordReader(reading, Word) if typed else None,
+            commands=CommandReader(reading, ConsoleCommand) if typed else None,
             say=self.shown.append,
             clock=clock or Leaping(),
             random=b"n".__mul__,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cutgate.firmware_sim.approach import Ends
-from cutgate.firmware_sim.rules import Case
+from cutgate.firmware_sim.rules import RequestCase
 from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     BoneMoved,
@@ -16,7 +16,7 @@ from cutgate.firmware_sim.state import (
     Controller,
     Effect,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     Holdings,
@@ -176,7 +176,7 @@ STARTED = fed(CYCLED, StartReceived(SIGNED_START, 5))
 CUTTING = fed(STARTED, alive(RuntimeCode.CUT))
 DONE = fed(CUTTING, PathFinished())
 
-LATCHED = fed(POWERED_UP, Fault(StopCause.SECOND_NODE))
+LATCHED = fed(POWERED_UP, FaultArisen(StopCause.SECOND_NODE))
 """A latched fault without a session; epoch 1."""
 OPEN_LATCHED = fed(LATCHED, OpenReceived(OPEN, 1), alive(epoch=2))
 """A session with a latched controller; epoch 2."""
@@ -198,7 +198,7 @@ EVERY_STATE: dict[str, Controller] = {
     "latched, session open": OPEN_LATCHED,
     "acknowledged": ACKNOWLEDGED,
     "resetting": RESETTING,
-    "stopped": fed(CUTTING, HOLD, Fault(StopCause.BUS_FAILED)),
+    "stopped": fed(CUTTING, HOLD, FaultArisen(StopCause.BUS_FAILED)),
 }
 """The controller in every state, each reached through the table."""
 
@@ -213,23 +213,23 @@ STOPPING_EVENTS: dict[str, tuple[Event, StopCause]] = {
         StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
         StopCause.REGISTRATION_WITHDRAWN,
     ),
-    "stalled loop": (Fault(StopCause.LOOP_STALLED), StopCause.LOOP_STALLED),
-    "second node": (Fault(StopCause.SECOND_NODE), StopCause.SECOND_NODE),
-    "fault without cause": (Fault(StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
+    "stalled loop": (FaultArisen(StopCause.LOOP_STALLED), StopCause.LOOP_STALLED),
+    "second node": (FaultArisen(StopCause.SECOND_NODE), StopCause.SECOND_NODE),
+    "fault without cause": (FaultArisen(StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
     "bone motion": (BoneMoved(), StopCause.BONE_MOVED),
     "limit changed": (LimitsChanged(OTHER_LIMITS.body()), StopCause.LIMITS_CHANGED),
     "emergency stop": (EMERGENCY_STOP, StopCause.EMERGENCY_STOP),
 }
 """Every event that must stop whatever the state, and its cause."""
 
-PERMIT_CASE = Case(ASKED, SIGNED_PERMIT, NOW)
-START_CASE = Case(CYCLED, SIGNED_START, NOW)
-RESET_CASE = Case(RESETTING, SIGNED_RESET, NOW)
+PERMIT_CASE = RequestCase(ASKED, SIGNED_PERMIT, NOW)
+START_CASE = RequestCase(CYCLED, SIGNED_START, NOW)
+RESET_CASE = RequestCase(RESETTING, SIGNED_RESET, NOW)
 
 
-def changed(case: Case, field: str, value: Any) -> Case:
+def changed(case: RequestCase, field: str, value: Any) -> RequestCase:
     """The case with one field altered; a request that was altered is signed again, so that only the field differs."""
-    twin: Case = altered(case, field, value)
+    twin: RequestCase = altered(case, field, value)
     if field.startswith("request.") and field != "request.mac":
         twin = replace(twin, request=permits.sign(KEY, twin.request))
     return twin
@@ -242,7 +242,7 @@ RECEIVED: dict[type, Callable[[Any], Event]] = {
 }
 
 
-def decide(case: Case) -> tuple[Controller, tuple[Effect, ...]]:
+def decide(case: RequestCase) -> tuple[Controller, tuple[Effect, ...]]:
     """What the table does with the case's request."""
     return settled(case.controller, RECEIVED[type(case.request)](case.request), case.now_s)
 

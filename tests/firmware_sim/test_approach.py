@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.firmware_sim import approach
-from cutgate.firmware_sim.approach import Approach, Ends, agrees, inside, own_ends, start_offset
+from cutgate.firmware_sim.approach import BoundApproach, Ends, agrees, inside, own_ends, start_offset
 from cutgate.firmware_sim.kinematics import KinematicsError, as_joints, calibrated_arm, forward
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.protocol.records import UNIT, joints_to_counts, joints_to_memory
@@ -132,7 +132,7 @@ def test_another_number_of_joints_is_an_error_and_no_comparison_of_some():
 
 def test_entry_and_exit_stay_as_they_were_found():
     assert Ends.__dataclass_params__.frozen
-    assert Approach.__dataclass_params__.frozen
+    assert BoundApproach.__dataclass_params__.frozen
 
 
 def test_a_path_is_looked_at_in_parts_and_to_its_end(monkeypatch):
@@ -210,7 +210,7 @@ def test_the_offset_of_a_wrist_joint_is_its_turn():
 
 
 def test_what_is_executed_is_what_the_permit_binds():
-    bound = Approach.of(PERMIT)
+    bound = BoundApproach.of(PERMIT)
     assert joints_to_counts(bound.start) == PERMIT.start_joints_u
     assert joints_to_counts(bound.entry) == PERMIT.approach.entry_joints_u
     assert joints_to_counts(bound.exit) == PERMIT.approach.exit_joints_u

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cutgate.firmware_sim.approach import own_ends
-from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, Arm, middle_of
+from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, PlantArm, middle_of
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState
@@ -42,7 +42,7 @@ AT_START = as_joints(records.joints_to_memory(GIVEN.start_joints_u))
 
 def begun(**options):
     """An arm at its start joints, with a path and an accepted start."""
-    arm = Arm(WITH_PATH, joints=AT_START, **options)
+    arm = PlantArm(WITH_PATH, joints=AT_START, **options)
     arm.begin(GIVEN)
     return arm
 
@@ -92,20 +92,20 @@ def test_limits_that_begin_where_the_bus_reports_no_further_leave_one_place(side
 
 
 def test_at_power_up_it_stands_in_the_middle_of_its_limits_or_where_it_is_told_to():
-    assert Arm(HOLDINGS).state == PlantState(middle_of(LIMITS))
-    arm = Arm(HOLDINGS, joints=STANDS)
+    assert PlantArm(HOLDINGS).state == PlantState(middle_of(LIMITS))
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     assert arm.state == PlantState(STANDS)
     assert arm.measured == STANDS
     assert (arm.executed, arm.speed_ratio, arm.path, arm.frozen) == (0, 0.0, None, None)
 
 
 def test_the_plant_is_the_one_that_the_holdings_describe():
-    assert Arm(HOLDINGS).plant == Plant(LIMITS, CALIBRATED)
-    assert Arm(HOLDINGS, hold_roll_rad=0.3).plant == Plant(LIMITS, CALIBRATED, 0.3)
+    assert PlantArm(HOLDINGS).plant == Plant(LIMITS, CALIBRATED)
+    assert PlantArm(HOLDINGS, hold_roll_rad=0.3).plant == Plant(LIMITS, CALIBRATED, 0.3)
 
 
 def test_a_stored_path_does_not_move_the_arm_and_takes_the_limits_as_they_are_now():
-    arm = Arm(HOLDINGS, joints=STANDS)
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     arm.load(replace(WITH_PATH, limits=LEFT_LIMITS.body()))
     assert arm.state == PlantState(STANDS)
     assert arm.plant.limits == LEFT_LIMITS
@@ -205,12 +205,12 @@ def test_whoever_moves_the_measured_joints_too_fast_is_seen(scale, gap_s):
 
 
 def test_the_bus_hears_where_it_stands():
-    arm = Arm(HOLDINGS, joints=STANDS)
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     assert arm.reported(77.0) == STANDS
 
 
 def test_an_arm_that_was_pushed_aside_stands_2_deg_off_in_q0():
-    arm = Arm(HOLDINGS, joints=STANDS)
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     arm.push_aside()
     assert OFF_START_DEG == 2.0
     assert arm.state == PlantState((STANDS[0] + math.radians(2.0), *STANDS[1:]))
@@ -218,7 +218,7 @@ def test_an_arm_that_was_pushed_aside_stands_2_deg_off_in_q0():
 
 
 def test_an_arm_that_drifts_is_reported_1_deg_further_each_second_and_knows_nothing_of_it():
-    arm = Arm(HOLDINGS, joints=STANDS)
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     arm.drift(100.0)
     assert DRIFT_DEG_S == 1.0
     for after_s in (0.0, 1.0, 3.0):
@@ -229,7 +229,7 @@ def test_an_arm_that_drifts_is_reported_1_deg_further_each_second_and_knows_noth
 
 
 def test_a_drift_that_began_when_the_clock_stood_at_0_is_one():
-    arm = Arm(HOLDINGS, joints=STANDS)
+    arm = PlantArm(HOLDINGS, joints=STANDS)
     arm.drift(0.0)
     assert arm.reported(1.0)[0] == pytest.approx(STANDS[0] + math.radians(1.0))
 

@@ -8,7 +8,7 @@ from cutgate.firmware_sim import arrivals
 from cutgate.firmware_sim.state import (
     AcknowledgeReceived,
     CollectReceived,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     NonceRequested,
@@ -57,7 +57,7 @@ def test_any_other_frame_says_nothing_to_the_table():
 
 @pytest.mark.parametrize("cause", StopCause)
 def test_what_is_late_is_a_lost_peer_or_a_fault_of_its_cause(cause):
-    expected = HeartbeatLost() if cause is StopCause.HEARTBEAT_LOST else Fault(cause)
+    expected = HeartbeatLost() if cause is StopCause.HEARTBEAT_LOST else FaultArisen(cause)
     assert arrivals.of_lateness(Violation(cause, "late")) == expected
 
 

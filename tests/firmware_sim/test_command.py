@@ -270,4 +270,4 @@ def test_an_error_of_the_program_is_one_line_and_exit_code_70(given, capfd, monk
 def test_words_are_read_without_sharing_the_terminal(given):
     arguments, processes = given
     command.main(arguments)
-    assert processes[0][0]._commands == ("what is typed", command.Word)
+    assert processes[0][0]._commands == ("what is typed", command.ConsoleCommand)

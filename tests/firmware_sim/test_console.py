@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from cutgate.firmware_sim import console
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.state import BoneMoved, Inputs, InputsChanged, LimitsChanged
 from cutgate.protocol import permit, records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
@@ -18,12 +18,12 @@ PRESSED_AND_STOPPED = replace(POWERED_UP, inputs=Inputs(device_pressed=True, eme
 @pytest.mark.parametrize(
     ("command", "controller", "line", "inputs"),
     [
-        (Word.HOLD, POWERED_UP, "enabling device pressed", Inputs(True, True)),
-        (Word.HOLD, PRESSED_AND_STOPPED, "enabling device pressed", Inputs(True, False)),
-        (Word.RELEASE, POWERED_UP, "enabling device released", Inputs(False, True)),
-        (Word.RELEASE, PRESSED_AND_STOPPED, "enabling device released", Inputs(False, False)),
-        (Word.ESTOP, POWERED_UP, "emergency stop pressed", Inputs(False, False)),
-        (Word.ESTOP, PRESSED_AND_STOPPED, "emergency stop released", Inputs(True, True)),
+        (ConsoleCommand.HOLD, POWERED_UP, "enabling device pressed", Inputs(True, True)),
+        (ConsoleCommand.HOLD, PRESSED_AND_STOPPED, "enabling device pressed", Inputs(True, False)),
+        (ConsoleCommand.RELEASE, POWERED_UP, "enabling device released", Inputs(False, True)),
+        (ConsoleCommand.RELEASE, PRESSED_AND_STOPPED, "enabling device released", Inputs(False, False)),
+        (ConsoleCommand.ESTOP, POWERED_UP, "emergency stop pressed", Inputs(False, False)),
+        (ConsoleCommand.ESTOP, PRESSED_AND_STOPPED, "emergency stop released", Inputs(True, True)),
     ],
 )
 def test_a_wired_input_changes_alone_and_is_confirmed(command, controller, line, inputs):
@@ -31,17 +31,17 @@ def test_a_wired_input_changes_alone_and_is_confirmed(command, controller, line,
 
 
 def test_bone_motion_is_what_the_sensor_would_say():
-    assert console.event_of(Word.BONE_MOTION, POWERED_UP) == ("bone motion reported", BoneMoved())
+    assert console.event_of(ConsoleCommand.BONE_MOTION, POWERED_UP) == ("bone motion reported", BoneMoved())
 
 
 def test_a_changed_limit_is_one_degree_narrower():
     upper = (LIMITS.q_max_u[0] - records.UNIT, *LIMITS.q_max_u[1:])
     narrow = LimitsChanged(replace(LIMITS, q_max_u=upper).body())
-    assert console.event_of(Word.LIMIT, POWERED_UP) == ("a joint limit was changed", narrow)
+    assert console.event_of(ConsoleCommand.LIMIT, POWERED_UP) == ("a joint limit was changed", narrow)
 
 
 def test_the_operator_commands_are_these():
-    assert list(Word) == ["hold", "release", "estop", "bone-motion", "limit"]
+    assert list(ConsoleCommand) == ["hold", "release", "estop", "bone-motion", "limit"]
 
 
 def test_what_is_no_operator_command_is_answered_with_those_there_are():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.firmware_sim.kinematics import (
-    Arm,
+    ControllerArm,
     KinematicsError,
     OutOfReachError,
     Pose,
@@ -36,7 +36,7 @@ ANGLE = st.floats(-3.1, 3.1)
 def arms(draw):
     """Random arms with links of different length, calibration and either elbow."""
     small = st.floats(-0.05, 0.05)
-    return Arm(
+    return ControllerArm(
         upper_mm=draw(st.floats(100, 600)),
         forearm_mm=draw(st.floats(100, 600)),
         tool_mm=draw(st.floats(0, 300)),
@@ -138,7 +138,7 @@ def test_a_wrist_beyond_the_links_is_out_of_reach_with_the_radius(radius, text):
 
 
 def test_a_wrist_too_near_to_unequal_links_is_out_of_reach():
-    arm = Arm(upper_mm=450, forearm_mm=300, tool_mm=0, right=True, hold_roll_rad=0.0)
+    arm = ControllerArm(upper_mm=450, forearm_mm=300, tool_mm=0, right=True, hold_roll_rad=0.0)
     with pytest.raises(OutOfReachError, match=r"149.999000 mm.*\[150.000000, 750.000000\]"):
         inverse(arm, vertical_at(149.999))
     assert inverse(arm, vertical_at(150.0))[1] == pytest.approx(math.pi)
@@ -148,7 +148,7 @@ def test_a_wrist_too_near_to_unequal_links_is_out_of_reach():
 def test_a_vertical_axis_needs_a_held_roll():
     with pytest.raises(SingularError, match="vertical"):
         inverse(RIGHT, vertical_at(500.0))
-    arm = Arm(upper_mm=450, forearm_mm=450, tool_mm=160, right=True, hold_roll_rad=0.7)
+    arm = ControllerArm(upper_mm=450, forearm_mm=450, tool_mm=160, right=True, hold_roll_rad=0.7)
     assert inverse(arm, vertical_at(500.0))[3:] == (0.7, 0.0)
     tips, axes = np.array([[500.0, 0, 0]] * 2), np.array([[0, 0, 1.0], [0, 0, -1.0]])
     assert inverse_many(arm, tips, axes)[:, 3].tolist() == [0.7, 0.7]
@@ -197,7 +197,7 @@ def test_the_ends_of_a_segment_are_exact():
 
 def test_joints_are_followed_through_more_than_half_a_turn():
     """The wrist passes close behind the column, q0 turns by far more than the nearest turn would say."""
-    arm = Arm(upper_mm=450, forearm_mm=440, tool_mm=0.0, right=True)
+    arm = ControllerArm(upper_mm=450, forearm_mm=440, tool_mm=0.0, right=True)
     axis = tuple(tilted(90.0, 0.0)[0])
     start, end = Pose((-30.0, -200.0, 0.0), axis), Pose((-30.0, 200.0, 0.0), axis)
     joints = inverse(arm, start)
@@ -209,7 +209,7 @@ def test_joints_are_followed_through_more_than_half_a_turn():
 
 
 def test_a_segment_through_the_column_cannot_be_followed():
-    arm = Arm(upper_mm=450, forearm_mm=450, tool_mm=0.0, right=True)
+    arm = ControllerArm(upper_mm=450, forearm_mm=450, tool_mm=0.0, right=True)
     axis = tuple(tilted(90.0, 0.0)[0])
     start, end = Pose((-200.0, 0.0, 0.0), axis), Pose((200.0, 0.0, 0.0), axis)
     with pytest.raises(KinematicsError, match=r"jumps at fraction 0\.(5000|4999)"):
@@ -223,7 +223,7 @@ def test_a_segment_through_the_vertical_cannot_be_followed():
 
 
 def test_a_segment_that_leaves_the_reach_cannot_be_followed():
-    arm = Arm(upper_mm=450, forearm_mm=300, tool_mm=0.0, right=True)
+    arm = ControllerArm(upper_mm=450, forearm_mm=300, tool_mm=0.0, right=True)
     axis = tuple(tilted(90.0, 0.0)[0])
     start, end = Pose((-300.0, 10.0, 0.0), axis), Pose((300.0, 10.0, 0.0), axis)
     with pytest.raises(OutOfReachError, match="out of reach"):

@@ -12,16 +12,16 @@ import can
 import pytest
 
 from cutgate.firmware_sim import memory
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.loop import Options
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import (
     BoneMoved,
-    Fault,
+    ControllerSession,
+    FaultArisen,
     Memory,
     PathChecked,
-    Session,
 )
 from cutgate.protocol import permit, records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
@@ -53,7 +53,7 @@ def announced(bench):
 
 def test_without_a_session_only_announcements_leave(bench):
     one = bench()
-    one.process.turn()
+    one.process.run_cycle()
     assert {message.arbitration_id for message in one.bus.sent} == {CONTROL_IDS[1]}
     announce = announced(one)
     assert isinstance(announce, records.Announce)
@@ -67,7 +67,7 @@ def test_without_a_session_only_announcements_leave(bench):
 
 def test_a_time_scale_is_announced(bench):
     one = bench(time_scale=20.0)
-    one.process.turn()
+    one.process.run_cycle()
     announce = announced(one)
     assert (announce.plant_speed_permille, announce.time_scale) == (20_000, 20.0)
 
@@ -112,11 +112,11 @@ def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(bench, monkeypatc
     one = bench(announce_s=5.0)
     monkeypatch.setattr(one.process._cycle, "_clock", lambda: 60.0)
     one.bus.room = 0
-    one.process.turn()
+    one.process.run_cycle()
     assert one.process.port.waits
     assert one.process._wait_s() == RETRY_S
     one.bus.room = 1
-    one.process.turn()
+    one.process.run_cycle()
     assert one.process._wait_s() == pytest.approx(5.0)
 
 
@@ -136,7 +136,7 @@ def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
     if fails:
         monkeypatch.setattr(one.process._cycle, "late", lambda: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            one.process.turn()
+            one.process.run_cycle()
     else:
         os.write(one.waking, b"\0")
         one.process.run(one.wake)
@@ -147,10 +147,10 @@ def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
 def test_words_change_the_wired_inputs(bench):
     one = bench()
     for command, pressed, clear in (
-        (Word.HOLD, True, True),
-        (Word.ESTOP, True, False),
-        (Word.RELEASE, False, False),
-        (Word.ESTOP, False, True),
+        (ConsoleCommand.HOLD, True, True),
+        (ConsoleCommand.ESTOP, True, False),
+        (ConsoleCommand.RELEASE, False, False),
+        (ConsoleCommand.ESTOP, False, True),
     ):
         one.process.act(command)
         inputs = one.process.controller.inputs
@@ -160,14 +160,14 @@ def test_words_change_the_wired_inputs(bench):
 
 def test_bone_motion_without_a_session_withdraws_nothing_there_is(bench):
     one = bench()
-    one.process.act(Word.BONE_MOTION)
+    one.process.act(ConsoleCommand.BONE_MOTION)
     assert one.process.controller.cause is StopCause.BONE_MOVED
     assert memory.load(one.file) == Memory()
 
 
 def test_a_changed_limit_is_one_degree_narrower(bench):
     one = bench()
-    one.process.act(Word.LIMIT)
+    one.process.act(ConsoleCommand.LIMIT)
     held = records.Limits.parse(one.process.controller.holdings.limits)
     assert held.q_max_u[0] == LIMITS.q_max_u[0] - records.UNIT
     assert held.q_max_u[1:] == LIMITS.q_max_u[1:]
@@ -198,7 +198,7 @@ def test_a_stop_leaves_before_the_memory_is_written(bench, monkeypatch):
     attempts = failing(monkeypatch, one)
     one.process.controller = _opened(one.process.controller)
     one.process.port.endpoint.link.open(1, 0.0)
-    one.process._feed(Fault(StopCause.SECOND_NODE))
+    one.process._feed(FaultArisen(StopCause.SECOND_NODE))
     assert IDS[ControllerFault] in attempts[0]
 
 
@@ -210,13 +210,13 @@ def test_a_memory_that_cannot_be_written_is_said_once_latches_and_is_written_as_
     one.process.controller = _with_registration(one.process.controller)
     one.process._feed(BoneMoved())
     for _ in range(3):
-        one.process.turn()
+        one.process.run_cycle()
     controller = one.process.controller
     assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
-    assert len(attempts) == 5, "once for the motion, once for the latch, then in every turn"
+    assert len(attempts) == 5, "once for the motion, once for the latch, then in every cycle"
     assert len([line for line in one.shown if "cannot be written" in line]) == 1
     monkeypatch.undo()
-    one.process.turn()
+    one.process.run_cycle()
     assert (
         memory.load(one.file)
         == controller.memory
@@ -228,7 +228,7 @@ def test_an_error_of_the_program_itself_is_remembered(bench, monkeypatch):
     one = bench()
     monkeypatch.setattr(one.process, "_move", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        one.process.turn()
+        one.process.run_cycle()
     assert memory.load(one.file).latched is StopCause.INTERNAL_ERROR
 
 
@@ -236,7 +236,7 @@ def test_what_is_remembered_over_a_loss_of_power_is_what_was_written(bench, monk
     one = bench()
     one.process.controller = _with_registration(one.process.controller)
     one.process._feed(BoneMoved())
-    one.process._feed(Fault(StopCause.SECOND_NODE))
+    one.process._feed(FaultArisen(StopCause.SECOND_NODE))
     one.process._happen(FaultName.REBOOT)
     controller = one.process.controller
     assert controller.memory == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
@@ -282,7 +282,9 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
 
 
 def _opened(controller):
-    session = Session(1, bytes(32), bytes(32), bytes(32), "test", 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1)
+    session = ControllerSession(
+        1, bytes(32), bytes(32), bytes(32), "test", 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1
+    )
     return replace(controller, state=ControllerState.OPEN, session=session)
 
 
@@ -295,7 +297,7 @@ def in_session(one):
 
 def test_a_fault_on_the_path_without_a_path_does_nothing(bench):
     one = bench(faults=(FaultSpec(FaultName.FLIP_PATH_BIT, ControllerState.INHIBITED),))
-    one.process.turn()
+    one.process.run_cycle()
     assert one.shown == ["fault injected: flip-path-bit"]
     assert one.process.controller.holdings.path is None
 
@@ -327,7 +329,7 @@ def test_a_stop_ends_the_check_of_a_path(bench, monkeypatch):
     monkeypatch.setattr("cutgate.firmware_sim.upload.CHECK_POSES_PER_CYCLE", 1)
     one = in_session(bench())
     one.process._block(records.split(PATH.body())[0])
-    one.process._feed(Fault(StopCause.OPERATOR_STOP))
+    one.process._feed(FaultArisen(StopCause.OPERATOR_STOP))
     checked = []
     monkeypatch.setattr(PathCheck, "step", lambda _self, count: checked.append(count))
     one.process._continue_check()
@@ -340,7 +342,7 @@ def test_a_path_begun_before_a_stop_is_not_completed_after_it(bench):
     *blocks, last = records.split(pocket(poses=500, length_mm=1200.0).body())
     for block in blocks:
         one.process._block(block)
-    one.process._feed(Fault(StopCause.OPERATOR_STOP))
+    one.process._feed(FaultArisen(StopCause.OPERATOR_STOP))
     one.process.controller = _opened(one.process.controller)
     one.process._block(last)
     assert one.process.upload.check is None

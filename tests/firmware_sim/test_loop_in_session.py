@@ -8,11 +8,11 @@ import pytest
 
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.approach import own_ends
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
 from cutgate.firmware_sim.path_check import PathCheck
-from cutgate.firmware_sim.state import Fault, Memory, OpenLink
+from cutgate.firmware_sim.state import FaultArisen, Memory, OpenLink
 from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
@@ -91,7 +91,7 @@ class Runtime:
             code = self.code or FITTING.get(self.controller.state, RuntimeCode.INHIBIT)
             self.endpoint.send_frame(RuntimeHeartbeat(code, self.controller.epoch), self.clock.now_s)
         self.send()
-        self.process.turn()
+        self.process.run_cycle()
         self.hear()
 
     def send(self):
@@ -168,8 +168,8 @@ class Runtime:
         return self
 
     def start(self):
-        self.process.act(Word.RELEASE)
-        self.process.act(Word.HOLD)
+        self.process.act(ConsoleCommand.RELEASE)
+        self.process.act(ConsoleCommand.HOLD)
         (nonce,) = self.ask(records.NonceRequest(Purpose.START))
         start = records.Start(
             nonce.nonce,
@@ -247,14 +247,14 @@ def test_while_an_open_comes_in_nothing_is_announced(runtime):
 def test_an_announcement_that_nobody_took_gives_way_to_the_next(runtime):
     one = runtime(announce_s=0.05)
     for _ in range(3):
-        one.process.turn()
+        one.process.run_cycle()
         one.clock.now_s += 0.05
     assert len(one.bench.bus.sent) == 3, "the first frame of each"
 
 
 def test_what_is_due_now_is_announced_now(runtime):
     one = runtime()
-    one.process.turn()
+    one.process.run_cycle()
     assert one.bench.bus.sent
 
 
@@ -439,7 +439,7 @@ def test_a_loop_that_stood_still_says_so_and_stops(runtime):
 def test_a_loop_that_stood_still_at_the_bus_says_so_and_stops(runtime):
     one = runtime().open()
     one.bench.bus.after[one.bench.bus.reads + 1] = lambda: setattr(one.clock, "now_s", one.clock.now_s + 0.2)
-    one.process.turn()
+    one.process.run_cycle()
     assert one.bench.shown[1].startswith("this computer stood still for 200 ms; ")
     assert "refused" not in one.bench.shown[1]
     assert one.controller.cause is StopCause.LOOP_STALLED
@@ -492,12 +492,12 @@ def test_a_silent_controller_writes_its_memory_and_sends_nothing(runtime):
     one = runtime().open()
     one.process._happen(FaultName.SILENT)
     one.process._feed_any(None)
-    one.process.act(Word.BONE_MOTION)
+    one.process.act(ConsoleCommand.BONE_MOTION)
     assert memory.load(one.bench.file).withdrawn == {OPEN.registration_digest}
     assert one.bench.bus.sent == []
     one.process._cycle.late = lambda: 1 / 0
     with pytest.raises(ZeroDivisionError):
-        one.process.turn()
+        one.process.run_cycle()
     assert one.bench.bus.sent == []
     assert one.controller.cause is StopCause.BONE_MOVED
 
@@ -533,10 +533,10 @@ def test_what_was_under_way_when_something_stopped_does_not_leave(runtime, error
     if error:
         one.process._cycle.late = lambda: 1 / 0
         with pytest.raises(ZeroDivisionError):
-            one.process.turn()
+            one.process.run_cycle()
         assert [frame.arbitration_id for frame in one.bench.bus.sent] == [IDS[ControllerFault]]
     else:
-        one.process._feed(Fault(StopCause.OPERATOR_STOP))
+        one.process._feed(FaultArisen(StopCause.OPERATOR_STOP))
     assert not one.process.port.endpoint.control_waits
 
 

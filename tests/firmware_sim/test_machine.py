@@ -17,7 +17,7 @@ from cutgate.firmware_sim.state import (
     CollectReceived,
     Controller,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     Inputs,
@@ -219,7 +219,7 @@ class AnyLife(RuleBasedStateMachine):
     @staticmethod
     def _must_stop(before: Controller, event) -> bool:
         match event:
-            case Fault() | BoneMoved() | LimitsChanged() | StopReceived(StopCode.STOP, _):
+            case FaultArisen() | BoneMoved() | LimitsChanged() | StopReceived(StopCode.STOP, _):
                 return True
             case StopReceived():
                 return before.state is C.CUTTING
@@ -429,7 +429,7 @@ class AnyLife(RuleBasedStateMachine):
     @rule(
         event=st.one_of(
             st.builds(StopReceived, st.sampled_from(StopCode), causes),
-            st.builds(Fault, causes),
+            st.builds(FaultArisen, causes),
             st.just(HeartbeatLost()),
             st.just(BoneMoved()),
             st.sampled_from([LimitsChanged(LIMITS.body()), LimitsChanged(OTHER_LIMITS.body())]),

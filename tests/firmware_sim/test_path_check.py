@@ -99,7 +99,7 @@ def test_a_path_that_is_refused_has_no_last_joints_and_its_first_only_inside_the
 
 @given(
     wrong=st.integers(0, 199),
-    kind=st.sampled_from(["code", "turn"]),
+    kind=st.sampled_from(["code", "run_cycle"]),
     part=st.integers(1, 250),
 )
 @settings(max_examples=40, deadline=None)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.approach import Approach
+from cutgate.firmware_sim.approach import BoundApproach
 from cutgate.firmware_sim.kinematics import (
     KinematicsError,
     Pose,
@@ -71,7 +71,7 @@ def way(plant, path, start=None, *, out_um=(30_000, 40_000), speed=0.25):
         leave = on_nearest_revolutions(inverse(arm, out(path.pose(len(path) - 1), out_um[1])), joints)
     except KinematicsError:
         leave = entry  # never reached
-    return Approach(start or entry, entry, leave, *out_um, speed)
+    return BoundApproach(start or entry, entry, leave, *out_um, speed)
 
 
 def at_cut(plant, path, offset=(0.0, 0.0, 0.0, 0.0, 0.0)):

@@ -11,7 +11,7 @@ from cutgate.firmware_sim.state import (
     Controller,
     Effect,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     Memory,
     OpenReceived,
@@ -164,7 +164,7 @@ def test_a_name_given_after_the_bone_moved_is_a_new_one():
 @pytest.mark.parametrize("cause", sorted(LATCHING), ids=lambda cause: cause.name)
 def test_a_latch_is_written_with_its_first_out_cause_after_its_stop_has_left(name, cause):
     before = EVERY_STATE[name]
-    after, effects = step(before, Fault(cause), NOW)
+    after, effects = step(before, FaultArisen(cause), NOW)
     first = before.memory.latched or before.cause or cause
     assert after.memory.latched is first
     assert effects[0] == SendFault(FaultCode.LATCHED, cause)
@@ -232,7 +232,7 @@ def test_a_stop_in_between_voids_what_waited_and_the_memory_is_put_right(waiting
     [
         StopReceived(StopCode.END, StopCause.SESSION_ENDED),
         HeartbeatLost(),
-        Fault(StopCause.BUS_FAILED),
+        FaultArisen(StopCause.BUS_FAILED),
     ],
     ids=["end", "heartbeat", "fault"],
 )
@@ -242,7 +242,7 @@ def test_the_acknowledgement_of_a_latched_fault_ends_with_its_session(ending: Ev
 
 
 def test_the_first_out_cause_of_a_fault_that_latches_later_is_the_one_remembered_and_reset():
-    state = fed(CUTTING, Fault(StopCause.DEVICE_RELEASED), Fault(StopCause.SECOND_NODE))
+    state = fed(CUTTING, FaultArisen(StopCause.DEVICE_RELEASED), FaultArisen(StopCause.SECOND_NODE))
     assert state.memory.latched is StopCause.DEVICE_RELEASED
     held = fed(state, HeartbeatLost(), OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), alive())
     assert replies(step(held, AcknowledgeReceived(StopCause.SECOND_NODE, 2), NOW)[1]) == [Refusal.WRONG_CAUSE]
@@ -254,7 +254,7 @@ def test_the_first_out_cause_of_a_fault_that_latches_later_is_the_one_remembered
 
 @each_state
 def test_a_memory_that_cannot_be_written_latches_once_and_is_written_again_until_it_is(name):
-    stopped, effects = step(EVERY_STATE[name], Fault(StopCause.SECOND_NODE), NOW)
+    stopped, effects = step(EVERY_STATE[name], FaultArisen(StopCause.SECOND_NODE), NOW)
     (before,) = written(effects) or [stopped.memory]
     state, effects = step(replace(stopped, written=None), PersistFailed(), NOW)
     assert (state.state, faults(effects)) == (C.FAULT, []), "it is latched already"

@@ -12,7 +12,7 @@ from cutgate.firmware_sim.rules import (
     PERMIT_RULES,
     RESET_RULES,
     START_RULES,
-    Case,
+    RequestCase,
     at_start,
     first_refusal,
 )
@@ -263,8 +263,10 @@ def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, va
         assert vars(after) == expected, "identity first: the altered field may be NaN"
 
 
-OPEN_CASE = Case(POWERED_UP, OPEN, NOW)
-ACKNOWLEDGE_CASE = Case(controllers.OPEN_LATCHED, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW)
+OPEN_CASE = RequestCase(POWERED_UP, OPEN, NOW)
+ACKNOWLEDGE_CASE = RequestCase(
+    controllers.OPEN_LATCHED, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW
+)
 ALMOST_FULL = frozenset(number.to_bytes(32, "big") for number in range(1, REGISTRATIONS_MAX))
 OPEN_CASES = [
     ("controller.session", OPENED.session, Refusal.SESSION_IN_USE),

@@ -17,7 +17,7 @@ from cutgate.firmware_sim.state import (
     Controller,
     DeviceCycle,
     Event,
-    Fault,
+    FaultArisen,
     HeartbeatLost,
     HeartbeatReceived,
     Inputs,
@@ -182,19 +182,19 @@ def test_a_permit_of_the_session_before_the_stop_does_not_serve_the_next():
 
 @pytest.mark.parametrize("cause", [cause for cause in StopCause if cause is not StopCause.NONE], ids=str)
 def test_only_latching_causes_latch(cause):
-    after, (sent, *_) = step(CUTTING, Fault(cause), NOW)
+    after, (sent, *_) = step(CUTTING, FaultArisen(cause), NOW)
     assert after.state is (C.FAULT if cause in LATCHING else C.INHIBITED)
     assert sent.code is (FaultCode.LATCHED if cause in LATCHING else FaultCode.STOPPED)
 
 
 def test_the_first_cause_is_kept_until_it_is_acknowledged():
-    state = fed(CUTTING, RELEASE, Fault(StopCause.SECOND_NODE), BoneMoved())
+    state = fed(CUTTING, RELEASE, FaultArisen(StopCause.SECOND_NODE), BoneMoved())
     assert state.cause is StopCause.DEVICE_RELEASED
     assert state.state is C.FAULT
 
 
 def test_the_epoch_wraps_at_eight_bits():
-    after = fed(replace(CUTTING, epoch=255), Fault(StopCause.BUS_FAILED))
+    after = fed(replace(CUTTING, epoch=255), FaultArisen(StopCause.BUS_FAILED))
     assert after.epoch == 0
 
 
@@ -294,7 +294,7 @@ WITHDRAWALS: dict[str, Event] = {
     "end frame": StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
     "bone motion seen by the runtime": StopReceived(StopCode.STOP, StopCause.BONE_MOVED),
     "heartbeat, the frame was lost": alive(cause=StopCause.REGISTRATION_WITHDRAWN),
-    "fault": Fault(StopCause.BONE_MOVED),
+    "fault": FaultArisen(StopCause.BONE_MOVED),
 }
 
 
@@ -352,7 +352,7 @@ def test_the_list_grows_and_only_another_registration_is_permitted():
 
 def test_other_stops_withdraw_nothing():
     for cause in set(StopCause) - {StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED}:
-        assert fed(CUTTING, Fault(cause)).memory.withdrawn == frozenset()
+        assert fed(CUTTING, FaultArisen(cause)).memory.withdrawn == frozenset()
 
 
 def test_a_changed_limit_is_held_and_stops():
@@ -586,7 +586,7 @@ def test_a_refused_path_is_not_stored_and_displaces_the_one_before(state):
 
 def test_a_measurement_does_not_outlive_a_stop():
     assert LOADED.measured_u == START_JOINTS
-    assert fed(LOADED, Fault(StopCause.BUS_FAILED)).measured_u is None
+    assert fed(LOADED, FaultArisen(StopCause.BUS_FAILED)).measured_u is None
 
 
 @pytest.mark.parametrize("purpose", Purpose, ids=str)

@@ -6,7 +6,7 @@ import pytest
 
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from tools.fuzz import audit
 
 HUGE = 10**400
@@ -35,7 +35,7 @@ def put(table: dict, place: tuple[str, ...], value: object) -> None:
 def test_the_session_written_again_is_sound_and_identical():
     log = audit.judged(audit.COPY)
     assert log.report.status is Status.OK
-    assert replay(log, audit.certified.verify, verifier=audit.VERIFIER).outcome is Outcome.IDENTICAL
+    assert replay(log, audit.certified.verify, verifier=audit.VERIFIER).outcome is ReplayOutcome.IDENTICAL
 
 
 @pytest.mark.parametrize(

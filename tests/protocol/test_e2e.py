@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.protocol.e2e import CorruptionWatch, Sequence, Step, crc16, intact, protect
+from cutgate.protocol.e2e import CorruptionCount, Sequence, Step, crc16, intact, protect
 
 payloads = st.binary(min_size=5, max_size=5)
 counters = st.integers(0, 255)
@@ -102,10 +102,10 @@ def test_broken_step_does_not_move_the_sequence():
 
 
 def test_third_corruption_within_a_second_is_not_tolerated():
-    watch = CorruptionWatch()
+    watch = CorruptionCount()
     assert [watch.tolerated(at) for at in (77.0, 77.5, 78.0)] == [True, True, False]
 
 
 def test_corruption_is_forgotten_after_a_second():
-    watch = CorruptionWatch()
+    watch = CorruptionCount()
     assert all(watch.tolerated(at) for at in (0.0, 0.5, 1.001, 1.501, 2.1))

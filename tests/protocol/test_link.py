@@ -588,7 +588,7 @@ class Peer:
         """A heartbeat of the runtime reaches it."""
         deliver(self.runtime, self.controller, CUT, now_s)
 
-    def turn(self, now_s: float, place: float = 0.0) -> list[tuple[int, bytes]]:
+    def run_cycle(self, now_s: float, place: float = 0.0) -> list[tuple[int, bytes]]:
         """Its heartbeat, and the joints it measures in this turn."""
         frames = [CUTTING, *joint_frames([place, *JOINTS[1:]])]
         return [self.controller.encode(frame, now_s) for frame in frames]
@@ -606,7 +606,7 @@ class Peer:
 def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
     for order in permutations(range(3)):
         peer = Peer()
-        _, *parts = peer.turn(0.1, 0.25)
+        _, *parts = peer.run_cycle(0.1, 0.25)
         sample = peer.sample([parts[at] for at in order], 0.1)
         assert sample is peer.runtime.sample
         assert sample.joints[0] == pytest.approx(0.25, abs=1e-4)
@@ -616,7 +616,7 @@ def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
 
 def test_a_frame_is_what_it_is_whatever_sample_it_completes():
     peer = Peer()
-    *_, part = [peer.arrives(frame, 0.1) for frame in peer.turn(0.1)]
+    *_, part = [peer.arrives(frame, 0.1) for frame in peer.run_cycle(0.1)]
     assert part.sample is not None
     assert part == replace(part, sample=None)
 
@@ -627,7 +627,7 @@ def test_a_sample_of_unknown_age_is_of_any():
 
 def test_several_samples_in_one_turn_each_come_in_order():
     peer = Peer()
-    waiting = [frame for turn in range(5) for frame in peer.turn(0.02 * turn, 0.01 * turn)]
+    waiting = [frame for turn in range(5) for frame in peer.run_cycle(0.02 * turn, 0.01 * turn)]
     outcomes = [peer.arrives(frame, 1.0) for frame in waiting]
     found = [outcome.sample for outcome in outcomes if outcome.sample is not None]
     assert [sample.counter for sample in found] == list(range(5))
@@ -640,11 +640,11 @@ def test_a_sample_is_as_old_as_its_heartbeat_whatever_arrived_before_it():
     """Its own heartbeat echoes what was sent at 0.00; later ones overtake it, as urgent frames do."""
     peer = Peer()
     peer.hear(0.0)
-    beat, *late = peer.turn(0.01)
+    beat, *late = peer.run_cycle(0.01)
     peer.arrives(beat, 0.01)
     for now_s in (0.02, 0.04, 0.06):
         peer.hear(now_s)
-        peer.arrives(peer.turn(now_s + 0.01)[0], now_s + 0.01)
+        peer.arrives(peer.run_cycle(now_s + 0.01)[0], now_s + 0.01)
     assert peer.sample(late, 0.07).measured_s == 0.0
 
 
@@ -653,22 +653,22 @@ def test_where_its_heartbeat_was_lost_one_before_it_dates_a_sample(lost: tuple[i
     peer = Peer()
     for turn, now_s in enumerate((0.0, 0.02)):
         peer.hear(now_s)
-        beat, *parts = peer.turn(now_s + 0.01)
+        beat, *parts = peer.run_cycle(now_s + 0.01)
         if turn not in lost:
             peer.arrives(beat, now_s + 0.01)
         sample = peer.sample(parts, now_s + 0.01)
-    peer.arrives(peer.turn(0.05)[0], 0.05)
+    peer.arrives(peer.run_cycle(0.05)[0], 0.05)
     assert sample.measured_s == measured_s
 
 
 def test_a_heartbeat_that_proves_nothing_dates_no_sample():
     """Neither the first, which echoes nothing, nor one that is stale."""
     peer = Peer()
-    beat, *parts = peer.turn(0.0)
+    beat, *parts = peer.run_cycle(0.0)
     peer.arrives(beat, 0.0)
     assert peer.sample(parts, 0.0).measured_s == -math.inf
     peer.hear(0.1)
-    beat, *parts = peer.turn(0.11)
+    beat, *parts = peer.run_cycle(0.11)
     peer.arrives(beat, 0.1 + TIMEOUT_S + 1e-6)
     assert peer.sample(parts, 0.21).measured_s == -math.inf
 
@@ -681,7 +681,7 @@ def test_a_sample_a_whole_round_of_counters_late_looks_no_younger(behind: int):
     for turn in range(600):
         now_s = turn * PERIOD_S
         peer.hear(now_s)
-        beat, *parts = peer.turn(now_s)
+        beat, *parts = peer.run_cycle(now_s)
         assert isinstance(peer.arrives(beat, now_s), Accepted)
         waiting.append(parts)
         if turn >= behind:
@@ -698,9 +698,9 @@ def test_a_runtime_that_opens_later_dates_by_the_first_heartbeat_it_hears(first,
     """In the middle of a turn perhaps: a sample whose heartbeat came too early has no date, one in part is none."""
     peer = Peer()
     for _ in range(first):
-        peer.turn(0.0)
+        peer.run_cycle(0.0)
     peer.hear(0.0)
-    waiting = [frame for _ in range(2) for frame in peer.turn(0.01)][missing:]
+    waiting = [frame for _ in range(2) for frame in peer.run_cycle(0.01)][missing:]
     found = [peer.arrives(frame, 0.01).sample for frame in waiting]
     assert [sample.measured_s for sample in found if sample is not None] == dates
 
@@ -721,7 +721,7 @@ def test_no_sample_is_called_younger_than_it_is(periods: list[tuple[bool, float,
     for turn, (lost, joints_late_s, beat_late_s) in enumerate(periods):
         now_s = turn * PERIOD_S
         peer.hear(now_s)
-        beat, *parts = peer.turn(now_s)
+        beat, *parts = peer.run_cycle(now_s)
         measured_s[turn] = now_s
         lost_last = lost_last + 1 if lost and lost_last < 2 else 0
         free_s["beat"] = max(free_s["beat"], now_s + beat_late_s)

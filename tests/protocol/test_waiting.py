@@ -353,7 +353,7 @@ class Conversation:
         self.counters: dict[int, list[int]] = defaultdict(list)
 
     def say_turn(self, room: int) -> None:
-        """What a controller says in one turn."""
+        """What a controller says in one cycle."""
         self.turn += 1
         for frame in (replace(CUTTING, epoch=self.turn % 256), *joints(self.turn), Progress(self.turn, 0)):
             self.speaker.endpoint.send_frame(frame, NOW)

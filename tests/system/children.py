@@ -126,10 +126,10 @@ def serve_a_job(
     os._exit(code if code >= 0 else 128 - code)
 
 
-def replaced(verifier: str) -> Callable[[int, int], worker.Process]:
+def replaced(verifier: str) -> Callable[[int, int], worker.StartedProcess]:
     """Another program in place of the verification process."""
 
-    def launch(path: int, line: int) -> worker.Process:
+    def launch(path: int, line: int) -> worker.StartedProcess:
         command = [sys.executable, "-c", verifier]
         return subprocess.Popen(
             command, bufsize=0, stdin=path, stdout=line, stderr=subprocess.PIPE, start_new_session=True

@@ -11,7 +11,7 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
 from cutgate.protocol.states import StopCode
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
@@ -21,7 +21,7 @@ from tests.tool_paths import tool_path
 pytestmark = pytest.mark.processes
 
 
-def reviewed(path: Path) -> tuple[Status, Outcome]:
+def reviewed(path: Path) -> tuple[Status, ReplayOutcome]:
     """What ``audit verify`` and ``audit replay`` say of a log."""
     log = judged(path)
     return log.report.status, replay(log, certified.verify, verifier=VERIFIER).outcome
@@ -65,7 +65,7 @@ def test_the_arm_comes_from_wherever_it_stands_and_goes_back_there(rig, joints):
     first, last = ([bytes(m.data[3:]) for m in rig.bus.frames if is_kind(m, Joints01)][i] for i in (0, -1))
     assert first == last
     assert json.loads(run.document)["approach"]["verdict"] == "admissible"
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert reviewed(rig.logs()[-1]) == (Status.OK, ReplayOutcome.IDENTICAL)
 
 
 def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
@@ -74,7 +74,7 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(rig):
     assert "approach and retract INADMISSIBLE" in run.document
     assert "move q2 by +3.51 mm, to 55.51 mm" in run.document.partition("NOT ADMITTED")[2]
     assert rig.at_rest(sim) == "INHIBITED"
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert reviewed(rig.logs()[-1]) == (Status.OK, ReplayOutcome.IDENTICAL)
     assert "state PERMITTED" not in sim.told
 
 
@@ -94,7 +94,7 @@ def test_a_roll_without_limits_runs_a_whole_session_in_the_turns_that_were_asked
     (verdict,), (opened,) = (list(rig.log().of(topic)) for topic in ("/audit/verdict", "/audit/open"))
     assert (verdict["q0_turns"], verdict["roll_turns"]) == (0, 2)
     assert {"name": "joint branch", "value": "asked for: --roll-turns 2"} in opened["simulation"]
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert reviewed(rig.logs()[-1]) == (Status.OK, ReplayOutcome.IDENTICAL)
 
 
 def test_the_unlimited_arm_of_the_paper_runs_a_whole_session(rig):
@@ -128,7 +128,7 @@ def test_a_five_axis_path_is_cut_to_its_end(rig, name, poses):
     sim, run = rig.cutting(scale=100, plan=tool_path(name), registration="placed.json")
     assert run.exit() == 0
     assert f"DONE: {poses - 1} segments executed" in sim.line("state DONE")
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert reviewed(rig.logs()[-1]) == (Status.OK, ReplayOutcome.IDENTICAL)
 
 
 @pytest.mark.parametrize("name", ["whole-wheel.csv", "impeller-op1.csv"])
@@ -140,5 +140,5 @@ def test_a_path_that_goes_round_is_not_admitted(rig, name):
     assert "INADMISSIBLE" in run.document
     assert "roll_m" in run.document.partition("NOT ADMITTED")[2]
     assert rig.at_rest(sim) == "INHIBITED"
-    assert reviewed(rig.logs()[-1]) == (Status.OK, Outcome.IDENTICAL)
+    assert reviewed(rig.logs()[-1]) == (Status.OK, ReplayOutcome.IDENTICAL)
     assert "state PERMITTED" not in sim.told

@@ -89,7 +89,7 @@ def test_a_killed_runtime_stops_the_cut_within_the_time_out(rig):
 
 
 def test_a_wedged_loop_stops_the_cut_within_the_time_out_and_says_so_when_it_comes_back(rig):
-    """It stands still between two turns; inside one, the fault frame of the controller may be read first."""
+    """It stands still between two cycles; inside one, the fault frame of the controller may be read first."""
     sim, run = rig.cutting(script=Script(at=MOVING, sent=True, number=signal.SIGSTOP))
     sim.line("HEARTBEAT_LOST")
     assert alone(rig) <= IN_TIME

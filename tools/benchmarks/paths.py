@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification.problem import Arm, Deadband, Problem

@@ -23,7 +23,7 @@ from paths import EXAMPLES
 from cutgate.config.key import load_key, new_key_file
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.hil.plugin import hub_process
 from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.loop import Options, Process
@@ -59,7 +59,7 @@ from tests.system.children import Script
 
 HEARTBEAT_S, TIMEOUT_S = 0.02, 0.1
 TIMING = records.Timing(20, 100, 120, 2000, 500, 200, 0, 25)
-TURN = "20 ms, one turn"
+REVOLUTION = "20 ms, one turn"
 LOST = "120 ms, time-out and one turn"
 TRIALS, TRIALS_CUTTING, TRIALS_RUNTIME = 50, 25, 8
 SETTLE_S = 0.06
@@ -157,10 +157,10 @@ def _silence(tester: Tester) -> None:
 
 
 WRONGS: dict[str, tuple[Callable[[Tester], None], StopCause, str]] = {
-    "stop frame": (_stop, StopCause.OPERATOR_STOP, TURN),
-    "third corrupt frame": (_corrupt, StopCause.CORRUPTION, TURN),
-    "counter gap": (_gap, StopCause.SEQUENCE_ERROR, TURN),
-    "code that is not listed": (_unlisted, StopCause.PROTOCOL_VIOLATION, TURN),
+    "stop frame": (_stop, StopCause.OPERATOR_STOP, REVOLUTION),
+    "third corrupt frame": (_corrupt, StopCause.CORRUPTION, REVOLUTION),
+    "counter gap": (_gap, StopCause.SEQUENCE_ERROR, REVOLUTION),
+    "code that is not listed": (_unlisted, StopCause.PROTOCOL_VIOLATION, REVOLUTION),
     "silence, from the last heartbeat": (_silence, StopCause.HEARTBEAT_LOST, LOST),
 }
 
@@ -342,7 +342,7 @@ class Stage:
             if time.perf_counter() > until_s or self.runtime._exit_code(0) is not None:
                 raise TimeoutError(self.runtime.told)
             self._poller.poll(1000.0 * self.controller._wait_s())
-            self.controller.turn()
+            self.controller.run_cycle()
 
     def says(self, words: str) -> Callable[[], bool]:
         """Whether the runtime has said so."""
@@ -356,7 +356,7 @@ class Stage:
     def cutting(self) -> None:
         """Permitted, held, started, and the arm on its path."""
         self.until(self.says("permitted:"))
-        self.controller.act(Word.HOLD)
+        self.controller.act(ConsoleCommand.HOLD)
         self.until(self.says("enabling device is held"))
         self.runtime.say("start")
         self.until(lambda: self.controller.arm.state.progress > (0, 0.0))
@@ -371,7 +371,7 @@ class Stage:
 
 
 def _fault(stage: Stage) -> float:
-    stage.controller.act(Word.ESTOP)
+    stage.controller.act(ConsoleCommand.ESTOP)
     stage.controller.port.flush()
     return stage.seen.sent_s[IDS[ControllerFault]]
 
@@ -410,10 +410,10 @@ def _disk(stage: Stage) -> float:
 
 SILENT_DISK = Script(disk_stops_at=Phase.CUTTING)
 RUNTIME_WRONGS: dict[str, tuple[Callable[[Stage], float], StopCause, str]] = {
-    "the controller's fault frame": (_fault, StopCause.EMERGENCY_STOP, TURN),
-    "third corrupt frame": (_noise, StopCause.CORRUPTION, TURN),
-    "joints 5 deg off the path, from the sample": (_deviates, StopCause.TRACKING_DEVIATION, TURN),
-    "the word `stop`, from its line": (_says_stop, StopCause.OPERATOR_STOP, TURN),
+    "the controller's fault frame": (_fault, StopCause.EMERGENCY_STOP, REVOLUTION),
+    "third corrupt frame": (_noise, StopCause.CORRUPTION, REVOLUTION),
+    "joints 5 deg off the path, from the sample": (_deviates, StopCause.TRACKING_DEVIATION, REVOLUTION),
+    "the word `stop`, from its line": (_says_stop, StopCause.OPERATOR_STOP, REVOLUTION),
     "silence, from the controller's last heartbeat": (_silent, StopCause.HEARTBEAT_LOST, LOST),
     "silent disk, from CUTTING": (
         _disk,

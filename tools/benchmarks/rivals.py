@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from paths import sampled
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.problem import Problem
 
 GRID_MM = 0.01

@@ -17,11 +17,11 @@ from typing import Any, Final
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 from rich.console import Console
 
-from cutgate.runtime.audit.chain import GENESIS, LINKED, Link, advance
+from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, advance
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Log, Status, read_log
-from cutgate.runtime.audit.records import MODELS, Attachment, Close
+from cutgate.runtime.audit.records import MODELS, AuditAttachment, AuditClose
 from cutgate.runtime.audit.replay import replay
 from cutgate.runtime.audit.schema import schema_bytes
 from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE, SCHEMA_ENCODING, schema_name
@@ -146,15 +146,15 @@ def written(messages: list[Message], attachments: dict[str, bytes]) -> bytes:
             schema = writer.register_schema(schema_name(model), SCHEMA_ENCODING, schema_bytes(model))
             channels[topic] = writer.register_channel(topic, ENCODING, schema)
         linked = content | {"prev": head.hex()} if topic.startswith(LINKED) else content
-        if topic == Close.TOPIC:
+        if topic == AuditClose.TOPIC:
             linked = linked | {"message_count": len(messages)}
-        if topic == Attachment.TOPIC and content.get("name") in list(attachments):
+        if topic == AuditAttachment.TOPIC and content.get("name") in list(attachments):
             kept = attachments[content["name"]]
             linked = linked | {"sha256": sha256(kept).hexdigest(), "size": len(kept)}
         data = json.dumps(linked).encode()
         times = {"log_time": number, "publish_time": number, "sequence": number, "data": data}
         writer.add_message(channel_id=channels[topic], **times)
-        head = advance(head, Link(topic, ENCODING, schema_name(model), schema_bytes(model), **times))
+        head = advance(head, ChainLink(topic, ENCODING, schema_name(model), schema_bytes(model), **times))
     writer.finish()
     return stream.getvalue()
 
@@ -181,7 +181,7 @@ def _seeds() -> Iterator[bytes]:
         raise ValueError("the example is no sound log")
     yield b"\0" + SESSION
     yield b"\0" + SESSION[: len(SESSION) // 2]
-    few = [message for message in copied()[0] if message[0] != Attachment.TOPIC]
+    few = [message for message in copied()[0] if message[0] != AuditAttachment.TOPIC]
     yield b"\0" + written([*few[:3], few[-1]], {})
     yield b"\1"
     topics = [topic for topic, _ in MESSAGES]

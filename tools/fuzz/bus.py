@@ -8,7 +8,7 @@ from can.io.canutils import CanutilsLogReader
 
 from cutgate.firmware_sim.bus import client, wire
 from cutgate.firmware_sim.bus.hub import log_line
-from cutgate.firmware_sim.bus.wire import Flag, Kind, Record, WireError
+from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.records import Side
 from tools.fuzz.harness import Family, attempt, expect
@@ -24,7 +24,7 @@ def check(data: bytes) -> None:
         return
     expect(record.pack() == data, "a record has one form")
     expect(len(record.data) in {0, record.length}, "no data come from nowhere")
-    if record.kind is not Kind.FRAME:
+    if record.kind is not HubKind.FRAME:
         return
     message = client._to_message(record, "vcan0")  # noqa: SLF001 - what a client makes of it
     for side in Side:
@@ -43,7 +43,7 @@ def check(data: bytes) -> None:
         _logged(record)
 
 
-def _logged(record: Record) -> None:
+def _logged(record: HubRecord) -> None:
     """The log line is one, and python-can reads the same frame from it."""
     line = log_line(record, "vcan0")
     expect(LINE.fullmatch(line) is not None, f"{line!r} is a line of candump")
@@ -59,8 +59,8 @@ def _logged(record: Record) -> None:
 def _seeds() -> Iterator[bytes]:
     yield wire.hello(fd=True, own=False).pack()
     yield wire.refused("the bus has 64 clients already").pack()
-    yield Record(Kind.WELCOME).pack()
-    yield Record(Kind.OVERRUN, number=12).pack()
+    yield HubRecord(HubKind.WELCOME).pack()
+    yield HubRecord(HubKind.OVERRUN, number=12).pack()
     for flags, number, data in (
         (0, 0x081, bytes(8)),
         (0, 0x601, b"\x10\x14" + bytes(6)),
@@ -68,9 +68,9 @@ def _seeds() -> Iterator[bytes]:
         (int(Flag.FD | Flag.BIT_RATE_SWITCH), 0x640, bytes(range(64))),
         (int(Flag.ERROR), 0x004, b"\0\1\0\0\0\0\0\2"),
     ):
-        yield Record(Kind.FRAME, flags, number, 1_790_000_000_123_456_789, len(data), data).pack()
-    yield Record(Kind.FRAME, int(Flag.REMOTE), 0x080, 1, 8).pack()
-    yield Record(Kind.FRAME, 0, 0x080, 0, 255, b"").pack()
+        yield HubRecord(HubKind.FRAME, flags, number, 1_790_000_000_123_456_789, len(data), data).pack()
+    yield HubRecord(HubKind.FRAME, int(Flag.REMOTE), 0x080, 1, 8).pack()
+    yield HubRecord(HubKind.FRAME, 0, 0x080, 0, 255, b"").pack()
 
 
 FAMILY = Family(check, tuple(_seeds()))

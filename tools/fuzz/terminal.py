@@ -3,12 +3,12 @@
 import os
 from collections.abc import Iterator
 
-from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, WordReader
-from cutgate.firmware_sim.console import Word as ControllerWord
-from cutgate.runtime.interlock.state import Word
+from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, CommandReader
+from cutgate.firmware_sim.console import ConsoleCommand as ControllerWord
+from cutgate.runtime.interlock.state import OperatorCommand
 from tools.fuzz.harness import Family, expect
 
-VOCABULARIES = (Word, ControllerWord)
+VOCABULARIES = (OperatorCommand, ControllerWord)
 
 
 def check(data: bytes) -> None:
@@ -18,7 +18,7 @@ def check(data: bytes) -> None:
     reading, writing = os.pipe2(os.O_NONBLOCK)
     heard: list[str] = []
     try:
-        reader = WordReader(reading, words)
+        reader = CommandReader(reading, words)
         for at in range(0, len(typed), size):
             os.write(writing, typed[at : at + size])
             heard += reader.read()
@@ -30,7 +30,7 @@ def check(data: bytes) -> None:
     _compare(words, typed, heard)
 
 
-def _compare(words: type[Word] | type[ControllerWord], typed: bytes, heard: list[str]) -> None:
+def _compare(words: type[OperatorCommand] | type[ControllerWord], typed: bytes, heard: list[str]) -> None:
     """A line that is too long may be refused for its blanks; any other is a word or is not."""
     *lines, _ = typed.split(b"\n")
     texts = [(line.decode("ascii", "replace").strip().lower(), len(line)) for line in lines]

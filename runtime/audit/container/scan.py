@@ -35,7 +35,7 @@ from cutgate.runtime.audit.container.raw import (
     TornError,
 )
 from cutgate.runtime.audit.container.stored import Scan, Stored
-from cutgate.runtime.audit.container.summary import Expected, Found
+from cutgate.runtime.audit.container.summary import Expected, SummaryFound
 
 
 def walk(file: BinaryIO, found: Scan) -> Iterator[Stored]:
@@ -171,7 +171,7 @@ class _Scanner:
 
     def _summary(self) -> None:
         """The groups that the data section gives, their offsets, and the footer; the file ends behind it."""
-        found = Found(self.summary, self.reader.at, self.budget)
+        found = SummaryFound(self.summary, self.reader.at, self.budget)
         while True:
             raw = self.reader.next()
             content = self.reader.content(raw)

@@ -5,7 +5,7 @@ from typing import BinaryIO
 
 from mcap.records import Header, Metadata
 
-from cutgate.runtime.audit.chain import Link, advance_in
+from cutgate.runtime.audit.chain import ChainLink, advance_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +38,10 @@ class Stored:
         return self.channel.topic
 
     @property
-    def link(self) -> Link:
+    def link(self) -> ChainLink:
         """What the chain covers of it."""
         channel = self.channel
-        return Link(
+        return ChainLink(
             channel.topic, channel.encoding, channel.schema_name, channel.schema,
             self.log_time, self.publish_time, self.sequence, self.data,
         )  # fmt: skip

@@ -92,7 +92,7 @@ class Expected:
         return [group.content for group in self._groups.values() if group.count]
 
 
-class Found:
+class SummaryFound:
     """The summary that stands in a file, record by record."""
 
     def __init__(self, expected: Expected, start: int, budget: Budget) -> None:

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.recomputed.comparison import differences, document_of, same
-from cutgate.runtime.audit.recomputed.inputs import Inputs, ReplayError
+from cutgate.runtime.audit.recomputed.inputs import ReplayError, ReplayInputs
 from cutgate.runtime.verification.approach import decision, report
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 
 
 class Recomputed(NamedTuple):
@@ -24,7 +24,7 @@ class Recomputed(NamedTuple):
         return str(self.document["verdict"])
 
 
-def recomputed_approach(recorded: records.Approach, inputs: Inputs) -> Recomputed:
+def recomputed_approach(recorded: records.AuditApproach, inputs: ReplayInputs) -> Recomputed:
     """The approach from the recorded start joints.
 
     Raises:
@@ -32,7 +32,7 @@ def recomputed_approach(recorded: records.Approach, inputs: Inputs) -> Recompute
     """
     settings = inputs.site
     try:
-        start = Start.of(
+        start = StartJoints.of(
             recorded.start_joints_u,
             clearance_um=round(settings.approach.approach_clearance_mm * 1000),
             tolerance_mm=settings.start.start_tolerance_mm,
@@ -49,7 +49,7 @@ def recomputed_approach(recorded: records.Approach, inputs: Inputs) -> Recompute
 
 
 def approach_differences(
-    recorded: records.Approach, again: Recomputed, *, comparable: bool, sentences: bool
+    recorded: records.AuditApproach, again: Recomputed, *, comparable: bool, sentences: bool
 ) -> Iterator[str]:
     """The recorded approach, as document and as flat fields, against the recomputed one.
 
@@ -68,12 +68,12 @@ def approach_differences(
             {key: value for key, value in one.items() if key != "reasons"} for one in (document, recomputed)
         )
     yield from differences("approach", document, recomputed, comparable=comparable)
-    flat = records.Approach.of(
+    flat = records.AuditApproach.of(
         recomputed, start_joints_u=recorded.start_joints_u, bound=again.bound, reason=again.reason
     )
     ignored = set() if sentences else {"reason"}
     ignored |= set() if comparable else {"worst_leg", "worst_boundary", "reason"}
-    fields = records.Approach.model_fields.keys() - records.AuditRecord.model_fields.keys()
+    fields = records.AuditApproach.model_fields.keys() - records.AuditRecord.model_fields.keys()
     for name in sorted(fields - {"document"} - ignored):
         one, other = getattr(recorded, name), getattr(flat, name)
         if not (same(one, other, absolute=True) if name == "worst_certified" else one == other):
@@ -82,7 +82,7 @@ def approach_differences(
             yield f"approach {name}: recorded {one}, recomputed {other}"
 
 
-def bound_differences(permit: wire.Permit, verified: records.Approach) -> Iterator[str]:
+def bound_differences(permit: wire.Permit, verified: records.AuditApproach) -> Iterator[str]:
     """The permit's start joints and approach are those that were verified."""
     bound = permit.approach
     pairs = {

@@ -15,7 +15,7 @@ ABSOLUTE: Final = ("boundaries", "legs")
 """Clearances are compared absolutely, whatever their size."""
 
 
-def document_of(recorded: records.Verdict | records.Approach) -> dict[str, Any] | None:
+def document_of(recorded: records.AuditVerdict | records.AuditApproach) -> dict[str, Any] | None:
     """The record's document, or None where it is no JSON object."""
     try:
         document = json.loads(recorded.document)

@@ -37,9 +37,9 @@ class Ledger:
     """
 
     configuration: bytes
-    _verdict: tuple[records.Verdict, str] | None = None
+    _verdict: tuple[records.AuditVerdict, str] | None = None
     """The latest recorded verdict, and what was recomputed for it."""
-    _approach: tuple[records.Approach, str] | None = None
+    _approach: tuple[records.AuditApproach, str] | None = None
     """The same for the approach recorded after it."""
     _authorised: set[tuple[str, int | None]] = field(default_factory=set)
     _permit: bytes | None = None
@@ -55,22 +55,22 @@ class Ledger:
         """Whether a permit or start was ever authorised."""
         return any(kind != "reset" for kind, _ in self._authorised)
 
-    def verdict(self, recorded: records.Verdict, recomputed: dict[str, Any]) -> None:
+    def verdict(self, recorded: records.AuditVerdict, recomputed: dict[str, Any]) -> None:
         """A verdict, and its document as it must be: the approach before it and what was confirmed are void."""
         self._verdict = (recorded, recomputed["verdict"])
         self._approach, self._confirmed = None, set()
         self._to_confirm = {one["code"] for one in recomputed.get("warnings", ()) if one["confirm"]}
 
-    def approach(self, recorded: records.Approach, recomputed: str) -> None:
+    def approach(self, recorded: records.AuditApproach, recomputed: str) -> None:
         """An approach, and its verdict as it must be."""
         self._approach = (recorded, recomputed)
 
-    def operator(self, command: records.Operator) -> None:
+    def operator(self, command: records.AuditOperator) -> None:
         """A command of the operator."""
         if command.word == "confirm" and command.accepted and command.what is not None:
             self._confirmed.add(command.what)
 
-    def permit(self, record: records.Permit) -> Iterator[str]:
+    def permit(self, record: records.AuditPermit) -> Iterator[str]:
         """One record of a permit, start or reset; what is wrong with it."""
         if record.stage == "authorised":
             self._authorised.add((record.kind, record.token))
@@ -79,7 +79,7 @@ class Ledger:
         elif record.stage == "sent":
             yield from self._sent(record)
 
-    def _sent(self, record: records.Permit) -> Iterator[str]:
+    def _sent(self, record: records.AuditPermit) -> Iterator[str]:
         if (record.kind, record.token) not in self._authorised:
             yield f"a {record.kind} left without a record that authorised it"
         if record.kind != "reset":
@@ -93,7 +93,7 @@ class Ledger:
         except ValueError as error:
             yield f"the {record.kind}'s record cannot be read: {error}"
 
-    def _on_verdict(self, record: records.Permit) -> Iterator[str]:
+    def _on_verdict(self, record: records.AuditPermit) -> Iterator[str]:
         if self._verdict is None:
             yield f"a {record.kind} left without a verdict"
             return
@@ -107,7 +107,7 @@ class Ledger:
                 if getattr(record, f"{name}_sha256") != getattr(verdict, f"{name}_sha256"):
                     yield f"the permit's {name} digest is not the verdict's"
 
-    def _on_approach(self, record: records.Permit) -> Iterator[str]:
+    def _on_approach(self, record: records.AuditPermit) -> Iterator[str]:
         if self._approach is None:
             yield f"a {record.kind} left without a verified approach"
             return
@@ -117,7 +117,7 @@ class Ledger:
                 f"a {record.kind} left; the approach is recorded as {approach.verdict} and recomputed as {recomputed}"
             )
 
-    def _sent_permit(self, record: records.Permit, signed: wire.Permit) -> Iterator[str]:
+    def _sent_permit(self, record: records.AuditPermit, signed: wire.Permit) -> Iterator[str]:
         self._permit = signed.digest
         for code in sorted(self._to_confirm - self._confirmed):
             yield f"a permit left although the warning {code} was not confirmed"
@@ -143,7 +143,7 @@ class Ledger:
             yield "a start left for another permit than the one that had left"
 
 
-def decision_differences(decision: records.Decision) -> Iterator[str]:
+def decision_differences(decision: records.AuditDecision) -> Iterator[str]:
     """What a decision let go, or let go on, although a permissive of its own did not hold."""
     failing = [permissive.name for permissive in decision.permissives if not permissive.holds]
     if decision.disposition == "sent":
@@ -154,7 +154,7 @@ def decision_differences(decision: records.Decision) -> Iterator[str]:
             yield f"decision {decision.sequence} let the arm go on although this did not hold: {name}"
 
 
-def _signed(kind: type[S], record: records.Permit) -> S:
+def _signed(kind: type[S], record: records.AuditPermit) -> S:
     """What was signed, as it stands in the record.
 
     Raises:

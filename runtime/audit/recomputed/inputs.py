@@ -29,14 +29,14 @@ from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 
-R = TypeVar("R", bound=records.Record)
+R = TypeVar("R", bound=records.LogRecord)
 
 
 class ReplayError(Exception):
     """The log does not hold what a replay needs."""
 
 
-class Inputs(NamedTuple):
+class ReplayInputs(NamedTuple):
     """The bytes that the session decided on."""
 
     path: bytes
@@ -68,7 +68,7 @@ def no_problem(error: Exception) -> ReplayError:
     return ReplayError(f"the attachments pose no problem that can be verified: {error}")
 
 
-def inputs_of(log: Log) -> Inputs:
+def inputs_of(log: Log) -> ReplayInputs:
     """The inputs of a log's session.
 
     Raises:
@@ -90,7 +90,7 @@ def inputs_of(log: Log) -> Inputs:
         raise ReplayError(f"attachment {error}") from None
     size_max = max(size_max, site.files.file_size_limit_mb * BYTES_PER_MB)
     registration = _by_stem(log, names.REGISTRATION, size_max)
-    return Inputs(
+    return ReplayInputs(
         path=needed(names.PATH),
         limits=needed(names.LIMITS),
         calibration=needed(names.CALIBRATION),
@@ -116,7 +116,7 @@ def _placed(registration: tuple[FilePath, bytes] | None, site: Site) -> Placed |
 # ---------------------------------------------------------------- what must follow from what
 
 
-def derivation(log: Log, inputs: Inputs, opened: records.Open) -> Iterator[str]:
+def derivation(log: Log, inputs: ReplayInputs, opened: records.AuditOpen) -> Iterator[str]:
     """Whether the uploaded path is the one that plan, registration and robot give.
 
     Raises:
@@ -156,7 +156,7 @@ def _after(utc: records.Time) -> datetime:
         raise ReplayError(f"record 0 was written at {utc.sec} s since 1970, which is no date") from None
 
 
-def approved(log: Log, inputs: Inputs) -> Iterator[str]:
+def approved(log: Log, inputs: ReplayInputs) -> Iterator[str]:
     """What the controller reported must equal what robot.toml approves."""
     wanted = {
         names.LIMITS: limits_record(inputs.robot).body(),

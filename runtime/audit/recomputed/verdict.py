@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.recomputed.comparison import differences, document_of
-from cutgate.runtime.audit.recomputed.inputs import Inputs, no_problem
+from cutgate.runtime.audit.recomputed.inputs import ReplayInputs, no_problem
 from cutgate.runtime.verification import certificate
 from cutgate.runtime.verification.plausibility import cautions, described
 from cutgate.runtime.verification.problem import Problem
@@ -21,7 +21,7 @@ Verify = Callable[[Problem], Verdict]
 
 
 def recomputed_verdict(
-    recorded: records.Verdict, inputs: Inputs, verify: Verify, opened: records.Open
+    recorded: records.AuditVerdict, inputs: ReplayInputs, verify: Verify, opened: records.AuditOpen
 ) -> dict[str, Any]:
     """The verdict's document as it must be.
 
@@ -52,7 +52,7 @@ def recomputed_verdict(
 
 
 def verdict_differences(
-    recorded: records.Verdict, recomputed: dict[str, Any], inputs: Inputs, *, comparable: bool
+    recorded: records.AuditVerdict, recomputed: dict[str, Any], inputs: ReplayInputs, *, comparable: bool
 ) -> Iterator[str]:
     """The recorded verdict, as document and as flat fields, against the recomputed document."""
     document = document_of(recorded)
@@ -63,10 +63,12 @@ def verdict_differences(
     yield from _flat_fields(recorded, document, inputs)
 
 
-def _flat_fields(recorded: records.Verdict, document: dict[str, Any], inputs: Inputs) -> Iterator[str]:
+def _flat_fields(
+    recorded: records.AuditVerdict, document: dict[str, Any], inputs: ReplayInputs
+) -> Iterator[str]:
     """The record's flat fields must say what its document says."""
     try:
-        again = records.Verdict.of(
+        again = records.AuditVerdict.of(
             document,
             verifier=recorded.verifier,
             tool_sha256=sha256(inputs.tool).hexdigest(),
@@ -75,13 +77,13 @@ def _flat_fields(recorded: records.Verdict, document: dict[str, Any], inputs: In
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError):
         yield "verdict: the recorded document is not a verdict document"
         return
-    fields = records.Verdict.model_fields.keys() - records.AuditRecord.model_fields.keys()
+    fields = records.AuditVerdict.model_fields.keys() - records.AuditRecord.model_fields.keys()
     for name in sorted(fields - {"document"}):
         if getattr(recorded, name) != getattr(again, name):
             yield f"verdict {name}: recorded {getattr(recorded, name)}, its document says {getattr(again, name)}"
 
 
-def expected_boundaries(verdicts: Sequence[records.Verdict]) -> list[records.Boundary] | None:
+def expected_boundaries(verdicts: Sequence[records.AuditVerdict]) -> list[records.AuditBoundary] | None:
     """The boundaries of the recorded documents, in their order; None where one is no verdict document."""
     with suppress(KeyError, TypeError, AttributeError, ValueError, ArithmeticError):
         return [one for verdict in verdicts for one in records.boundaries_of(document_of(verdict) or {})]
@@ -89,7 +91,7 @@ def expected_boundaries(verdicts: Sequence[records.Verdict]) -> list[records.Bou
 
 
 def boundary_differences(
-    found: Sequence[records.Boundary], expected: Sequence[records.Boundary], *, finished: bool
+    found: Sequence[records.AuditBoundary], expected: Sequence[records.AuditBoundary], *, finished: bool
 ) -> Iterator[str]:
     """The boundary records are those that are expected, in their order; in a ``finished`` file all of them."""
     if len(found) > len(expected) or (finished and len(found) < len(expected)):
@@ -100,7 +102,7 @@ def boundary_differences(
             yield f"boundary {one.name}: the record is not what the verdict's document says"
 
 
-def proof_differences(body: bytes | None, inputs: Inputs) -> Iterator[str]:
+def proof_differences(body: bytes | None, inputs: ReplayInputs) -> Iterator[str]:
     """Why the recorded certificate does not prove the recorded path admissible, checked without a search.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry
 from cutgate.runtime.verification.steps import Steps
 from cutgate.runtime.workspace.planar import Arc, distance_to_arc, segment_to_arc

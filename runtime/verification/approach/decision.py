@@ -30,7 +30,7 @@ Example:
 
     >>> from dataclasses import replace
     >>> cut = replace(stroke, branch=(0, 0))
-    >>> start = Start(np.array([0.0, 1.2, 250.0, 0.0, 1.0]), clearance_um=10_000)
+    >>> start = StartJoints(np.array([0.0, 1.2, 250.0, 0.0, 1.0]), clearance_um=10_000)
     >>> found = verify(cut, start)
     >>> found.admissible, found.entry_um, [leg.name for leg in found.legs]
     (True, 11340, ['approach', 'entry', 'exit', 'retract'])
@@ -47,9 +47,9 @@ import numpy as np
 
 from cutgate.runtime.verification.approach.joint_line import joint_line
 from cutgate.runtime.verification.approach.model import (
-    Approach,
+    ApproachVerdict,
     LegName,
-    Start,
+    StartJoints,
     StraightLines,
     not_at_least_0,
     refused,
@@ -67,7 +67,7 @@ _TITLE: Final[dict[LegName, str]] = {
 }
 
 
-def verify(problem: Problem, start: Start) -> Approach:
+def verify(problem: Problem, start: StartJoints) -> ApproachVerdict:
     """Verify approach and retract of a cut at the deadbands.
 
     Args:
@@ -78,9 +78,9 @@ def verify(problem: Problem, start: Start) -> Approach:
     return finished(joint_lines(lines, start))
 
 
-def joint_lines(lines: StraightLines | Approach, start: Start) -> Steps[Approach]:
+def joint_lines(lines: StraightLines | ApproachVerdict, start: StartJoints) -> Steps[ApproachVerdict]:
     """The joint lines between the start joints and entry and exit, and with them the whole answer."""
-    if isinstance(lines, Approach):
+    if isinstance(lines, ApproachVerdict):
         return lines
     wrong = _unfit(start)
     if wrong:
@@ -106,10 +106,10 @@ def joint_lines(lines: StraightLines | Approach, start: Start) -> Steps[Approach
         ),
     )
     admissible = not any(leg.violated for leg in legs)
-    return Approach(admissible, lines.entry_um, lines.exit_um, lines.entry, lines.exit, legs, reasons)
+    return ApproachVerdict(admissible, lines.entry_um, lines.exit_um, lines.entry, lines.exit, legs, reasons)
 
 
-def _unfit(start: Start) -> tuple[str, ...]:
+def _unfit(start: StartJoints) -> tuple[str, ...]:
     """What makes the numbers of the start unfit to be verified; any doubt is a defect."""
     found = []
     if start.joints.shape != (5,) or not np.isfinite(start.joints).all():

@@ -7,10 +7,10 @@ from typing import Final, Literal
 
 import numpy as np
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
-from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.approach.curve import Curve, Least, enclose
-from cutgate.runtime.verification.approach.model import Leg, LegName, Start
+from cutgate.runtime.verification.approach.model import LegName, LegVerdict, StartJoints
 from cutgate.runtime.verification.approach.sentences import outside_of_limits, shortfall
 from cutgate.runtime.verification.bounds.enclosures import HALF_TURN
 from cutgate.runtime.verification.bounds.geometry import EPSILON, MIRRORED, ROUNDINGS, Geometry
@@ -24,8 +24,8 @@ AT_END: Final = 1e-6
 
 
 def joint_line(
-    geometry: Geometry, start: Start, name: LegName, pose: Floats, *, roll_held: bool
-) -> Steps[Leg]:
+    geometry: Geometry, start: StartJoints, name: LegName, pose: Floats, *, roll_held: bool
+) -> Steps[LegVerdict]:
     """Decide the line between the start joints and a pose's joints.
 
     Args:
@@ -52,7 +52,7 @@ def joint_line(
     outside = [] if inside else outside_of_limits(geometry, line, lower, upper)
     reasons = [text for _, text in outside]
     reasons += [shortfall(b, name) for b in boundaries.values() if b.violated]
-    return Leg(name, boundaries, tuple(reasons), _of_the_start(name, boundaries, outside))
+    return LegVerdict(name, boundaries, tuple(reasons), _of_the_start(name, boundaries, outside))
 
 
 def _limits(geometry: Geometry) -> tuple[Floats, Floats]:
@@ -100,7 +100,7 @@ def _sides(geometry: Geometry, line: Floats, target_mm: float) -> Steps[dict[str
     """Distance to the four arcs; from a full turn on a limit's arc counts within half a turn of the limit."""
     curve = Curve.of(geometry, line)
     parts: dict[str, tuple[float, float] | None] = dict.fromkeys(SIDES, (0.0, 1.0))
-    if geometry.workspace.full_turn:
+    if geometry.workspace.full_revolution:
         parts["left"] = _part_above(line[:, 0], float(geometry.upper[0]) - HALF_TURN)
         parts["right"] = _part_above(-line[:, 0], -float(geometry.lower[0]) - HALF_TURN)
     found = {}
@@ -122,7 +122,7 @@ def _part_above(ends: Floats, bound: float) -> tuple[float, float] | None:
     return (crossing, 1.0) if last > first else (0.0, crossing)
 
 
-def _boundary(name: str, least: Least | None, geometry: Geometry, start: Start) -> Boundary:
+def _boundary(name: str, least: Least | None, geometry: Geometry, start: StartJoints) -> Boundary:
     """In mm or deg; undefined, hence violated, where nothing was enclosed."""
     angular = name.startswith(("roll", "pitch"))
     unit: Literal["mm", "deg"] = "deg" if angular else "mm"

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.records import joints_to_memory
-from cutgate.runtime.arrays import Floats
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Boundary
 
@@ -15,7 +15,7 @@ LegName = Literal["approach", "entry", "exit", "retract"]
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StartJoints:
     """Where the arm stands, and how the site wants it to come and go.
 
     Attributes:
@@ -33,13 +33,13 @@ class Start:
     @classmethod
     def of(
         cls, joints_u: tuple[int, ...], *, clearance_um: int, tolerance_mm: float, tolerance_deg: float
-    ) -> Start:
+    ) -> StartJoints:
         """From joints in counts of 1e-6 deg | mm, as a permit binds them."""
         return cls(joints_to_memory(joints_u), clearance_um, tolerance_mm, math.radians(tolerance_deg))
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class LegVerdict:
     """One line of the four: each boundary's worst place, and in sentences what it lacks.
 
     ``at_start`` are those of the sentences that speak of the start joints.
@@ -57,7 +57,7 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class Approach:
+class ApproachVerdict:
     """The answer. ``admissible`` only if every leg keeps every deadband.
 
     Attributes:
@@ -75,7 +75,7 @@ class Approach:
     exit_um: int
     entry: Floats | None
     exit: Floats | None
-    legs: tuple[Leg, ...]
+    legs: tuple[LegVerdict, ...]
     reasons: tuple[str, ...]
 
 
@@ -86,7 +86,7 @@ class StraightLines:
     Attributes:
         geometry: of the cut.
         roll_held: whether the cut holds a declared roll.
-        entry_um: as in `Approach`.
+        entry_um: as in `ApproachVerdict`.
         exit_um: likewise.
         entry: likewise; NaN where there are none.
         exit: likewise.
@@ -100,8 +100,8 @@ class StraightLines:
     exit_um: int
     entry: Floats
     exit: Floats
-    inward: Leg
-    outward: Leg
+    inward: LegVerdict
+    outward: LegVerdict
 
     @property
     def admissible(self) -> bool:
@@ -109,9 +109,9 @@ class StraightLines:
         return not any(leg.violated for leg in (self.inward, self.outward))
 
 
-def refused(reasons: tuple[str, ...]) -> Approach:
+def refused(reasons: tuple[str, ...]) -> ApproachVerdict:
     """Not admissible, and nothing is verified."""
-    return Approach(False, 0, 0, None, None, (), reasons)
+    return ApproachVerdict(False, 0, 0, None, None, (), reasons)
 
 
 def not_at_least_0(name: str, value: float) -> list[str]:

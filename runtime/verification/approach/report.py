@@ -6,15 +6,15 @@ import math
 from typing import Any, Final
 
 from cutgate.protocol import records
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.records import joints_to_counts
-from cutgate.runtime.arrays import Floats
-from cutgate.runtime.verification.approach.model import Approach, LegName, Start, StraightLines
+from cutgate.runtime.verification.approach.model import ApproachVerdict, LegName, StartJoints, StraightLines
 from cutgate.runtime.verification.verdict import Boundary
 
 SCHEMA: Final = "cutgate.approach/1"
 
 
-def summary(verdict: Approach) -> str:
+def summary(verdict: ApproachVerdict) -> str:
     """The smallest margin per deadband, or what is lacking, in one line."""
     if not verdict.admissible:
         return "; ".join(verdict.reasons)
@@ -25,7 +25,7 @@ def summary(verdict: Approach) -> str:
     return f"every leg keeps every deadband; tightest is {b.name} on the {leg}, {b.certified:.3f} {b.unit} with {b.deadband:g} {b.unit} required"
 
 
-def worst(verdict: Approach) -> tuple[LegName, Boundary] | None:
+def worst(verdict: ApproachVerdict) -> tuple[LegName, Boundary] | None:
     """The boundary with the least margin per deadband, and its leg; an undefined one is the worst."""
 
     def margin(entry: tuple[LegName, Boundary]) -> float:
@@ -36,7 +36,7 @@ def worst(verdict: Approach) -> tuple[LegName, Boundary] | None:
     return min(entries, key=margin, default=None)
 
 
-def bound(verdict: Approach | StraightLines, speed_percent: int) -> records.Approach | None:
+def bound(verdict: ApproachVerdict | StraightLines, speed_percent: int) -> records.Approach | None:
     """What a permit binds; None where approach or retract, or of the straight lines one, is not admissible."""
     if not verdict.admissible or verdict.entry is None or verdict.exit is None:
         return None
@@ -49,7 +49,7 @@ def bound(verdict: Approach | StraightLines, speed_percent: int) -> records.Appr
     )
 
 
-def document(verdict: Approach, start: Start) -> dict[str, Any]:
+def document(verdict: ApproachVerdict, start: StartJoints) -> dict[str, Any]:
     """The answer and what it was made for as one JSON document (``cutgate.approach/1``); undefined values are None.
 
     Joints are (deg, deg, mm, deg, deg).

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.verification.approach.model import LegName
 from cutgate.runtime.verification.bounds.geometry import Geometry
 from cutgate.runtime.verification.verdict import Boundary

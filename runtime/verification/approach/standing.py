@@ -1,6 +1,6 @@
 """Which joint of an arm that stands too near to a limit, or beyond it, must be moved, how far and which way.
 
-Rules, in order of the joints; each is told alone, together they cure what is said:
+Rules, in order of the joints; each is told alone, together they cure what is told:
 
 1. Slide, roll and pitch keep deadband and start tolerance of their own limits, as a length or an angle; below
    a vertical tool whose roll is held there is no stop of the pitch.
@@ -29,8 +29,8 @@ from typing import Final
 
 import numpy as np
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
-from cutgate.runtime.arrays import Floats
 from cutgate.runtime.kinematics.arm import elbow_angle
 from cutgate.runtime.verification.bounds.enclosures import HALF_TURN
 from cutgate.runtime.verification.bounds.geometry import Geometry
@@ -63,20 +63,20 @@ def standing(
         return ()
     keep_mm, keep_rad = geometry.arm_mm + tolerance_mm, geometry.wrist_rad + tolerance_rad
     true = joints * geometry.signs + geometry.offset
-    said = {}
+    told = {}
     for joint, allowed in _allowed(geometry, true, keep_mm, keep_rad, roll_held=roll_held):
         if allowed is None or not allowed[0] <= allowed[1]:
             kept = _kept(joint, keep_mm, keep_rad)
-            said[joint] = f"{_stands(geometry, joint, joints)}: no place of it keeps {kept} from all of them"
+            told[joint] = f"{_stands(geometry, joint, joints)}: no place of it keeps {kept} from all of them"
         elif not allowed[0] <= true[joint] <= allowed[1]:
             ends = sorted(
                 (end - float(geometry.offset[joint])) * float(geometry.signs[joint]) for end in allowed
             )
             kept = _kept(joint, keep_mm, keep_rad)
-            said[joint] = (
+            told[joint] = (
                 f"{_stands(geometry, joint, joints)}, {kept} must be kept: {_move(joint, joints, ends)}"
             )
-    return tuple(said[joint] for joint in sorted(said))
+    return tuple(told[joint] for joint in sorted(told))
 
 
 def _allowed(
@@ -116,7 +116,7 @@ def _shoulder(g: Geometry, stands: float, elbow: float, keep_mm: float) -> Range
     tried = np.sort(np.append(tried, place))
     links = np.exp(1j * tried) * (g.workspace.a0 + g.workspace.a1 * np.exp(1j * elbow))
     centres = np.stack((links.real, links.imag), axis=1)
-    full = g.workspace.full_turn
+    full = g.workspace.full_revolution
     bad = np.zeros(len(tried), dtype=np.bool_)
     for arc, away in ((g.arcs[2], most - tried), (g.arcs[3], tried - least)):
         bad |= (distance_to_arc(centres, arc) < keep_mm) & ((away <= HALF_TURN) | (not full))

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from cutgate.protocol.arrays import Floats
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
-from cutgate.runtime.arrays import Floats
-from cutgate.runtime.kinematics.arm import TURN, turns
+from cutgate.runtime.kinematics.arm import REVOLUTION, turns
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach.model import (
-    Approach,
-    Leg,
+    ApproachVerdict,
     LegName,
+    LegVerdict,
     StraightLines,
     not_at_least_0,
     refused,
@@ -25,7 +25,7 @@ from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
 
 
-def straight_lines(problem: Problem, clearance_um: int) -> StraightLines | Approach:
+def straight_lines(problem: Problem, clearance_um: int) -> StraightLines | ApproachVerdict:
     """Entry and exit, and the lines between them and the cut; the answer at once where there are none.
 
     Args:
@@ -70,7 +70,7 @@ def first_and_last_joints(problem: Problem) -> Floats:
     true = np.stack((both.shoulder, both.elbow, both.height, both.roll, both.pitch), axis=1)
     joints: Floats = (true - geometry.offset) * geometry.signs
     for joint, asked in ((0, problem.branch[0]), (3, problem.branch[1])):
-        joints[:, joint] += TURN * (asked - turns(joints[:1, joint]))
+        joints[:, joint] += REVOLUTION * (asked - turns(joints[:1, joint]))
     if roll_is_held(problem):
         joints[:, 3] = float(problem.hold_roll or 0.0)
     return joints
@@ -78,7 +78,7 @@ def first_and_last_joints(problem: Problem) -> Floats:
 
 def straight_line(
     problem: Problem, name: LegName, pose: int, length_um: int, joints: Floats
-) -> tuple[Leg, Floats]:
+) -> tuple[LegVerdict, Floats]:
     """The line from a pose along its axis, in the branch in which the cut meets it.
 
     The set of places is the same in both directions, and so are the joint speeds; hence both lines are verified
@@ -109,4 +109,4 @@ def straight_line(
         reasons = ("not admissible",)
     far: Floats = first_and_last_joints(line)[1]
     carried = joints_to_memory(joints_to_counts(far)) if np.isfinite(far).all() else far
-    return Leg(name, verdict.boundaries, reasons), carried
+    return LegVerdict(name, verdict.boundaries, reasons), carried

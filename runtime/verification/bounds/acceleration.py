@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Ints
+from cutgate.protocol.arrays import Floats, Ints
 from cutgate.runtime.kinematics.arm import elbow_angle, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.bounds.chain import Intervals

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats, Ints
+from cutgate.protocol.arrays import Bools, Floats, Ints
 from cutgate.runtime.verification.bounds.acceleration import joint_accelerations
 from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, Intervals, halve, merge
 from cutgate.runtime.verification.bounds.enclosures import (
@@ -242,7 +242,7 @@ def _open(
 
 def _keeps(geometry: Geometry, points: Points) -> Bools:
     """Whether arm and singularity keep their deadbands, so that the roll is well defined."""
-    sides = signed_sides(points.distances, points.inside, full_turn=geometry.workspace.full_turn)
+    sides = signed_sides(points.distances, points.inside, full_revolution=geometry.workspace.full_revolution)
     radial = (sides[:, : OUTER + 1] >= geometry.arm_mm).all(axis=1)
     tilted: Bools = np.minimum(points.pitch, np.pi - points.pitch) >= geometry.wrist_rad
     return radial & tilted

@@ -26,10 +26,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cutgate.runtime.arrays import Floats, Ints
-from cutgate.runtime.kinematics.arm import TURN
+from cutgate.protocol.arrays import Bools, Floats, Ints
+from cutgate.runtime.kinematics.arm import REVOLUTION
 from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.verification.bounds.points import Points, at, at_poses, join
 from cutgate.runtime.verification.effort import Effort
@@ -226,7 +225,7 @@ def _insert(points: Points, where: Ints, new: Points) -> Points:
     )
 
 
-def _unclear(geometry: Geometry, segments: Segments, chain: Chain) -> NDArray[np.bool_]:
+def _unclear(geometry: Geometry, segments: Segments, chain: Chain) -> Bools:
     """Intervals that may pass the column on either side."""
     gap = distance_from_column(chain.points.centre[:-1], chain.points.centre[1:])
     sag = sagitta(geometry, segments.theta[chain.segment] * (chain.s1 - chain.s0))
@@ -252,8 +251,8 @@ def _unwrapped(geometry: Geometry, segments: Segments, chain: Chain) -> Chain:
 
 def _unwrap(raw: Floats, steps: Floats) -> Floats:
     """Add whole turns so that the angle follows its steps; whole numbers, so nothing accumulates."""
-    turns = np.cumsum(np.rint((steps - np.diff(raw)) / TURN))
-    return raw + TURN * np.concatenate(([0.0], turns))
+    turns = np.cumsum(np.rint((steps - np.diff(raw)) / REVOLUTION))
+    return raw + REVOLUTION * np.concatenate(([0.0], turns))
 
 
 def halve(
@@ -277,4 +276,4 @@ def halve(
 
 
 def _follow(start: Floats, step: Floats, raw: Floats) -> Floats:
-    return raw + TURN * np.rint((start + step - raw) / TURN)
+    return raw + REVOLUTION * np.rint((start + step - raw) / REVOLUTION)

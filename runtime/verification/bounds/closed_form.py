@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Ints
+from cutgate.protocol.arrays import Floats, Ints
 from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.verification.bounds.points import Points, at
 

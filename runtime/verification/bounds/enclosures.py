@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.verification.bounds.acceleration import bounded_accelerations
 from cutgate.runtime.verification.bounds.chain import Intervals
 from cutgate.runtime.verification.bounds.geometry import EPSILON, ROUNDINGS, Geometry, Segments
@@ -66,14 +66,16 @@ def attained(geometry: Geometry, scope: Scope, points: Points) -> Floats:
     """Values at points, shape (m, SPEED); infinite where undefined or not wanted."""
     out = np.full((len(points), SPEED), np.inf)
     out[:, :LEFT] = (
-        sides := signed_sides(points.distances, points.inside, full_turn=geometry.workspace.full_turn)
+        sides := signed_sides(
+            points.distances, points.inside, full_revolution=geometry.workspace.full_revolution
+        )
     )[:, :LEFT]
     if scope.shoulder_shift is not None:
         q0 = points.shoulder + scope.shoulder_shift
         for column, excess in ((LEFT, q0 - geometry.upper[0]), (RIGHT, geometry.lower[0] - q0)):
             d = points.distances[:, column]
             out[:, column] = np.where(np.abs(excess) <= HALF_TURN, np.where(excess <= 0.0, d, -d), np.inf)
-    elif not geometry.workspace.full_turn:
+    elif not geometry.workspace.full_revolution:
         out[:, LEFT:ROLL_MIN] = sides[:, LEFT:]
     if scope.roll_defined:
         out[:, ROLL_MIN] = points.roll - points.widening[:, 0]
@@ -151,7 +153,7 @@ def _arc_bounds(
         lack = floor[column] - near[weak, column]
         worse = (lack > lacking[weak]) & (where > 0.01) & (where < 0.99)
         lacking[weak[worse]], cut[weak[worse]] = lack[worse], where[worse]
-    bounding = LEFT if geometry.workspace.full_turn else ROLL_MIN
+    bounding = LEFT if geometry.workspace.full_revolution else ROLL_MIN
     touching = ~(parts.a.inside & parts.b.inside & (near[:, :bounding] > 0.0).all(axis=1))
     rows = np.flatnonzero(touching)
     near[rows, :bounding] = _outside(near[rows, :bounding], far[rows, :bounding])

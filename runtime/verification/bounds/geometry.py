@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats
+from cutgate.protocol.arrays import Floats
 from cutgate.runtime.kinematics.pose import turn_angles
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.workspace.planar import Arc, PlanarWorkspace

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats, Ints
-from cutgate.runtime.kinematics.arm import TURN, elbow_angle, heading_offset, shoulder_offset
+from cutgate.protocol.arrays import Bools, Floats, Ints
+from cutgate.runtime.kinematics.arm import REVOLUTION, elbow_angle, heading_offset, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
 from cutgate.runtime.workspace.planar import distance_to_arc
@@ -125,10 +125,10 @@ def _evaluate(geometry: Geometry, tip: Floats, axis: Floats) -> Points:
 def _inside(geometry: Geometry, r: Floats, q0: Floats) -> Bools:
     space = geometry.workspace
     radial = (r >= space.radius(space.q1_hi)) & (r <= space.radius(space.q1_lo))
-    if space.full_turn:
+    if space.full_revolution:
         return radial
     with np.errstate(invalid="ignore"):
-        return radial & (np.mod(q0 - space.q0_lo, TURN) <= space.q0_hi - space.q0_lo)
+        return radial & (np.mod(q0 - space.q0_lo, REVOLUTION) <= space.q0_hi - space.q0_lo)
 
 
 def roll_widening(geometry: Geometry, r: Floats, pitch_sine: Floats) -> Floats:

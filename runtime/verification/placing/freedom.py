@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cutgate.runtime.arrays import Bools, Floats, Ints
-from cutgate.runtime.kinematics.arm import TURN, elbow_angle, elbow_sine, shoulder_offset
+from cutgate.protocol.arrays import Bools, Floats, Ints
+from cutgate.runtime.kinematics.arm import REVOLUTION, elbow_angle, elbow_sine, shoulder_offset
 from cutgate.runtime.kinematics.pose import slerp
 from cutgate.runtime.verification.bounds.chain import BLOCK, sagitta, sweep
 from cutgate.runtime.verification.bounds.closed_form import extremes
@@ -123,7 +123,7 @@ class Placing:
         self._start, self._ball = _blocks(geometry, segments, points, self.effort)
         self._block = np.searchsorted(self._start, np.arange(n), side="right") - 1
         even = np.linspace(0, n - 1, min(SAMPLE, n)).astype(np.int64)
-        angles = np.arange(FIRST) * TURN / FIRST
+        angles = np.arange(FIRST) * REVOLUTION / FIRST
         farthest = np.argmax(points.centre @ np.stack((np.cos(angles), np.sin(angles))), axis=0)
         turned = [] if self._azimuth is None else [np.argmin(self._azimuth), np.argmax(self._azimuth)]
         self.sample: Ints = _distinct(np.concatenate((np.array(turned, dtype=np.int64), farthest, even)))
@@ -176,7 +176,7 @@ class Placing:
         margins = self.arm_margins(shifts, self.sample)
         worst = np.argmin(margins, axis=1)
         points = self.centres[self.sample[worst]] + shifts
-        bounding = 2 if self.geometry.workspace.full_turn else 4
+        bounding = 2 if self.geometry.workspace.full_revolution else 4
         nearest = np.argmin(side_distances(points, self.geometry.workspace)[:, :bounding], axis=1)
         return margins[np.arange(len(shifts)), worst] + self.keep_mm, nearest
 
@@ -224,7 +224,7 @@ class Placing:
     @property
     def _followed(self) -> tuple[int, ...]:
         """Joints whose limits ask for one choice of whole turns along the path."""
-        shoulder = (0,) if self.geometry.workspace.full_turn else ()
+        shoulder = (0,) if self.geometry.workspace.full_revolution else ()
         return shoulder if self._azimuth is None else (3, *shoulder)
 
     def _turns_exclude(self, joint: int, shifts: Floats, radii: Floats, rows: Ints) -> Bools:
@@ -272,7 +272,7 @@ class Placing:
             angle = self._azimuth_of(rows) - shoulder - elbow
             margin = self._roll_margin(r, rows, proving=proving)
         lower, upper = float(g.lower[joint]) + margin[..., 0], float(g.upper[joint]) - margin[..., 1]
-        return (lower - slack - angle) / TURN, (upper + slack - angle) / TURN, clear
+        return (lower - slack - angle) / REVOLUTION, (upper + slack - angle) / REVOLUTION, clear
 
     def _azimuth_of(self, rows: Ints) -> Floats:
         return np.zeros(len(rows)) if self._azimuth is None else self._azimuth[rows]

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Vector
+from cutgate.protocol.arrays import Floats, Vector
 from cutgate.runtime.kinematics.pose import transform_poses, turn_about_vertical
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance, Move

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from cutgate.runtime.arrays import Floats, Vector
+from cutgate.protocol.arrays import Floats, Vector
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.bounds.geometry import MIRRORED_SIDES
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
@@ -108,7 +108,7 @@ def grid_of(problem: Problem, step_mm: float, yaw_deg: Sequence[float], lift_mm:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class GridStart:
     """Where a map begins that nobody told at which height.
 
     Attributes:
@@ -124,7 +124,7 @@ class Start:
     move_mm: Vector | None = None
 
 
-def start(problem: Problem, quantise: Quantise) -> Start:
+def start(problem: Problem, quantise: Quantise) -> GridStart:
     """The present height where the path is admissible there, else that of the move that guidance would show.
 
     Without such a move it is the middle of what the slide allows, in whole mm, or the present height where it fits.
@@ -132,11 +132,11 @@ def start(problem: Problem, quantise: Quantise) -> Start:
     verdict = certified.verify(problem)
     found = guide(problem, verdict, quantise)
     if found is not None and found.verified and found.translation_mm is not None:
-        return Start(found.yaw_deg, found.translation_mm[2], "guidance", found.translation_mm)
+        return GridStart(found.yaw_deg, found.translation_mm[2], "guidance", found.translation_mm)
     least, most = _placing(problem, 0.0).lift_mm
     if verdict.admissible or least <= 0.0 <= most or least > most:
-        return Start(0.0, 0.0, "present")
-    return Start(0.0, float(round((least + most) / 2.0)), "slide")
+        return GridStart(0.0, 0.0, "present")
+    return GridStart(0.0, float(round((least + most) / 2.0)), "slide")
 
 
 def _placing(problem: Problem, yaw_deg: float) -> Placing:
@@ -225,7 +225,7 @@ def reach_document(
     grid: Grid,
     positions: Sequence[Position],
     made_for: dict[str, Any],
-    begun: Start | None = None,
+    begun: GridStart | None = None,
 ) -> dict[str, Any]:
     """The map as one JSON document, ``cutgate.reach/1``.
 

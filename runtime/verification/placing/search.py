@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cutgate.runtime.arrays import Bools, Floats
+from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.verification.effort import EffortSpentError
 from cutgate.runtime.verification.placing.freedom import Placing
 
@@ -34,7 +34,7 @@ BATCH = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Placement:
     """What a search found and what it proved.
 
     Attributes:
@@ -80,7 +80,7 @@ class _Squares:
 
 def smallest_translation(
     placing: Placing, *, any_will_do: bool = False, finest_mm: float = FINEST_MM
-) -> Found:
+) -> Placement:
     """The smallest translation after which all points of a path keep their deadbands and the reserve.
 
     Args:
@@ -90,9 +90,9 @@ def smallest_translation(
     """
     least, most = placing.lift_mm
     if least > most + 2.0 * placing.pad_mm:
-        return Found(None, math.inf)
+        return Placement(None, math.inf)
     if not least <= most:  # within rounding: no lift is known to fit, none is proved not to
-        return Found(None, 0.0)
+        return Placement(None, 0.0)
     return _Search(placing, finest_mm).run(any_will_do=any_will_do)
 
 
@@ -107,13 +107,13 @@ class _Search:
         self.given_up = math.inf
         self.squares = self._first()
 
-    def run(self, *, any_will_do: bool) -> Found:
+    def run(self, *, any_will_do: bool) -> Placement:
         """Divide until nothing can improve the best, or the work is spent: the squares left then stay open."""
         with suppress(EffortSpentError):
             self._divide(any_will_do=any_will_do)
         least = float(self.squares.least.min(initial=math.inf))
         least = min(self.given_up, least, max(self.length - TOLERANCE_MM, 0.0))
-        return Found(None if self.best is None else self._translation(self.best), least)
+        return Placement(None if self.best is None else self._translation(self.best), least)
 
     def _divide(self, *, any_will_do: bool) -> None:
         """Divide the square with the shortest translation first. A square leaves the open ones when it is decided."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from cutgate.protocol import records
-from cutgate.runtime.arrays import Floats, Vector
+from cutgate.protocol.arrays import Floats, Vector
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.guidance import Quantise

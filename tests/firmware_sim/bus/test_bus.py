@@ -320,7 +320,7 @@ def test_root_joins_nobodys_hub_also_where_its_socket_is_named(place, capfd):
     assert str(path) in said
 
 
-WELCOME = wire.Record(wire.Kind.WELCOME).pack()
+WELCOME = wire.HubRecord(wire.HubKind.WELCOME).pack()
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_a_hub_that_accepts_nobody_is_refused_at_once(place):
 
 
 def test_a_hub_that_sends_nonsense_fails_for_good(place):
-    with false_hub(place / "bus.sock", WELCOME, b"nonsense", wire.Record(wire.Kind.FRAME).pack()):
+    with false_hub(place / "bus.sock", WELCOME, b"nonsense", wire.HubRecord(wire.HubKind.FRAME).pack()):
         bus = VirtualBus(str(place / "bus.sock"))
         for _ in range(2):
             with pytest.raises(can.CanOperationError, match="unknown record"):

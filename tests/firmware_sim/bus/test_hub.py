@@ -18,7 +18,7 @@ from cutgate.firmware_sim.bus import hub as hub_module
 from cutgate.firmware_sim.bus import peer, wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
 from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served, log_line
-from cutgate.firmware_sim.bus.wire import Flag, Kind, Record
+from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord
 
 WAIT_S = 20.0
 
@@ -207,8 +207,8 @@ def test_frames_before_the_loss_come_before_the_error_frame(path, join):
     [
         (b"\x01", "record of 1 bytes"),
         (bytes(2000), "record of 1025 bytes"),
-        (Record(Kind.FRAME).pack(), "FRAME is out of place"),
-        (Record(Kind.HELLO, length=3, data=b"abc").pack(), "HELLO is out of place"),
+        (HubRecord(HubKind.FRAME).pack(), "FRAME is out of place"),
+        (HubRecord(HubKind.HELLO, length=3, data=b"abc").pack(), "HELLO is out of place"),
         (b"\x02" + HELLO[1:], "framing version 2"),
         (HELLO[:1] + b"\x09" + HELLO[2:], "unknown kind 9"),
         (HELLO[:2] + b"\x80\x00" + HELLO[4:], "unknown flags"),
@@ -220,7 +220,7 @@ def test_a_client_that_opens_wrongly_is_refused_with_the_reason(path, said, why)
     with running(Hub(path, report=told.append)), raw_client(path) as sock:
         sock.send(said)
         answer = wire.parse(sock.recv(2000))
-        assert answer.kind is Kind.REFUSED
+        assert answer.kind is HubKind.REFUSED
         assert why in answer.data.decode()
         assert sock.recv(2000) == b""
     assert why in told[0]
@@ -229,9 +229,9 @@ def test_a_client_that_opens_wrongly_is_refused_with_the_reason(path, said, why)
 @pytest.mark.parametrize(
     ("record", "why"),
     [
-        (Record(Kind.FRAME, number=0x800), "identifier 0x800"),
-        (Record(Kind.FRAME, flags=Flag.OWN), "flag OWN"),
-        (Record(Kind.WELCOME), "WELCOME is out of place"),
+        (HubRecord(HubKind.FRAME, number=0x800), "identifier 0x800"),
+        (HubRecord(HubKind.FRAME, flags=Flag.OWN), "flag OWN"),
+        (HubRecord(HubKind.WELCOME), "WELCOME is out of place"),
         (wire.hello(fd=False, own=False), "HELLO is out of place"),
     ],
 )
@@ -252,7 +252,7 @@ def test_before_its_hello_a_client_hears_nothing(path, join):
         one.send(frame())
         assert two.recv(WAIT_S) is not None
         silent.send(HELLO)
-        assert wire.parse(silent.recv(100)).kind is Kind.WELCOME
+        assert wire.parse(silent.recv(100)).kind is HubKind.WELCOME
 
 
 def test_one_client_too_many_is_refused(path, join, monkeypatch):
@@ -277,7 +277,7 @@ def test_a_crowd_that_never_says_hello_keeps_nobody_out(path, join, monkeypatch)
             assert b"too many connections without a HELLO" in sock.recv(1000)
             assert sock.recv(1000) == b""
         silent[-1].send(HELLO)
-        assert wire.parse(silent[-1].recv(100)).kind is Kind.WELCOME
+        assert wire.parse(silent[-1].recv(100)).kind is HubKind.WELCOME
 
 
 def test_who_says_no_hello_is_dropped_soon_and_who_joined_never(path, join, monkeypatch):
@@ -350,7 +350,7 @@ def test_a_client_of_another_user_is_refused_and_named(path, monkeypatch):
     with running(Hub(path, report=told.append)):
         monkeypatch.setattr(peer.os, "geteuid", lambda: mine + 1)
         with raw_client(path) as sock:
-            assert wire.parse(sock.recv(1000)).kind is Kind.REFUSED
+            assert wire.parse(sock.recv(1000)).kind is HubKind.REFUSED
             assert sock.recv(1000) == b""
         monkeypatch.undo()
     assert re.fullmatch(
@@ -417,15 +417,15 @@ def test_every_frame_is_logged_in_the_order_of_the_bus_as_python_can_reads_it(pa
 @pytest.mark.parametrize(
     ("record", "line"),
     [  # as `candump -L` of can-utils prints the same frames
-        (Record(Kind.FRAME, number=0x80, time_ns=1_700_000_000_123_456_789, length=2, data=b"\x0a\xff"),
+        (HubRecord(HubKind.FRAME, number=0x80, time_ns=1_700_000_000_123_456_789, length=2, data=b"\x0a\xff"),
          "(1700000000.123456) bus 080#0AFF\n"),
-        (Record(Kind.FRAME, number=0x7FF, time_ns=5_000), "(0.000005) bus 7FF#\n"),
-        (Record(Kind.FRAME, Flag.EXTENDED, 0x12), "(0.000000) bus 00000012#\n"),
-        (Record(Kind.FRAME, Flag.REMOTE, 0x12), "(0.000000) bus 012#R\n"),
-        (Record(Kind.FRAME, Flag.REMOTE, 0x12, length=8), "(0.000000) bus 012#R8\n"),
-        (Record(Kind.FRAME, Flag.ERROR, 0x4, length=8, data=bytes(8)), "(0.000000) bus 20000004#0000000000000000\n"),
-        (Record(Kind.FRAME, Flag.FD | Flag.BIT_RATE_SWITCH, 1, length=1, data=b"\x01"), "(0.000000) bus 001##501\n"),
-        (Record(Kind.FRAME, Flag.FD | Flag.ERROR_STATE, 1), "(0.000000) bus 001##6\n"),
+        (HubRecord(HubKind.FRAME, number=0x7FF, time_ns=5_000), "(0.000005) bus 7FF#\n"),
+        (HubRecord(HubKind.FRAME, Flag.EXTENDED, 0x12), "(0.000000) bus 00000012#\n"),
+        (HubRecord(HubKind.FRAME, Flag.REMOTE, 0x12), "(0.000000) bus 012#R\n"),
+        (HubRecord(HubKind.FRAME, Flag.REMOTE, 0x12, length=8), "(0.000000) bus 012#R8\n"),
+        (HubRecord(HubKind.FRAME, Flag.ERROR, 0x4, length=8, data=bytes(8)), "(0.000000) bus 20000004#0000000000000000\n"),
+        (HubRecord(HubKind.FRAME, Flag.FD | Flag.BIT_RATE_SWITCH, 1, length=1, data=b"\x01"), "(0.000000) bus 001##501\n"),
+        (HubRecord(HubKind.FRAME, Flag.FD | Flag.ERROR_STATE, 1), "(0.000000) bus 001##6\n"),
     ],
 )  # fmt: skip
 def test_log_lines_have_the_form_of_candump(record, line):
@@ -473,7 +473,7 @@ def test_a_bus_whose_log_has_a_gap_does_not_go_on(path, join, failing):
 
 
 def test_records_survive_packing():
-    record = Record(Kind.FRAME, int(Flag.FD), 0x1FF, 12345, 12, bytes(range(12)))
+    record = HubRecord(HubKind.FRAME, int(Flag.FD), 0x1FF, 12345, 12, bytes(range(12)))
     assert wire.parse(record.pack()) == record
 
 

@@ -30,7 +30,7 @@ from cutgate.runtime.plan.prepare import prepare, with_branch
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify as verify_approach
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.report.document import Digests, verdict_document
@@ -129,7 +129,7 @@ def wait_for(log: AuditLog, wanted: Callable[[Any], bool]) -> Any:
                 return event
 
 
-def decision(number: int, **changes: Any) -> records.Decision:
+def decision(number: int, **changes: Any) -> records.AuditDecision:
     values = {
         "sequence": number,
         "event": "Tick",
@@ -137,7 +137,7 @@ def decision(number: int, **changes: Any) -> records.Decision:
         "to_state": "b",
         "disposition": "decided",
     }
-    return records.Decision(**(values | changes))
+    return records.AuditDecision(**(values | changes))
 
 
 def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **options: Any) -> Paths:
@@ -145,7 +145,7 @@ def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **opt
     log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, **({"clock": Ticking().clock()} | options))
     log.attach("plan.csv", "text/csv", b"x,y,z\n" * 20)
     for number in range(decisions):
-        log.write(records.Operator(word="start", accepted=True))
+        log.write(records.AuditOperator(word="start", accepted=True))
         if frames:
             log.raw_frame(candump.line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8))).encode())
         log.write(decision(number))
@@ -250,13 +250,13 @@ STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
 
 
 @cache
-def approach_of(given: float = 500.0) -> records.Approach:
+def approach_of(given: float = 500.0) -> records.AuditApproach:
     """The approach record of these inputs, at the default site's settings."""
     i = inputs(given)
     problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
-    start = Start.of(STANDS, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2)
+    start = StartJoints.of(STANDS, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2)
     verdict = verify_approach(problem, start)
-    return records.Approach.of(
+    return records.AuditApproach.of(
         report.document(verdict, start),
         start_joints_u=STANDS,
         bound=report.bound(verdict, 25),
@@ -305,7 +305,7 @@ def wire_start(permit: wire.Permit) -> wire.Start:
 
 def permit_record(
     given: float, kind: str, stage: str, *, site: bytes | None = None, **changes: Any
-) -> records.Permit:
+) -> records.AuditPermit:
     permit = wire_permit(given, site)
     digests = {
         f"{name}_sha256": getattr(permit, f"{name}_digest").hex()
@@ -314,7 +314,7 @@ def permit_record(
     values = {"kind": kind, "stage": stage, "token": 1 if kind == "permit" else 2}
     bound = digests if kind == "permit" else {}
     signed = (permit if kind == "permit" else wire_start(permit)).canonical().hex()
-    return records.Permit(**(values | bound | {"record": signed} | changes))
+    return records.AuditPermit(**(values | bound | {"record": signed} | changes))
 
 
 def session_log(
@@ -340,7 +340,9 @@ def session_log(
         log.attach(names.PROOF, "application/octet-stream", proof)
     document = json.loads(verdict_of(bone_x_mm))
     log.write(
-        records.Verdict.of(document, verifier=VERIFIER, tool_sha256=sha256(i.tool).hexdigest(), reason="")
+        records.AuditVerdict.of(
+            document, verifier=VERIFIER, tool_sha256=sha256(i.tool).hexdigest(), reason=""
+        )
     )
     for boundary in records.boundaries_of(document):
         log.write(boundary)
@@ -373,7 +375,7 @@ def _enable(log: AuditLog, given: float, site: bytes | None) -> None:
         log.write(permit_record(given, kind, "acknowledged", site=site))
 
 
-Edit = Callable[[records.Record], "records.Record | None"]
+Edit = Callable[[records.LogRecord], "records.Record | None"]
 
 
 def forge(
@@ -391,11 +393,11 @@ def forge(
         if content is not None:
             writer.attach(entry.name, entry.media_type, content, log_time_ns=entry.log_time)
     for message in old.messages:
-        record: records.Record | None = MODELS[message.topic].model_validate_json(message.link.data)
-        if isinstance(record, records.Attachment):
+        record: records.LogRecord | None = MODELS[message.topic].model_validate_json(message.link.data)
+        if isinstance(record, records.AuditAttachment):
             record = _digest_again(record, kept)
         record = record and edit(record)
-        if isinstance(record, records.Close):
+        if isinstance(record, records.AuditClose):
             record = record.model_copy(update={"message_count": writer.count + 1})
         if record is not None:
             writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=_monotonic(record))
@@ -403,12 +405,12 @@ def forge(
     return writer.take()
 
 
-def _digest_again(record: records.Attachment, kept: dict[str, bytes]) -> records.Attachment | None:
+def _digest_again(record: records.AuditAttachment, kept: dict[str, bytes]) -> records.AuditAttachment | None:
     if record.name not in kept:
         return None
     content = kept[record.name]
     return record.model_copy(update={"sha256": sha256(content).hexdigest(), "size": len(content)})
 
 
-def _monotonic(record: records.Record) -> int:
+def _monotonic(record: records.LogRecord) -> int:
     return record.monotonic.nanoseconds if isinstance(record, records.AuditRecord) else 0

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.runtime.audit.chain import GENESIS, Link, advance
+from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance
 
 TIMES = st.integers(0, 2**64 - 1)
 LINKS = st.builds(
-    Link,
+    ChainLink,
     topic=st.text(max_size=8),
     encoding=st.text(max_size=8),
     schema_name=st.text(max_size=8),
@@ -23,7 +23,7 @@ LINKS = st.builds(
 )
 
 
-def independent(head: bytes, link: Link) -> bytes:
+def independent(head: bytes, link: ChainLink) -> bytes:
     """The formula of the module's docstring, written again."""
     hasher = hashlib.sha256(head)
     for text in (link.topic.encode(), link.encoding.encode(), link.schema_name.encode()):
@@ -59,7 +59,7 @@ def test_different_messages_give_different_heads(one, other):
     assert (advance(GENESIS, one) == advance(GENESIS, other)) == (one == other)
 
 
-@given(LINKS, st.sampled_from(list(Link.__slots__)), LINKS)
+@given(LINKS, st.sampled_from(list(ChainLink.__slots__)), LINKS)
 def test_every_field_counts(link, name, other):
     changed = replace(link, **{name: getattr(other, name)})
     assert (advance(GENESIS, changed) == advance(GENESIS, link)) == (changed == link)

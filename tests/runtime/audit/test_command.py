@@ -279,7 +279,7 @@ def test_show_repeats_the_guidance(capsys, refused, tmp_path, guidance, line):
 def test_show_says_why_a_path_is_refused(capsys, refused, tmp_path):
     def reason(record):
         changes = {"reason": "the outer boundary"}
-        return record.model_copy(update=changes) if isinstance(record, records.Verdict) else record
+        return record.model_copy(update=changes) if isinstance(record, records.AuditVerdict) else record
 
     copy = changed(refused, tmp_path, forge(refused.log.read_bytes(), reason))
     assert "\n  the outer boundary\n" in cutgate(capsys, "show", copy)[1]
@@ -289,7 +289,9 @@ def test_a_verdict_without_document_has_no_guidance(refused):
     data = forge(
         refused.log.read_bytes(),
         lambda record: (
-            record.model_copy(update={"document": "{"}) if isinstance(record, records.Verdict) else record
+            record.model_copy(update={"document": "{"})
+            if isinstance(record, records.AuditVerdict)
+            else record
         ),
     )
     assert story(read_log(data), refused.log, None)["verdicts"][0]["guidance"] is None
@@ -326,10 +328,10 @@ def test_show_lists_what_went_wrong(capsys, tmp_path):
         records.PermissiveValue(name="bus", holds=True, text="up", bound="up", remedy=""),
     )
     extra = [
-        records.Operator(word="start", accepted=False, reason="not yet"),
-        records.Fault(source="controller", code="LATCHED", cause="SECOND_NODE", detail="seen"),
-        records.Collected(kind="limits", sha256="00", matches_approved=False),
-        records.Collected(kind="tool", sha256="00", matches_approved=True),
+        records.AuditOperator(word="start", accepted=False, reason="not yet"),
+        records.AuditFault(source="controller", code="LATCHED", cause="SECOND_NODE", detail="seen"),
+        records.AuditCollected(kind="limits", sha256="00", matches_approved=False),
+        records.AuditCollected(kind="tool", sha256="00", matches_approved=True),
         decision(1, from_state="a", to_state="a"),
         decision(2, from_state="a", to_state="a"),
         decision(3, first_out="HEARTBEAT_LOST", reason="why", permissives=failing),
@@ -338,11 +340,11 @@ def test_show_lists_what_went_wrong(capsys, tmp_path):
     queue = list(extra)
 
     def swap(record):
-        if isinstance(record, records.Open):
+        if isinstance(record, records.AuditOpen):
             return record.model_copy(update={"previous_crashed": True, "previous_note": "gone"})
-        if isinstance(record, records.Close):
+        if isinstance(record, records.AuditClose):
             return record.model_copy(update={"clean": False, "outcome": "stopped"})
-        return queue.pop(0) if isinstance(record, records.Decision) and queue else record
+        return queue.pop(0) if isinstance(record, records.AuditDecision) and queue else record
 
     paths.log.write_bytes(forge(paths.log.read_bytes(), swap))
     out = cutgate(capsys, "show", paths.log)[1]

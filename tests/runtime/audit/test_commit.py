@@ -13,11 +13,11 @@ from cutgate.runtime.audit.commit import (
     Closed,
     Committer,
     Durable,
-    Failed,
-    Files,
     Finish,
-    Reserve,
+    LogFailed,
+    LogFiles,
     Reserved,
+    ReserveSpace,
 )
 from cutgate.runtime.audit.directory import HEAD_MAX, LOCK, lock
 from cutgate.runtime.audit.disk import Reservation, SystemDisk, write_all
@@ -31,7 +31,7 @@ class Thread:
     def __init__(self, directory, disk):
         self.log_path, self.frames_path = directory / "a.mcap", directory / "a.candump.log"
         self.locked = lock(directory)
-        self.files = Files(
+        self.files = LogFiles(
             (disk.create(self.log_path), self.log_path),
             (disk.create(self.frames_path), self.frames_path),
             (self.locked, directory / LOCK),
@@ -90,7 +90,7 @@ def test_raw_frames_alone_are_not_synced(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"", b"frame\n"))
-    thread.committer.submit(Reserve(4096, 0))
+    thread.committer.submit(ReserveSpace(4096, 0))
     thread.wait(Reserved)
     assert "sync" not in disk.counts
     thread.finish()
@@ -119,7 +119,7 @@ def test_after_an_error_nothing_is_written_or_synced_again(tmp_path, operation, 
     disk = WatchedDisk(trouble=failing(operation, code))
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"abc", b"frame\n", token=1))
-    failed = thread.wait(Failed)
+    failed = thread.wait(LogFailed)
     assert os.strerror(code) in failed.reason
     done = dict(disk.counts)
     thread.committer.submit(Append(b"def", b"", token=2))
@@ -133,7 +133,7 @@ def test_after_an_error_nothing_is_written_or_synced_again(tmp_path, operation, 
 def test_a_log_that_cannot_be_finished_is_not_closed(tmp_path, operation):
     thread = Thread(tmp_path, WatchedDisk(trouble=failing(operation, errno.EIO)))
     events = thread.finish()
-    assert [type(event) for event in events] == [Failed]
+    assert [type(event) for event in events] == [LogFailed]
 
 
 def test_a_log_is_closed_only_when_all_of_both_files_is_on_the_disk(tmp_path):
@@ -153,13 +153,13 @@ def test_an_error_of_any_kind_is_reported(tmp_path):
 
     thread = Thread(tmp_path, WatchedDisk(trouble=trouble))
     thread.committer.submit(Append(b"abc", b""))
-    assert thread.wait(Failed).reason == "RuntimeError: unexpected"
+    assert thread.wait(LogFailed).reason == "RuntimeError: unexpected"
     thread.finish()
 
 
 def test_no_space_to_reserve_is_an_answer_and_the_log_goes_on(tmp_path):
     thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.ENOSPC)))
-    thread.committer.submit(Reserve(4096, 0))
+    thread.committer.submit(ReserveSpace(4096, 0))
     answer = thread.wait(Reserved)
     assert (answer.asked, answer.reservation.reserved) == (4096, False)
     assert 0 < answer.reservation.size < 4096, "an answer, and not enough"
@@ -171,7 +171,7 @@ def test_no_space_to_reserve_is_an_answer_and_the_log_goes_on(tmp_path):
 
 def test_a_reservation_does_not_change_the_files_length_and_is_given_back(tmp_path):
     thread = Thread(tmp_path, WatchedDisk())
-    thread.committer.submit(Reserve(1 << 22, 1 << 20))
+    thread.committer.submit(ReserveSpace(1 << 22, 1 << 20))
     reservation = thread.wait(Reserved).reservation
     assert reservation.size >= 1 << 22
     assert thread.log_path.stat().st_size == 0
@@ -230,7 +230,7 @@ def test_waiting_jobs_share_one_sync(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
     with hanging(disk, "reserve"):
-        thread.committer.submit(Reserve(4096, 0))
+        thread.committer.submit(ReserveSpace(4096, 0))
         assert disk.entered.wait(PATIENCE_S)
         for token in range(5):
             thread.committer.submit(Append(b"x", b"", token))
@@ -248,7 +248,7 @@ def test_a_disk_that_never_answers_blocks_nobody(tmp_path):
             thread.committer.submit(Append(b"x" * 1000, b"frame\n", token))
         assert thread.committer.events() == []
         assert not thread.committer.join(0.01)
-    assert isinstance(thread.wait(Failed), Failed)
+    assert isinstance(thread.wait(LogFailed), LogFailed)
     assert thread.committer.join(PATIENCE_S)
     thread.committer.release()
 
@@ -298,11 +298,11 @@ def test_nothing_is_durable_once_what_was_written_is_lost(tmp_path, loss, token)
     thread = Thread(tmp_path, WatchedDisk())
     thread.committer.submit(Append(b"abc", b"frame\n", token=1))
     thread.wait(Durable)
-    thread.committer.submit(Reserve(4096, 4096))  # answered after the raw frames are written
+    thread.committer.submit(ReserveSpace(4096, 4096))  # answered after the raw frames are written
     thread.wait(Reserved)
     LOSSES[loss](thread)
     thread.committer.submit(Append(b"def", b"frame\n", token=token))
-    reason = thread.wait(Failed).reason
+    reason = thread.wait(LogFailed).reason
     name = {"the log": "a.mcap", "the raw": "a.candump.log", "the loc": LOCK}[loss[:7]]
     assert name in reason
     assert thread.finish() == []
@@ -313,10 +313,10 @@ def test_nothing_is_durable_once_what_was_written_is_lost(tmp_path, loss, token)
 def test_a_log_is_not_closed_once_what_was_written_is_lost(tmp_path, loss):
     thread = Thread(tmp_path, WatchedDisk())
     thread.committer.submit(Append(b"abc", b"frame\n", token=1))
-    thread.committer.submit(Reserve(4096, 4096))
+    thread.committer.submit(ReserveSpace(4096, 4096))
     thread.wait(Reserved)
     LOSSES[loss](thread)
-    assert [type(event) for event in thread.finish() if not isinstance(event, Durable)] == [Failed]
+    assert [type(event) for event in thread.finish() if not isinstance(event, Durable)] == [LogFailed]
     assert not (tmp_path / "HEAD").exists()
 
 
@@ -330,14 +330,14 @@ def test_what_is_lost_between_write_and_sync_is_not_durable(tmp_path):
 
     disk.trouble = trouble
     thread.committer.submit(Append(b"abc", b"", token=1))
-    assert "was deleted" in thread.wait(Failed).reason
+    assert "was deleted" in thread.wait(LogFailed).reason
     assert thread.finish() == []
 
 
 def test_closing_needs_no_space_but_what_was_reserved(tmp_path):
     """HEAD, the summary, the raw frames: nothing new is made, no block is taken that was not reserved."""
     thread = Thread(tmp_path, WatchedDisk())
-    thread.committer.submit(Reserve(1 << 20, 1 << 20))
+    thread.committer.submit(ReserveSpace(1 << 20, 1 << 20))
     reservation = thread.wait(Reserved).reservation
     if not reservation.reserved:
         pytest.skip("this file system cannot reserve")
@@ -363,7 +363,7 @@ def test_both_files_are_reserved_and_so_is_what_closing_writes(tmp_path):
 
     thread = Thread(tmp_path, Asked())
     thread.committer.submit(Append(b"abc", b"frame\n"))
-    thread.committer.submit(Reserve(5000, 600))
+    thread.committer.submit(ReserveSpace(5000, 600))
     thread.wait(Reserved)
     assert asked == [5003, 606, HEAD_MAX], "so many more bytes than are written"
     thread.finish()
@@ -372,7 +372,7 @@ def test_both_files_are_reserved_and_so_is_what_closing_writes(tmp_path):
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_no_space_for_any_of_them_is_no_space(tmp_path, which):
     thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.ENOSPC, after=which)))
-    thread.committer.submit(Reserve(4096, 4096))
+    thread.committer.submit(ReserveSpace(4096, 4096))
     answer = thread.wait(Reserved)
     assert answer.reservation.size < answer.asked
     thread.finish()
@@ -384,7 +384,7 @@ def test_what_is_only_seen_free_is_counted_once_for_all(tmp_path):
             return Reservation(1000, reserved=False, how="seen free")
 
     thread = Thread(tmp_path, Unable())
-    thread.committer.submit(Reserve(600, 600))
+    thread.committer.submit(ReserveSpace(600, 600))
     assert thread.wait(Reserved).reservation == Reservation(1000, reserved=False, how="seen free")
     thread.finish()
 
@@ -395,7 +395,7 @@ def test_a_disk_that_does_not_even_say_what_is_free_has_answered(tmp_path, monke
 
     monkeypatch.setattr("cutgate.runtime.audit.commit.os.statvfs", fail)
     thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.EIO)))
-    thread.committer.submit(Reserve(4096, 0))
+    thread.committer.submit(ReserveSpace(4096, 0))
     assert thread.wait(Reserved).reservation.size == 1
     thread.finish()
 
@@ -419,10 +419,10 @@ def within_one_tick(monkeypatch):
 def test_content_is_read_back_with_every_record_that_enables(tmp_path, within_one_tick, which, token):
     thread = Thread(tmp_path, WatchedDisk())
     thread.committer.submit(Append(b"abc", b"frame\n", token=1))
-    thread.committer.submit(Reserve(4096, 4096))
+    thread.committer.submit(ReserveSpace(4096, 4096))
     thread.wait(Reserved)
     overwritten(getattr(thread, which))
     thread.committer.submit(Append(b"def", b"", token=token))
-    assert "was overwritten" in thread.wait(Failed).reason if token else thread.wait(Durable).token is None
+    assert "was overwritten" in thread.wait(LogFailed).reason if token else thread.wait(Durable).token is None
     assert Closed() not in thread.finish(), "and when the log is closed"
     assert not (tmp_path / "HEAD").exists()

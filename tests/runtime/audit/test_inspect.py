@@ -204,7 +204,7 @@ def test_a_closed_log_without_end_is_incomplete(data):
 
 
 def test_a_finished_log_without_close_record_is_incomplete(data):
-    forged = forge(data, lambda record: None if isinstance(record, records.Close) else record)
+    forged = forge(data, lambda record: None if isinstance(record, records.AuditClose) else record)
     judged(forged, "no close record", Status.INCOMPLETE)
 
 
@@ -512,7 +512,7 @@ def appended(data, *contents, close=None):
     models = {model.TOPIC: model for model in records.MODELS}
     for message in found.messages:
         record = models[message.topic].model_validate_json(message.link.data)
-        if close is not None and isinstance(record, records.Close):
+        if close is not None and isinstance(record, records.AuditClose):
             record = record.model_copy(update=close)
         writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
     for record in contents:
@@ -526,12 +526,12 @@ def test_nothing_may_follow_the_close_record(data):
 
 
 def test_a_log_is_opened_once(data):
-    first = records.Open.model_validate_json(scan(data).messages[0].link.data)
+    first = records.AuditOpen.model_validate_json(scan(data).messages[0].link.data)
     judged(appended(data, first), "/audit/open is there 2 times")
 
 
 def test_a_log_is_closed_once(data):
-    last = records.Close.model_validate_json(scan(data).messages[-1].link.data)
+    last = records.AuditClose.model_validate_json(scan(data).messages[-1].link.data)
     judged(appended(data, last), "/audit/close is there 2 times")
 
 
@@ -687,8 +687,8 @@ def cut_log(megabytes):
     writer.attach("x", "text/plain", b"x", log_time_ns=0)
     attached = {"name": "x", "media_type": "text/plain", "size": 1, "sha256": sha256(b"x").hexdigest()}
     for record in (
-        records.Open(log_id="ab" * 16, previous_crashed=False, **names),
-        records.Attachment(**attached),
+        records.AuditOpen(log_id="ab" * 16, previous_crashed=False, **names),
+        records.AuditAttachment(**attached),
     ):
         writer.add(record, log_time_ns=0, monotonic_ns=0)
     stream = io.BytesIO()
@@ -702,7 +702,7 @@ def cut_log(megabytes):
         stream.write(writer.take())
     ending = {"message_count": writer.count + 1, "candump_sha256": sha256(b"").hexdigest()}
     writer.add(
-        records.Close(final_state="done", clean=True, candump_bytes=0, **ending),
+        records.AuditClose(final_state="done", clean=True, candump_bytes=0, **ending),
         log_time_ns=writer.count,
         monotonic_ns=0,
     )

@@ -10,7 +10,7 @@ import pytest
 
 from cutgate.config.load import InputError
 from cutgate.runtime.audit import records
-from cutgate.runtime.audit.commit import Append, Closed, Durable, Failed, Reserved
+from cutgate.runtime.audit.commit import Append, Closed, Durable, LogFailed, Reserved
 from cutgate.runtime.audit.heads import recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
 from cutgate.runtime.audit.log import AuditLog, Clock
@@ -43,7 +43,7 @@ def durable(token):
 
 
 def failed(event):
-    return isinstance(event, Failed)
+    return isinstance(event, LogFailed)
 
 
 # ---------------------------------------------------------------- durable means on the disk
@@ -82,7 +82,7 @@ def test_no_commit_is_durable_before_the_disk_has_synced_it(tmp_path):
 def test_a_decision_is_handed_over_at_once(tmp_path):
     log = make(tmp_path)
     before = log.size
-    log.write(records.Operator(word="stop", accepted=True))
+    log.write(records.AuditOperator(word="stop", accepted=True))
     assert log.size == before
     log.write(decision(1))
     assert log.size > before
@@ -100,7 +100,7 @@ def test_no_space_at_any_write_leaves_a_log_that_never_verifies(tmp_path, after)
         log.write(permit_record(500.0, "permit", "authorised", token=token))
         log.commit(token)
         event = wait_for(log, lambda event, token=token: durable(token)(event) or failed(event))
-        if isinstance(event, Failed):
+        if isinstance(event, LogFailed):
             break
     assert not log.writable
     size = log.path.stat().st_size
@@ -148,7 +148,7 @@ def test_a_disk_that_never_answers_blocks_no_call(tmp_path):
         log.attach("x", "text/plain", b"x" * 1000)
         log.commit(2)
         log.tick(clock.now_ns / 1e9 + 10)
-        assert not any(isinstance(event, Durable | Failed) for event in log.events())
+        assert not any(isinstance(event, Durable | LogFailed) for event in log.events())
         assert log.oldest_pending_s(clock.now_ns / 1e9 + 5.0) > 5.0
         paths = close(log, timeout_s=0.02)
         assert not paths.closed
@@ -177,7 +177,7 @@ def test_records_wait_in_memory_for_less_than_the_chunk_period(tmp_path):
     before = log.size
     log.tick(now_s + 100.0)
     assert log.size == before, "nothing waits"
-    log.write(records.Operator(word="stop", accepted=True))
+    log.write(records.AuditOperator(word="stop", accepted=True))
     log.tick(now_s + 0.5)
     assert log.size == before
     log.tick(now_s + 0.9)

@@ -50,7 +50,7 @@ def test_every_topic_has_one_model():
 
 
 def test_an_optional_value_is_a_key_that_may_be_absent():
-    schema = flat_schema(records.Permit)
+    schema = flat_schema(records.AuditPermit)
     assert schema["properties"]["nonce"] == {"type": "string"}
     assert "nonce" not in schema["required"]
     assert "kind" in schema["required"]
@@ -97,17 +97,17 @@ def test_an_optional_part_is_inlined():
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_is_refused(number):
     with pytest.raises(ValidationError):
-        records.Boundary(name="inner", unit="mm", clearance=number, deadband=5.0, violated=True)
+        records.AuditBoundary(name="inner", unit="mm", clearance=number, deadband=5.0, violated=True)
 
 
 def test_a_number_that_is_not_finite_never_becomes_json():
-    sound = records.Boundary(name="inner", unit="mm", clearance=1.0, deadband=5.0, violated=True)
+    sound = records.AuditBoundary(name="inner", unit="mm", clearance=1.0, deadband=5.0, violated=True)
     with pytest.raises(ValueError, match="not JSON compliant"):
         sound.model_copy(update={"clearance": math.nan}).encode()
 
 
 def test_undefined_values_are_left_out():
-    boundary = records.Boundary(name="inner", unit="mm", deadband=5.0, violated=True)
+    boundary = records.AuditBoundary(name="inner", unit="mm", deadband=5.0, violated=True)
     assert json.loads(boundary.encode()).keys() == {
         "prev", "utc", "monotonic", "name", "unit", "deadband", "violated",
     }  # fmt: skip
@@ -137,7 +137,7 @@ def test_a_permissive_keeps_an_undefined_number_as_text(value, text, kept):
 
 def test_a_verdict_record_says_what_its_document_says():
     document = json.loads(verdict_of())
-    record = records.Verdict.of(document, verifier="v", tool_sha256="00")
+    record = records.AuditVerdict.of(document, verifier="v", tool_sha256="00")
     assert json.loads(record.document) == document
     assert (record.verdict, record.poses, record.q0_turns) == ("admissible", 6, 0)
     assert record.worst_boundary == "wrist_singularity" or record.worst_boundary == "pitch_min"
@@ -148,14 +148,16 @@ def test_a_verdict_record_says_what_its_document_says():
 def test_an_undefined_clearance_is_the_worst():
     document = json.loads(verdict_of())
     document["boundaries"]["top"]["certified"] = None
-    record = records.Verdict.of(document | {"branch": None}, verifier="v", tool_sha256="00", reason="why")
+    record = records.AuditVerdict.of(
+        document | {"branch": None}, verifier="v", tool_sha256="00", reason="why"
+    )
     assert (record.worst_boundary, record.worst_certified) == ("top", None)
     assert (record.elbow, record.reason) == (None, "why")
 
 
 def test_a_verdict_without_boundaries_has_no_worst():
     document = json.loads(verdict_of()) | {"boundaries": {}}
-    assert records.Verdict.of(document, verifier="v", tool_sha256="00").worst_boundary is None
+    assert records.AuditVerdict.of(document, verifier="v", tool_sha256="00").worst_boundary is None
 
 
 def test_records_are_frozen_and_closed():

@@ -8,7 +8,7 @@ import pytest
 from cutgate.protocol.records import Limits
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.replay import Outcome, replay
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.certificate import Certificate
@@ -48,13 +48,13 @@ def differs(data, word):
     """The forged log verifies, and only the replay finds it."""
     assert verify_log(data, NO_FRAMES).status is Status.OK
     result = replayed(data)
-    assert result.outcome is Outcome.DIFFERS
+    assert result.outcome is ReplayOutcome.DIFFERS
     assert any(word in line for line in result.differences), result.differences
 
 
 def bad(data, word):
     result = replayed(data)
-    assert result.outcome is Outcome.BAD_INPUT
+    assert result.outcome is ReplayOutcome.BAD_INPUT
     assert word in result.differences[0]
 
 
@@ -72,14 +72,14 @@ def in_document(change):
     made = {}
 
     def edit(record):
-        if isinstance(record, records.Verdict):
+        if isinstance(record, records.AuditVerdict):
             document = json.loads(record.document)
             change(document)
             made.update({entry.name: entry for entry in records.boundaries_of(document)})
-            return records.Verdict.of(
+            return records.AuditVerdict.of(
                 document, verifier=record.verifier, tool_sha256=record.tool_sha256, reason=record.reason or ""
             )
-        return made.get(record.name, record) if isinstance(record, records.Boundary) else record
+        return made.get(record.name, record) if isinstance(record, records.AuditBoundary) else record
 
     return edit
 
@@ -89,24 +89,24 @@ def in_document(change):
 
 def test_an_admitted_session_replays(admitted):
     result = replayed(admitted)
-    assert (result.outcome, result.differences, result.notes) == (Outcome.IDENTICAL, (), ())
+    assert (result.outcome, result.differences, result.notes) == (ReplayOutcome.IDENTICAL, (), ())
     assert result.verdict["verdict"] == "admissible"
 
 
 def test_a_refused_session_replays(refused):
     result = replayed(refused)
-    assert (result.outcome, result.differences) == (Outcome.IDENTICAL, ())
+    assert (result.outcome, result.differences) == (ReplayOutcome.IDENTICAL, ())
     assert result.verdict["verdict"] == "inadmissible"
     assert "guidance was not computed again, nor the other elbow" in result.notes[0]
 
 
 def test_a_rewritten_log_replays(admitted):
-    assert replayed(forge(admitted)).outcome is Outcome.IDENTICAL
+    assert replayed(forge(admitted)).outcome is ReplayOutcome.IDENTICAL
 
 
 def test_a_session_without_a_verdict_has_nothing_to_compute(tmp_path):
     result = replayed(small_log(tmp_path, frames=False).log.read_bytes())
-    assert result.outcome is Outcome.IDENTICAL
+    assert result.outcome is ReplayOutcome.IDENTICAL
     assert "before a verdict" in result.notes[0]
     assert result.verdict is None
 
@@ -114,13 +114,13 @@ def test_a_session_without_a_verdict_has_nothing_to_compute(tmp_path):
 def test_a_log_that_ends_early_replays_as_far_as_it_goes(admitted):
     whole = admitted[: admitted.index(b'"final_state"') - 300]
     result = replayed(whole)
-    assert result.outcome is Outcome.IDENTICAL
+    assert result.outcome is ReplayOutcome.IDENTICAL
     assert "INCOMPLETE" in result.notes[0]
 
 
 def test_another_verifier_is_stated(admitted):
     result = replayed(admitted, verifier="cutgate 9")
-    assert result.outcome is Outcome.IDENTICAL
+    assert result.outcome is ReplayOutcome.IDENTICAL
     assert "cutgate test recorded, cutgate 9 recomputes" in result.notes[0]
 
 
@@ -129,10 +129,10 @@ def test_on_another_cpu_the_counts_are_not_comparable(admitted):
         document["evaluations"]["arm"] += 1
         document["boundaries"]["top"]["segment"] = 1
 
-    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
+    data = forge(admitted, changed(records.AuditOpen, cpu_dispatch=("Z80",)))
     data = forge(data, in_document(other_counts))
     result = replayed(data)
-    assert result.outcome is Outcome.IDENTICAL
+    assert result.outcome is ReplayOutcome.IDENTICAL
     assert "not comparable" in result.notes[0]
 
 
@@ -140,7 +140,7 @@ def test_on_another_cpu_clearances_are_compared(admitted):
     def other_clearance(document):
         document["boundaries"]["top"]["clearance"] += 1e-8
 
-    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
+    data = forge(admitted, changed(records.AuditOpen, cpu_dispatch=("Z80",)))
     differs(forge(data, in_document(other_clearance)), "verdict boundaries.top.clearance")
 
 
@@ -151,12 +151,12 @@ def test_a_log_of_0_1_0_that_says_nothing_of_warnings_replays(admitted):
             del boundary["tip_mm"]
 
     earlier = "cutgate 0.1.0"
-    data = forge(forge(admitted, in_document(as_before)), changed(records.Verdict, verifier=earlier))
-    data = forge(data, changed(records.Open, verifier=earlier))
+    data = forge(forge(admitted, in_document(as_before)), changed(records.AuditVerdict, verifier=earlier))
+    data = forge(data, changed(records.AuditOpen, verifier=earlier))
     assert not [line for line in replayed(data).differences if "recomputed only" in line]
     differs(data, f"the permit names the verifier {VERIFIER}, its verdict {earlier}")
     differs(forge(admitted, in_document(as_before)), "extent")
-    alone = forge(forge(admitted, in_document(as_before)), changed(records.Verdict, verifier=earlier))
+    alone = forge(forge(admitted, in_document(as_before)), changed(records.AuditVerdict, verifier=earlier))
     differs(alone, "extent")
 
 
@@ -207,7 +207,7 @@ def test_a_clearance_off_by_less_is_identical(admitted):
     def widen(document):
         document["boundaries"]["inner"]["clearance"] += 2e-10
 
-    assert replayed(forge(admitted, in_document(widen))).outcome is Outcome.IDENTICAL
+    assert replayed(forge(admitted, in_document(widen))).outcome is ReplayOutcome.IDENTICAL
 
 
 FORGERIES = {
@@ -235,26 +235,28 @@ def test_every_part_of_the_verdict_is_compared(admitted, word, change):
 
 
 def test_flat_fields_must_be_those_of_the_document(admitted):
-    differs(forge(admitted, changed(records.Verdict, worst_certified=99.0)), "verdict worst_certified")
+    differs(forge(admitted, changed(records.AuditVerdict, worst_certified=99.0)), "verdict worst_certified")
 
 
 @pytest.mark.parametrize("document", ["7", "{", "[" * 100_000])
 def test_a_document_that_is_none_differs(admitted, document):
-    differs(forge(admitted, changed(records.Verdict, document=document)), "not a JSON object")
+    differs(forge(admitted, changed(records.AuditVerdict, document=document)), "not a JSON object")
 
 
 def test_a_document_of_another_kind_differs(admitted):
-    differs(forge(admitted, changed(records.Verdict, document="{}")), "not a verdict document")
+    differs(forge(admitted, changed(records.AuditVerdict, document="{}")), "not a verdict document")
 
 
 def test_boundary_records_must_be_those_of_the_document(admitted):
-    forged = forge(admitted, changed(records.Boundary, lambda record: record.name == "top", clearance=1.0))
+    forged = forge(
+        admitted, changed(records.AuditBoundary, lambda record: record.name == "top", clearance=1.0)
+    )
     differs(forged, "boundary top")
 
 
 def test_a_boundary_record_that_is_missing_differs(admitted):
     def drop(record):
-        return None if isinstance(record, records.Boundary) and record.name == "top" else record
+        return None if isinstance(record, records.AuditBoundary) and record.name == "top" else record
 
     differs(forge(admitted, drop), "boundaries: 10 recorded")
 
@@ -266,12 +268,12 @@ def in_approach(change):
     """An edit of the approach's document and of the flat fields that follow from it."""
 
     def edit(record):
-        if not isinstance(record, records.Approach):
+        if not isinstance(record, records.AuditApproach):
             return record
         document = json.loads(record.document)
         change(document)
         bound = wire_permit().approach if document["verdict"] == "admissible" else None
-        return records.Approach.of(
+        return records.AuditApproach.of(
             document, start_joints_u=record.start_joints_u, bound=bound, reason=record.reason or ""
         )
 
@@ -320,12 +322,12 @@ def test_every_part_of_the_approach_is_compared(admitted, word, change):
     ],
 )
 def test_what_is_bound_and_said_of_the_approach_is_recomputed(admitted, field, value):
-    differs(forge(admitted, changed(records.Approach, **{field: value})), f"approach {field}: recorded")
+    differs(forge(admitted, changed(records.AuditApproach, **{field: value})), f"approach {field}: recorded")
 
 
 def test_an_approach_from_elsewhere_is_computed_from_there(admitted):
     elsewhere = (*STANDS[:2], 52_000_000, *STANDS[3:])
-    forged = forge(admitted, changed(records.Approach, start_joints_u=elsewhere))
+    forged = forge(admitted, changed(records.AuditApproach, start_joints_u=elsewhere))
     differs(forged, "approach verdict: recorded admissible, recomputed inadmissible")
     differs(forged, "a permit left; the approach is recorded as admissible and recomputed as inadmissible")
     differs(forged, "a start left; the approach is recorded as admissible and recomputed as inadmissible")
@@ -336,9 +338,9 @@ def test_an_approach_from_elsewhere_is_computed_from_there(admitted):
 
 
 def test_the_words_of_an_older_verifier_may_be_others(admitted):
-    other = changed(records.Approach, reason="in other words")
+    other = changed(records.AuditApproach, reason="in other words")
     differs(forge(admitted, other), "approach reason: recorded in other words")
-    older = replayed(forge(forge(admitted, changed(records.Open, verifier="another")), other))
+    older = replayed(forge(forge(admitted, changed(records.AuditOpen, verifier="another")), other))
     assert not any("reason" in line for line in older.differences)
 
 
@@ -365,21 +367,21 @@ def test_a_site_that_is_damaged_is_bad_input(tmp_path):
 
 @pytest.mark.parametrize("joints", [(1, 2, 3), ()])
 def test_start_joints_that_are_none_are_bad_input(admitted, joints):
-    bad(forge(admitted, changed(records.Approach, start_joints_u=joints)), "start joints")
+    bad(forge(admitted, changed(records.AuditApproach, start_joints_u=joints)), "start joints")
 
 
 def test_an_approach_document_that_is_none_differs(admitted):
     differs(
-        forge(admitted, changed(records.Approach, document="7")),
+        forge(admitted, changed(records.AuditApproach, document="7")),
         "approach: the recorded document is not a JSON object",
     )
 
 
 def test_on_another_cpu_the_words_about_an_approach_are_not_comparable(admitted):
-    data = forge(admitted, changed(records.Open, cpu_dispatch=("Z80",)))
-    data = forge(data, changed(records.Approach, reason="another last digit"))
-    assert replayed(data).outcome is Outcome.IDENTICAL
-    differs(forge(data, changed(records.Approach, worst_certified=99.0)), "approach worst_certified")
+    data = forge(admitted, changed(records.AuditOpen, cpu_dispatch=("Z80",)))
+    data = forge(data, changed(records.AuditApproach, reason="another last digit"))
+    assert replayed(data).outcome is ReplayOutcome.IDENTICAL
+    differs(forge(data, changed(records.AuditApproach, worst_certified=99.0)), "approach worst_certified")
 
 
 # ---------------------------------------------------------------- forged inputs
@@ -438,7 +440,7 @@ def test_a_proof_that_states_too_little_differs(admitted):
 
 def test_a_refused_log_needs_no_proof(refused):
     assert names.PROOF not in {entry.name for entry in read_log(refused).scan.attachments}
-    assert replayed(refused).outcome is Outcome.IDENTICAL
+    assert replayed(refused).outcome is ReplayOutcome.IDENTICAL
 
 
 def test_a_plan_that_is_refused_differs(admitted):
@@ -467,12 +469,16 @@ def test_a_verifier_that_gives_up_is_bad_input(admitted):
     def broken(_problem):
         raise ValueError("no problem of this kind")
 
-    assert replayed(admitted, broken).outcome is Outcome.BAD_INPUT
+    assert replayed(admitted, broken).outcome is ReplayOutcome.BAD_INPUT
 
 
 def test_a_record_that_cannot_be_read_is_bad_input(admitted):
     def odd(record):
-        return record.model_copy(update={"poses": "many"}) if isinstance(record, records.Verdict) else record
+        return (
+            record.model_copy(update={"poses": "many"})
+            if isinstance(record, records.AuditVerdict)
+            else record
+        )
 
     with pytest.warns(UserWarning, match="serializ"):
         forged = forge(admitted, odd)
@@ -485,13 +491,13 @@ def test_no_log_is_bad_input():
 
 def test_a_log_without_record_0_is_bad_input(admitted):
     end = admitted.index(b"\x06", 8)
-    assert replayed(admitted[: min(end, 60)]).outcome is Outcome.BAD_INPUT
+    assert replayed(admitted[: min(end, 60)]).outcome is ReplayOutcome.BAD_INPUT
 
 
 def test_a_damaged_log_differs(admitted):
     damaged = admitted.replace(b'"accepted"', b'"accepteD"').replace(b'"holds":true', b'"holds":null', 1)
     result = replayed(damaged)
-    assert result.outcome is not Outcome.IDENTICAL
+    assert result.outcome is not ReplayOutcome.IDENTICAL
     assert "TAMPERED" in result.differences[0] or "cannot be read" in result.differences[0]
 
 
@@ -508,7 +514,7 @@ def stage(kind, name):
 
 @pytest.mark.parametrize("kind", ["permit", "start"])
 def test_nothing_leaves_without_its_authorisation(admitted, kind):
-    forged = forge(admitted, left_out(records.Permit, stage(kind, "authorised")))
+    forged = forge(admitted, left_out(records.AuditPermit, stage(kind, "authorised")))
     differs(forged, f"a {kind} left without a record that authorised it")
 
 
@@ -516,13 +522,14 @@ def test_nothing_leaves_without_its_authorisation(admitted, kind):
 def test_another_record_of_the_same_kind_authorises_nothing(admitted, kind):
     """As one that was authorised and withheld, and then left all the same under another number."""
     when = stage(kind, "sent")
-    forged = forge(admitted, changed(records.Permit, when, token=9))
+    forged = forge(admitted, changed(records.AuditPermit, when, token=9))
     differs(forged, f"a {kind} left without a record that authorised it")
 
 
 def test_no_start_leaves_without_an_acknowledged_permit(admitted):
     differs(
-        forge(admitted, left_out(records.Permit, stage("permit", "acknowledged"))), "without an acknowledged"
+        forge(admitted, left_out(records.AuditPermit, stage("permit", "acknowledged"))),
+        "without an acknowledged",
     )
 
 
@@ -531,7 +538,7 @@ def test_nothing_leaves_on_an_inadmissible_verdict(admitted):
         document["verdict"] = "inadmissible"
 
     result = replayed(forge(admitted, in_document(refuse)))
-    assert result.outcome is Outcome.DIFFERS
+    assert result.outcome is ReplayOutcome.DIFFERS
     for kind in ("permit", "start"):
         assert any(
             f"a {kind} left; the verdict is recorded as inadmissible" in line for line in result.differences
@@ -542,34 +549,34 @@ def test_a_permit_on_a_refused_path_is_named(admitted, refused):
     """The refused session, given the permit that left in the admitted one."""
     sent = next(
         record
-        for _, data in read_log(admitted).each(records.Permit.TOPIC)
-        if stage("permit", "sent")(record := records.Permit.model_validate_json(data))
+        for _, data in read_log(admitted).each(records.AuditPermit.TOPIC)
+        if stage("permit", "sent")(record := records.AuditPermit.model_validate_json(data))
     )
-    forged = forge(refused, lambda record: sent if isinstance(record, records.Decision) else record)
+    forged = forge(refused, lambda record: sent if isinstance(record, records.AuditDecision) else record)
     differs(forged, "a permit left; the verdict is recorded as inadmissible and recomputed as inadmissible")
     differs(forged, "the permit's path digest is not the verdict's")
 
 
 def test_nothing_leaves_without_a_verdict(admitted):
     def drop(record):
-        return None if isinstance(record, records.Verdict | records.Boundary) else record
+        return None if isinstance(record, records.AuditVerdict | records.AuditBoundary) else record
 
     differs(forge(admitted, drop), "a permit left without a verdict")
 
 
 def test_nothing_leaves_without_a_verified_approach(admitted):
-    forged = forge(admitted, lambda record: None if isinstance(record, records.Approach) else record)
+    forged = forge(admitted, lambda record: None if isinstance(record, records.AuditApproach) else record)
     for kind in ("permit", "start"):
         differs(forged, f"a {kind} left without a verified approach")
 
 
 def test_an_approach_belongs_to_the_verdict_before_it(admitted):
     """A later verdict needs an approach of its own."""
-    found = read_log(admitted).of(records.Verdict.TOPIC)[0]
-    queue = [records.Verdict.model_validate_json(json.dumps(found))]
+    found = read_log(admitted).of(records.AuditVerdict.TOPIC)[0]
+    queue = [records.AuditVerdict.model_validate_json(json.dumps(found))]
     forged = forge(
         admitted,
-        lambda record: queue.pop() if queue and isinstance(record, records.Decision) else record,
+        lambda record: queue.pop() if queue and isinstance(record, records.AuditDecision) else record,
     )
     differs(forged, "a permit left without a verified approach")
 
@@ -595,39 +602,39 @@ def test_nothing_leaves_on_an_inadmissible_approach(admitted):
 )
 def test_the_permit_binds_the_approach_that_was_verified(admitted, field, value, name):
     record = altered(wire_permit(), field, value).canonical().hex()
-    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=record))
+    forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=record))
     differs(forged, f"the permit's {name} are not the verified")
 
 
 @pytest.mark.parametrize("record", [None, "00", "xyz"])
 def test_a_permit_that_cannot_be_read_differs(admitted, record):
-    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=record))
+    forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=record))
     differs(forged, "the permit's record cannot be read")
 
 
 @pytest.mark.parametrize("record", [None, "00", "xyz"])
 def test_a_start_that_cannot_be_read_differs(admitted, record):
-    forged = forge(admitted, changed(records.Permit, stage("start", "sent"), record=record))
+    forged = forge(admitted, changed(records.AuditPermit, stage("start", "sent"), record=record))
     differs(forged, "the start's record cannot be read")
 
 
 def test_a_start_names_the_permit_that_had_left(admitted):
     other = wire_start(altered(wire_permit(), "lifetime_s", 121)).canonical().hex()
-    forged = forge(admitted, changed(records.Permit, stage("start", "sent"), record=other))
+    forged = forge(admitted, changed(records.AuditPermit, stage("start", "sent"), record=other))
     differs(forged, "a start left for another permit than the one that had left")
 
 
 @pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration", "configuration"])
 def test_the_permits_digests_are_those_that_were_signed(admitted, name):
     signed = altered(wire_permit(), f"{name}_digest", bytes(32)).canonical().hex()
-    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), record=signed))
+    forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=signed))
     differs(forged, f"the permit's {name} digest is not the one that was signed")
 
 
 def test_a_permits_configuration_is_that_of_the_files_that_are_attached(tmp_path):
     site = b'schema = "cutgate.site/1"\n'
     log = session_log(tmp_path, site=site).log.read_bytes()
-    assert replayed(log).outcome is Outcome.IDENTICAL
+    assert replayed(log).outcome is ReplayOutcome.IDENTICAL
     told = "the permit's configuration is not that of robot.toml, site.toml and the options"
     for other in (site + b"\n", None):
         differs(
@@ -638,7 +645,7 @@ def test_a_permits_configuration_is_that_of_the_files_that_are_attached(tmp_path
 
 def test_a_simulation_that_was_allowed_is_part_of_the_permits_configuration(admitted):
     def allow(record):
-        if isinstance(record, records.Open):
+        if isinstance(record, records.AuditOpen):
             option = records.Option(name="simulated controller", value="allowed by --allow-simulated")
             return record.model_copy(update={"simulation": (option,)})
         return record
@@ -648,7 +655,9 @@ def test_a_simulation_that_was_allowed_is_part_of_the_permits_configuration(admi
 
 @pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration"])
 def test_the_permits_digests_are_the_verdicts(admitted, name):
-    forged = forge(admitted, changed(records.Permit, stage("permit", "sent"), **{f"{name}_sha256": "00"}))
+    forged = forge(
+        admitted, changed(records.AuditPermit, stage("permit", "sent"), **{f"{name}_sha256": "00"})
+    )
     differs(forged, f"the permit's {name} digest is not the verdict's")
 
 
@@ -658,7 +667,7 @@ def test_nothing_leaves_while_a_permissive_fails(admitted):
     )
     forged = forge(
         admitted,
-        changed(records.Decision, lambda record: record.disposition == "sent", permissives=(failing,)),
+        changed(records.AuditDecision, lambda record: record.disposition == "sent", permissives=(failing,)),
     )
     differs(forged, "did not hold: emergency stop")
 
@@ -675,24 +684,26 @@ def test_no_arm_goes_on_that_was_not_where_it_was_verified(tmp_path, moving, eve
     def decided(holds, to_state, event=event):
         rule = off.model_copy(update={"holds": holds})
         told = {"from_state": moving, "to_state": to_state, "event": event, "permissives": (rule,)}
-        return forge(log, changed(records.Decision, **told))
+        return forge(log, changed(records.AuditDecision, **told))
 
     for to_state in ("stopping", "stopped"):
-        assert replayed(decided(holds=False, to_state=to_state)).outcome is Outcome.IDENTICAL
+        assert replayed(decided(holds=False, to_state=to_state)).outcome is ReplayOutcome.IDENTICAL
     for to_state in ("cutting", "finishing", "done"):
         differs(decided(holds=False, to_state=to_state), "let the arm go on although this did not hold: meas")
-        assert replayed(decided(holds=True, to_state=to_state)).outcome is Outcome.IDENTICAL
+        assert replayed(decided(holds=True, to_state=to_state)).outcome is ReplayOutcome.IDENTICAL
     said = decided(holds=False, to_state=moving, event="said start")
-    assert replayed(said).outcome is Outcome.IDENTICAL, "a word that is refused shows what else does not hold"
+    assert replayed(said).outcome is ReplayOutcome.IDENTICAL, (
+        "a word that is refused shows what else does not hold"
+    )
 
 
 def test_a_reset_needs_its_authorisation_and_no_verdict(tmp_path):
     log = small_log(tmp_path, frames=False).log.read_bytes()
 
     def resets(*stages):
-        queue = [records.Permit(kind="reset", stage=name, token=9) for name in stages]
-        return lambda record: queue.pop(0) if queue and isinstance(record, records.Decision) else record
+        queue = [records.AuditPermit(kind="reset", stage=name, token=9) for name in stages]
+        return lambda record: queue.pop(0) if queue and isinstance(record, records.AuditDecision) else record
 
     differs(forge(log, resets("sent")), "a reset left without a record that authorised it")
     for sound in (("authorised", "sent", "acknowledged"), ("authorised", "withheld")):
-        assert replayed(forge(log, resets(*sound))).outcome is Outcome.IDENTICAL
+        assert replayed(forge(log, resets(*sound))).outcome is ReplayOutcome.IDENTICAL

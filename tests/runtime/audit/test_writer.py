@@ -61,7 +61,7 @@ def test_the_pieces_taken_are_the_file():
     writer, data = written(2)
     writer.close_chunk()
     data += writer.take()
-    writer.add(records.Operator(word="stop", accepted=True), log_time_ns=2_000, monotonic_ns=9)
+    writer.add(records.AuditOperator(word="stop", accepted=True), log_time_ns=2_000, monotonic_ns=9)
     writer.finish()
     data += writer.take()
     found = scan(data)

@@ -133,9 +133,9 @@ def test_what_a_log_says_is_shown_as_it_stands(shown, log, tmp_path, text):
     forged = tmp_path / "forged.mcap"
     data = log.read_bytes()
     for record, field in (
-        (records.Decision, "reason"),
-        (records.Verdict, "reason"),
-        (records.Open, "software"),
+        (records.AuditDecision, "reason"),
+        (records.AuditVerdict, "reason"),
+        (records.AuditOpen, "software"),
     ):
         data = forge(data, changed(record, **{field: text}))
     forged.write_bytes(data)

@@ -364,7 +364,7 @@ def test_the_picture_names_the_lift_in_heading_panels_and_axes(monkeypatch, lift
     grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), (0.0,), lifts)
     positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
-    move = reach.Start(0.0, -30.0, "guidance", (10.0, 20.0, -30.0))
+    move = reach.GridStart(0.0, -30.0, "guidance", (10.0, 20.0, -30.0))
     document = reach.reach_document(path, grid, positions, made_for, move)
     picture(document, positions, list(reach.outline(path)))
     (figure,) = figures

@@ -8,10 +8,10 @@ import numpy as np
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import SessionView, approach_line
-from cutgate.runtime.interlock.state import Phase, Said, VerdictReady, Word
+from cutgate.runtime.interlock.state import CommandGiven, OperatorCommand, Phase, VerdictReady
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from tests.runtime.interlock.builders import NOW, READY, START_JOINTS, VERDICT, in_phase
 from tests.runtime.verification.approach.cuts import MIDDLE, cut
 
@@ -35,11 +35,11 @@ def test_a_heartbeat_that_is_about_to_come_is_not_looked_for(capfd):
 
 
 def test_an_approach_is_told_in_a_line_with_what_decided_it():
-    good = approach_line(verify(cut(), Start(MIDDLE, 10_000))).plain
+    good = approach_line(verify(cut(), StartJoints(MIDDLE, 10_000))).plain
     assert good.startswith("approach and retract ADMISSIBLE, entry ")
     assert "tightest is " in good
     low = np.array([*MIDDLE[:2], 53.0, *MIDDLE[3:]])
-    bad = approach_line(verify(cut(), Start(low, 10_000))).plain
+    bad = approach_line(verify(cut(), StartJoints(low, 10_000))).plain
     assert "INADMISSIBLE" in bad
     assert "the arm stands with q2 at 53.000 mm" in bad
     assert "move q2 by +2.01 mm, to 55.01 mm" in bad
@@ -49,8 +49,8 @@ def test_the_signal_that_ends_a_session_is_told_once_it_is_obeyed(capfd):
     before, after = in_phase(Phase.CUTTING), in_phase(Phase.STOPPING)
     with SessionView(quiet_output=True) as view:
         view.interrupted("SIGHUP")
-        view.step(before, Said(Word.STOP), before, (), NOW)
-        view.step(before, Said(Word.QUIT), after, (), NOW)
+        view.step(before, CommandGiven(OperatorCommand.STOP), before, (), NOW)
+        view.step(before, CommandGiven(OperatorCommand.QUIT), after, (), NOW)
     told = capfd.readouterr().err.splitlines()
     assert "SIGHUP: the session ends" in told[0]
     assert "STOP sent" in told[1]
@@ -64,7 +64,7 @@ def test_an_emergency_stop_that_is_still_pressed_is_to_be_released_before_it_is_
     ]
     with SessionView(quiet_output=True) as view:
         for state in held:
-            view.step(state, Said(Word.START), state, (), NOW)
+            view.step(state, CommandGiven(OperatorCommand.START), state, (), NOW)
     pressed, released = capfd.readouterr().err.splitlines()
     assert pressed.endswith("its cause is EMERGENCY_STOP: release the emergency stop, then say acknowledge")
     assert released.endswith("its cause is EMERGENCY_STOP: say acknowledge")
@@ -75,7 +75,7 @@ def test_a_reset_is_asked_for_once_it_would_not_be_refused_for_a_heartbeat_that_
     with SessionView(quiet_output=True) as view:
         for fresh in (False, True, True):
             state = in_phase(Phase.HELD, controller=acknowledged, heartbeat_fresh=fresh)
-            view.step(state, Said(Word.START), state, (), NOW)
+            view.step(state, CommandGiven(OperatorCommand.START), state, (), NOW)
             assert bool(view._hold) == fresh
     (told,) = capfd.readouterr().err.splitlines()
     assert told.endswith("acknowledged; the fault is latched: say reset")

@@ -9,7 +9,7 @@ from cutgate.protocol.records import joints_to_counts
 from cutgate.runtime.commands.travel_view import travel_lines
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from tests.runtime.verification.approach.cuts import MIDDLE, cut
 from tests.runtime.verification.cases import DEG, WIDE
 
@@ -20,7 +20,7 @@ def told(roll_deg=0.0, turns=0, limit=WIDE, **changes):
     lower[3], upper[3] = -limit, limit
     made = replace(cut(lower=lower, upper=upper, **changes), branch=(0, turns))
     stands = np.array([*MIDDLE[:3], roll_deg * DEG, MIDDLE[4]])
-    verdict, way = certified.verify(made), verify(made, Start(stands, 10_000))
+    verdict, way = certified.verify(made), verify(made, StartJoints(stands, 10_000))
     return [line.plain for line in travel_lines(way, joints_to_counts(stands), verdict)]
 
 
@@ -50,7 +50,7 @@ def test_an_arm_that_stands_in_the_turns_asked_for_is_not_warned_of():
 
 
 def test_where_there_is_no_entry_nothing_is_told():
-    way = verify(cut(), Start(MIDDLE, 10_000))
+    way = verify(cut(), StartJoints(MIDDLE, 10_000))
     verdict = certified.verify(cut())
     assert travel_lines(replace(way, entry=None), joints_to_counts(MIDDLE), verdict) == []
     assert travel_lines(replace(way, entry=np.full(5, np.nan)), joints_to_counts(MIDDLE), verdict) == []
@@ -58,7 +58,7 @@ def test_where_there_is_no_entry_nothing_is_told():
 
 def test_without_a_known_branch_no_other_turns_are_named():
     made = cut()
-    way, verdict = verify(made, Start(MIDDLE, 10_000)), certified.verify(made)
+    way, verdict = verify(made, StartJoints(MIDDLE, 10_000)), certified.verify(made)
     far = joints_to_counts(MIDDLE + np.array([0, 0, 0, 800 * DEG, 0]))
     for bare in (replace(verdict, branch=None), replace(verdict, windings=())):
         assert travel_lines(way, far, bare)[1].plain.endswith("cables and hoses must allow it")

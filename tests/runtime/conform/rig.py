@@ -13,13 +13,13 @@ from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.cases import Case
-from cutgate.runtime.conform.suite import Outcome, Result, Verdict, run
+from cutgate.runtime.conform.suite import CaseVerdict, Result, SuiteOutcome, run
 from cutgate.runtime.conform.table import cases
 from tests.runtime.session.pair import KEY, Generator
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
 ROBOT = Path(__file__).parents[3] / "examples" / "robot.toml"
-TURN_S = 0.005
+CYCLE_S = 0.005
 TIMING = records.Timing(
     heartbeat_ms=20,
     timeout_ms=100,
@@ -59,23 +59,23 @@ class Rig:
             clock=self.clock,
             random=random,
         )
-        self.controller_turns = True
+        self.controller_runs = True
         self.bench = Bench(
             self.wire.nodes[RUNTIME],  # type: ignore[arg-type]
             KEY,
             TIMING,
             reply_s=0.5,
             clock=self.clock,
-            wait=self._turn,
+            wait=self._run_cycle,
             random=Generator("tester"),
         )
 
-    def _turn(self, _limit_s: float) -> None:
-        self.clock.now_s += TURN_S
-        if self.controller_turns:
-            self.process.turn()
+    def _run_cycle(self, _limit_s: float) -> None:
+        self.clock.now_s += CYCLE_S
+        if self.controller_runs:
+            self.process.run_cycle()
 
-    def run(self, *names: str) -> Outcome:
+    def run(self, *names: str) -> SuiteOutcome:
         """The suite, or the cases of these names."""
         return run(self.bench, self.cases(*names))
 
@@ -87,10 +87,10 @@ class Rig:
             node.shutdown()
 
 
-def failing(outcome: Outcome) -> dict[str, str]:
+def failing(outcome: SuiteOutcome) -> dict[str, str]:
     """Names of the cases that did not pass, and what came."""
-    return {r.case.name: r.came for r in outcome.results if r.verdict is not Verdict.PASS}
+    return {r.case.name: r.came for r in outcome.results if r.verdict is not CaseVerdict.PASS}
 
 
-def by_name(outcome: Outcome) -> dict[str, Result]:
+def by_name(outcome: SuiteOutcome) -> dict[str, Result]:
     return {r.case.name: r for r in outcome.results}

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from cutgate.firmware_sim import loop, rules, table
-from cutgate.firmware_sim.console import Word
-from cutgate.firmware_sim.state import Controller, PathChecked
+from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.state import Controller, FaultArisen, PathChecked
 from cutgate.protocol.frames import IDS, Joints01
 from cutgate.protocol.link import Link, Violation
 from cutgate.protocol.records import Limits
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.protocol.wire import Side
 from cutgate.runtime.conform import sample
-from cutgate.runtime.conform.suite import Verdict
+from cutgate.runtime.conform.suite import CaseVerdict
 from cutgate.runtime.conform.table import cases
 from tests.runtime.conform.rig import Rig, by_name, failing
 
@@ -288,10 +288,10 @@ def test_an_arm_that_moves_is_stopped_at_once_and_the_suite_says_no_more(rig: Ri
     q0, *rest = rig.process.arm.state.joints
     rig.process.arm.state = replace(rig.process.arm.state, joints=(q0 + 0.002, *rest))
     found = by_name(rig.run("opens", "permit: right", "nothing moved"))
-    assert found["opens"].verdict is Verdict.FAIL
+    assert found["opens"].verdict is CaseVerdict.FAIL
     assert "moved" in found["opens"].came
-    assert found["permit: right"].verdict is Verdict.NOT_RUN
-    assert found["nothing moved"].verdict is Verdict.FAIL
+    assert found["permit: right"].verdict is CaseVerdict.NOT_RUN
+    assert found["nothing moved"].verdict is CaseVerdict.FAIL
     assert rig.process.controller.state is ControllerState.INHIBITED
 
 
@@ -301,19 +301,19 @@ def test_motion_without_the_enabling_device_is_stopped_at_once_and_the_suite_say
     lax = without(Refusal.DEVICE_NOT_RELEASED_AND_PRESSED)(rules.START_RULES)
     monkeypatch.setattr(table, "START_RULES", lax)
     found = by_name(rig.run("start: enabling device released", "start: wrong nonce", "nothing moved"))
-    assert found["start: enabling device released"].verdict is Verdict.FAIL
-    assert found["start: wrong nonce"].verdict is Verdict.NOT_RUN
-    assert found["nothing moved"].verdict is Verdict.FAIL
+    assert found["start: enabling device released"].verdict is CaseVerdict.FAIL
+    assert found["start: wrong nonce"].verdict is CaseVerdict.NOT_RUN
+    assert found["nothing moved"].verdict is CaseVerdict.FAIL
     assert rig.process.controller.state is ControllerState.INHIBITED
 
 
 def test_a_pressed_enabling_device_halts_the_suite_without_blaming_the_controller(rig: Rig) -> None:
-    rig.process.act(Word.HOLD)
+    rig.process.act(ConsoleCommand.HOLD)
     outcome = rig.run("opens", "permit: right", "nothing moved")
     found = by_name(outcome)
-    assert found["opens"].verdict is Verdict.NOT_RUN
+    assert found["opens"].verdict is CaseVerdict.NOT_RUN
     assert "pressed" in found["opens"].came
-    assert found["permit: right"].verdict is Verdict.NOT_RUN
+    assert found["permit: right"].verdict is CaseVerdict.NOT_RUN
     assert not outcome.passed
 
 
@@ -328,18 +328,18 @@ def test_a_controller_with_another_key_refuses_the_right_permit(tmp_path: Path) 
 
 
 def test_a_controller_that_falls_silent_is_not_waited_for_without_end(rig: Rig) -> None:
-    rig.controller_turns = False
+    rig.controller_runs = False
     outcome = rig.run()
     assert not outcome.passed
     assert outcome.needs_reset
-    assert all(r.verdict is not Verdict.PASS for r in outcome.results)
+    assert all(r.verdict is not CaseVerdict.PASS for r in outcome.results)
 
 
 def test_a_latched_fault_found_at_the_beginning_is_reset(rig: Rig) -> None:
-    rig.process._feed(loop.Fault(StopCause.SECOND_NODE))
+    rig.process._feed(FaultArisen(StopCause.SECOND_NODE))
     found = by_name(rig.run("announces", "opens"))
-    assert found["announces"].verdict is Verdict.FAIL
-    assert found["opens"].verdict is Verdict.PASS
+    assert found["announces"].verdict is CaseVerdict.FAIL
+    assert found["opens"].verdict is CaseVerdict.PASS
 
 
 def test_every_case_has_a_name_of_its_own_and_a_requirement() -> None:

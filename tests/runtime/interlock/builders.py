@@ -22,10 +22,12 @@ from cutgate.runtime.interlock import table
 from cutgate.runtime.interlock.phases import MOVING, PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
     Collected,
+    CommandGiven,
     Commit,
     ControllerView,
+    CutVerdict,
     Deadlines,
     DeviceCycle,
     Effect,
@@ -41,24 +43,27 @@ from cutgate.runtime.interlock.state import (
     LogChanged,
     LogHealth,
     NonceReceived,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     Phase,
     ProgressReported,
     RecordDurable,
     ReplyReceived,
-    Said,
     Send,
     SendStop,
-    Session,
+    SessionIdentity,
     SessionOpened,
-    Stored,
     Tick,
-    Verdict,
+    UploadedPath,
     VerdictReady,
-    Word,
 )
-from cutgate.runtime.interlock.tracking import ReferenceTrajectory, Seen, TrackingMonitor, TrackingTolerance
+from cutgate.runtime.interlock.tracking import (
+    FrameSeen,
+    ReferenceTrajectory,
+    TrackingMonitor,
+    TrackingTolerance,
+)
 
 NOW = 1000.0
 EPOCH = 3
@@ -123,7 +128,7 @@ JOB = Job(
     key_fingerprint="1a2b3c4d",
 )
 
-SESSION = Session(
+SESSION = SessionIdentity(
     boot_nonce=BOOT_NONCE,
     runtime_nonce=RUNTIME_NONCE,
     serial="SIM-1",
@@ -186,7 +191,7 @@ ON = ProgressReported(1, 0)
 BEYOND = ProgressReported(1, FRACTION_MAX)
 """At the end of the cut: where no arm can be as early as a time-out after its start."""
 
-VERDICT = Verdict(
+VERDICT = CutVerdict(
     request=REQUEST,
     admissible=True,
     path=PATH.digest,
@@ -237,7 +242,7 @@ READY = Interlock(
     heartbeat_fresh=True,
     collected=Collected(JOB.limits, JOB.calibration, JOB.tool),
     block=PATH_BLOCKS - 1,
-    stored=Stored(PATH.digest, Refusal.ACCEPTED, 0),
+    stored=UploadedPath(PATH.digest, Refusal.ACCEPTED, 0),
     verdict=VERDICT,
     nonce=NONCE,
     permit=PERMIT,
@@ -267,7 +272,7 @@ ANNOUNCE = records.Announce(
 def monitor(began_s: float = NOW, seen_s: float | None = None) -> TrackingMonitor:
     """Begun then; the last sample and progress came when the arm stood at its start, at ``seen_s``."""
     begun = TrackingMonitor.begin(TRAJECTORY, TIMING, TRACKING, 1.0, began_s)
-    seen = Seen(0.0, began_s if seen_s is None else seen_s)
+    seen = FrameSeen(0.0, began_s if seen_s is None else seen_s)
     return replace(begun, sampled=seen, progressed=seen, heard_s=seen.at_s)
 
 
@@ -323,8 +328,8 @@ def sound_beat(state: Interlock, **changes: Any) -> Event:
 def stop_events(state: Interlock) -> dict[str, Event]:
     """Every event that must stop, whatever the phase."""
     return {
-        "operator": Said(Word.STOP),
-        "withdrawn": Said(Word.WITHDRAW),
+        "operator": CommandGiven(OperatorCommand.STOP),
+        "withdrawn": CommandGiven(OperatorCommand.WITHDRAW),
         "heartbeat lost": HeartbeatLost(),
         "fault": FaultReceived(FaultCode.STOPPED, StopCause.EMERGENCY_STOP),
         "shell": Failed(StopCause.LOOP_STALLED, "the loop stalled"),
@@ -339,8 +344,8 @@ def events(state: Interlock) -> list[Event]:
         Announced(ANNOUNCE, RUNTIME_NONCE),
         *(SessionOpened(epoch, kind, cause) for kind in ControllerState for cause in list(StopCause)[:2]),
         *(ParameterReceived(record) for record in (LIMITS, CALIBRATION, TOOL)),
-        *(BlockStored(index) for index in range(PATH_BLOCKS)),
-        PathStored(READY.stored or Stored(b"", Refusal.ACCEPTED, 0)),
+        *(BlockConfirmed(index) for index in range(PATH_BLOCKS)),
+        PathConfirmed(READY.stored or UploadedPath(b"", Refusal.ACCEPTED, 0)),
         *(VerdictReady(replace(VERDICT, request=token)) for token in (state.token, state.token + 1)),
         *(NonceReceived(purpose, NONCE, e) for purpose in Purpose for e in (epoch, epoch + 1)),
         *(
@@ -361,7 +366,7 @@ def events(state: Interlock) -> list[Event]:
         ProgressReported(2, 0),
         *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
         LogChanged(state.log),
-        *(Said(word) for word in Word),
+        *(CommandGiven(word) for word in OperatorCommand),
         Tick(),
         Gone(StopCause.INTERNAL_ERROR, "the program failed"),
         *stop_events(state).values(),
@@ -452,7 +457,7 @@ def _go(_state: Interlock) -> tuple[Event, ...]:
         beat(ControllerState.PERMITTED, device_pressed=False),
         beat(ControllerState.PERMITTED),
         STANDING,
-        Said(Word.START),
+        CommandGiven(OperatorCommand.START),
     )
 
 
@@ -461,9 +466,9 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.OPENING: _opened,
     Phase.COLLECTING: lambda _s: tuple(ParameterReceived(kind) for kind in (LIMITS, CALIBRATION, TOOL)),
     Phase.UPLOADING: lambda _s: (
-        *(BlockStored(index) for index in range(PATH_BLOCKS)),
+        *(BlockConfirmed(index) for index in range(PATH_BLOCKS)),
         STANDING,
-        PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)),
+        PathConfirmed(UploadedPath(PATH.digest, Refusal.ACCEPTED, 0)),
     ),
     Phase.VERIFYING: _verdict,
     Phase.ADMITTED: lambda _s: (STANDING, beat()),
@@ -478,7 +483,7 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.FINISHING: lambda _s: (STANDING,),
     Phase.HELD: lambda s: (
         beat(ControllerState.FAULT, epoch=s.epoch, cause=StopCause.NONE),
-        Said(Word.RESET),
+        CommandGiven(OperatorCommand.RESET),
     ),
     Phase.NONCE_RESET: lambda s: (NonceReceived(Purpose.RESET, NONCE, s.epoch),),
     Phase.AUTHORISING_RESET: lambda s: (RecordDurable(s.token),),

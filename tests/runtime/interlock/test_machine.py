@@ -25,7 +25,8 @@ from cutgate.protocol.states import (
 from cutgate.runtime.interlock.phases import ENDED, MOVING
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     Commit,
     Event,
     Failed,
@@ -37,19 +38,18 @@ from cutgate.runtime.interlock.state import (
     LogChanged,
     LogHealth,
     NonceReceived,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     Phase,
     ProgressReported,
     RecordDurable,
     ReplyReceived,
-    Said,
     SendStop,
     SessionOpened,
-    Stored,
     Tick,
+    UploadedPath,
     VerdictReady,
-    Word,
 )
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
@@ -152,7 +152,7 @@ class AnySession(RuleBasedStateMachine):
                 self.pressed = seen.device_pressed
             case JointsMeasured(joints_u, measured_s):
                 self.joints_u, self.measured_s = joints_u, measured_s
-            case Said(Word.WITHDRAW):
+            case CommandGiven(OperatorCommand.WITHDRAW):
                 self.withdrawn = True
 
     def _nothing_enables_but_the_pending_durable_record(self, event, effects) -> None:
@@ -208,7 +208,12 @@ class AnySession(RuleBasedStateMachine):
     def _must_stop(before, event) -> bool:
         match event:
             case (
-                Said(Word.STOP) | Said(Word.WITHDRAW) | HeartbeatLost() | FaultReceived() | Failed() | Gone()
+                CommandGiven(OperatorCommand.STOP)
+                | CommandGiven(OperatorCommand.WITHDRAW)
+                | HeartbeatLost()
+                | FaultReceived()
+                | Failed()
+                | Gone()
             ):
                 return True
             case JointsMeasured(joints_u):
@@ -297,12 +302,12 @@ class AnySession(RuleBasedStateMachine):
     @while_in(Phase.COLLECTING, Phase.UPLOADING)
     @rule(index=st.integers(0, PATH_BLOCKS))
     def block_stored(self, index) -> None:
-        self.feed(BlockStored(index))
+        self.feed(BlockConfirmed(index))
 
     @while_in(Phase.COLLECTING, Phase.UPLOADING)
     @rule(digest=mostly(PATH.digest, bytes(32)), refusal=refusals)
     def path_stored(self, digest, refusal) -> None:
-        self.feed(PathStored(Stored(digest, refusal, 0)))
+        self.feed(PathConfirmed(UploadedPath(digest, refusal, 0)))
 
     @while_in(Phase.UPLOADING, Phase.VERIFYING)
     @rule(
@@ -355,7 +360,13 @@ class AnySession(RuleBasedStateMachine):
             st.builds(Gone, causes, st.just("the program failed")),
             st.just(HeartbeatLost()),
             st.just(LogChanged(LogHealth(False, 2000, 1000))),
-            st.sampled_from([Said(Word.STOP), Said(Word.WITHDRAW), Said(Word.QUIT)]),
+            st.sampled_from(
+                [
+                    CommandGiven(OperatorCommand.STOP),
+                    CommandGiven(OperatorCommand.WITHDRAW),
+                    CommandGiven(OperatorCommand.QUIT),
+                ]
+            ),
         )
     )
     def something_stops(self, event) -> None:
@@ -391,9 +402,9 @@ class AnySession(RuleBasedStateMachine):
     def log(self, reserved) -> None:
         self.feed(LogChanged(LogHealth(True, reserved, 1000)))
 
-    @rule(word=st.sampled_from([Word.START, Word.RESET, Word.ACKNOWLEDGE]))
+    @rule(word=st.sampled_from([OperatorCommand.START, OperatorCommand.RESET, OperatorCommand.ACKNOWLEDGE]))
     def said(self, word) -> None:
-        self.feed(Said(word))
+        self.feed(CommandGiven(word))
 
 
 AnySession.TestCase.settings = settings(

@@ -369,15 +369,15 @@ def test_only_the_object_true_counts_as_holding():
 
 
 def test_hopeless_is_what_no_act_can_cure():
-    assert p.hopeless(READY, NOW) == ()
+    assert p.unrecoverable(READY, NOW) == ()
     inadmissible = replace(READY, verdict=replace(VERDICT, admissible=False))
-    assert [one.name for one in p.hopeless(inadmissible, NOW)] == [_name(p.verdict_admissible)]
+    assert [one.name for one in p.unrecoverable(inadmissible, NOW)] == [_name(p.verdict_admissible)]
     for curable in (
         replace(READY, heartbeat_fresh=False),
         replace(READY, controller=None),
         altered(READY, "controller.emergency_stop_clear", False),
     ):
-        assert p.hopeless(curable, NOW) == ()
+        assert p.unrecoverable(curable, NOW) == ()
         assert not p.all_hold(p.FOR_PERMIT, curable, NOW)
 
 
@@ -395,15 +395,15 @@ HOPELESS = [
     ("field", "value", "evaluate"), HOPELESS, ids=[f"{field}={value!r:.30}" for field, value, _ in HOPELESS]
 )
 def test_what_no_act_can_cure_is_not_waited_for(field, value, evaluate):
-    assert [one.name for one in p.hopeless(altered(READY, field, value), NOW)] == [_name(evaluate)]
+    assert [one.name for one in p.unrecoverable(altered(READY, field, value), NOW)] == [_name(evaluate)]
 
 
 def test_what_only_follows_from_another_failure_is_not_told_beside_it():
     """A path that is inadmissible has neither approach nor trajectory, and nobody can do anything about those."""
     none = altered(altered(READY, "verdict.approach", None), "verdict.trajectory", None)
-    assert [one.name for one in p.hopeless(none, NOW)] == [_name(p.approach_admissible)]
+    assert [one.name for one in p.unrecoverable(none, NOW)] == [_name(p.approach_admissible)]
     refused = altered(none, "verdict.admissible", False)
-    assert [one.name for one in p.hopeless(refused, NOW)] == [_name(p.verdict_admissible)]
+    assert [one.name for one in p.unrecoverable(refused, NOW)] == [_name(p.verdict_admissible)]
     assert _name(p.trajectory_known) in {one.name for one in p.failing(p.FOR_PERMIT, refused, NOW)}
 
 
@@ -421,8 +421,8 @@ def test_a_reset_needs_the_same_controller_at_rest_and_the_log():
 
 
 def test_space_is_hopeless_only_after_the_file_system_has_answered():
-    assert p.hopeless(altered(READY, "log.reserved_bytes", 0), NOW) == ()
-    assert [one.name for one in p.hopeless(altered(READY, "log.reserved_bytes", 1), NOW)] == [
+    assert p.unrecoverable(altered(READY, "log.reserved_bytes", 0), NOW) == ()
+    assert [one.name for one in p.unrecoverable(altered(READY, "log.reserved_bytes", 1), NOW)] == [
         _name(p.log_space)
     ]
 

@@ -23,7 +23,8 @@ from cutgate.runtime.interlock.permissives import AT_START, COLLECTED, FOR_PERMI
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, ENDINGS, MOVING, PHASES, SIGNED, STOPPING
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     Commit,
     DeviceCycle,
     Dropped,
@@ -36,26 +37,25 @@ from cutgate.runtime.interlock.state import (
     LogHealth,
     NonceReceived,
     OpenLink,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     Phase,
     ProgressReported,
     RecordDurable,
     Refused,
-    Said,
     Send,
     SendBlock,
     SendStop,
     SessionOpened,
-    Stored,
     Tick,
+    UploadedPath,
     UseSession,
     VerdictReady,
     Verify,
     Withheld,
-    Word,
 )
-from cutgate.runtime.interlock.tracking import Deviation, Seen, TrackingMonitor
+from cutgate.runtime.interlock.tracking import Deviation, FrameSeen, TrackingMonitor
 from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
@@ -224,7 +224,7 @@ def test_a_stop_in_between_withholds_and_the_record_is_dead(phase):
 
 @each_authorising
 def test_quitting_in_between_withholds(phase):
-    after, effects = step(in_phase(phase), Said(Word.QUIT), NOW)
+    after, effects = step(in_phase(phase), CommandGiven(OperatorCommand.QUIT), NOW)
     assert effects == (SendStop(StopCode.END, StopCause.OPERATOR_QUIT), Withheld(TOKEN))
     assert after.phase is Phase.STOPPED
 
@@ -346,7 +346,7 @@ def test_a_cause_that_withdraws_is_remembered_and_no_other(phase, cause):
 
 @each_phase
 def test_a_withdrawn_registration_stays_withdrawn(phase):
-    after, effects = step(in_phase(phase), Said(Word.WITHDRAW), NOW)
+    after, effects = step(in_phase(phase), CommandGiven(OperatorCommand.WITHDRAW), NOW)
     assert after.registration_withdrawn
     assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
 
@@ -356,7 +356,7 @@ def test_a_withdrawn_registration_stays_withdrawn(phase):
     ("signal", "reason"), [("", "the operator quit"), ("SIGHUP", "SIGHUP ended the program")]
 )
 def test_quit_ends_the_session_and_is_a_stop_while_the_arm_may_move(phase, signal, reason):
-    after, effects = step(in_phase(phase), Said(Word.QUIT, signal), NOW)
+    after, effects = step(in_phase(phase), CommandGiven(OperatorCommand.QUIT, signal), NOW)
     if phase is Phase.STOPPING:
         assert [type(effect) for effect in effects] == [Refused]
         return
@@ -434,7 +434,7 @@ BEFORE = [
     (
         Phase.UPLOADING,
         ControllerState.OPEN,
-        PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)),
+        PathConfirmed(UploadedPath(PATH.digest, Refusal.ACCEPTED, 0)),
     ),
     (Phase.PERMITTING, ControllerState.LOADED, reply(records.Permit)),
     (Phase.STARTING, ControllerState.PERMITTED, reply(records.Start)),
@@ -609,7 +609,7 @@ def test_an_end_that_comes_too_early_is_a_deviation(phase):
 
 def test_progress_is_due_only_while_cutting_and_from_then_on():
     """In STARTING nobody has said yet that it begins, in FINISHING it has ended; joints are due in all three."""
-    silent = replace(monitor(NOW - 10.0, NOW), progressed=Seen(0.0, NOW - 9.0))
+    silent = replace(monitor(NOW - 10.0, NOW), progressed=FrameSeen(0.0, NOW - 9.0))
     for phase in MOVING:
         since_s = NOW - 0.1
         state = in_phase(phase, tracking=silent, since_s=since_s)
@@ -664,7 +664,7 @@ def test_a_shell_that_cannot_go_on_stops_and_has_stopped(phase, cause):
 
 
 def test_a_shell_that_cannot_go_on_keeps_the_first_cause():
-    stopped, _ = step(in_phase(Phase.CUTTING), Said(Word.STOP), NOW)
+    stopped, _ = step(in_phase(Phase.CUTTING), CommandGiven(OperatorCommand.STOP), NOW)
     after, effects = step(stopped, Gone(StopCause.BUS_FAILED, "the bus failed"), NOW)
     assert (after.phase, after.cause, after.reason) == (
         Phase.STOPPED,
@@ -864,21 +864,23 @@ def test_the_first_event_starts_the_clocks():
 
 
 @each_phase
-@pytest.mark.parametrize("word", [Word.START, Word.ACKNOWLEDGE, Word.RESET], ids=str)
+@pytest.mark.parametrize(
+    "word", [OperatorCommand.START, OperatorCommand.ACKNOWLEDGE, OperatorCommand.RESET], ids=str
+)
 def test_start_acknowledge_and_reset_mean_something_in_one_phase_only(phase, word):
-    if (phase, word) in {(Phase.PERMITTED, Word.START), (Phase.HELD, Word.RESET)}:
+    if (phase, word) in {(Phase.PERMITTED, OperatorCommand.START), (Phase.HELD, OperatorCommand.RESET)}:
         return
     state = in_phase(phase)  # no cause stands: nothing to acknowledge either
-    after, effects = step(state, Said(word), NOW)
+    after, effects = step(state, CommandGiven(word), NOW)
     assert after == state
     assert [type(effect) for effect in effects] == [Refused]
-    assert effects[0].word is word
+    assert effects[0].command is word
     assert effects[0].reason
 
 
 def test_start_is_refused_with_every_missing_permissive():
     state = replace(READY, joints_u=ELSEWHERE, device=DeviceCycle.UNSEEN)
-    after, effects = step(state, Said(Word.START), NOW)
+    after, effects = step(state, CommandGiven(OperatorCommand.START), NOW)
     assert after == state
     (refused,) = effects
     assert "verified start: 2 (required: <= 0.5 mm)" in refused.reason
@@ -886,7 +888,7 @@ def test_start_is_refused_with_every_missing_permissive():
 
 
 def test_start_only_asks_for_a_nonce():
-    after, effects = step(READY, Said(Word.START), NOW)
+    after, effects = step(READY, CommandGiven(OperatorCommand.START), NOW)
     assert (after.phase, after.since_s) == (Phase.NONCE_START, NOW)
     assert effects == (Send(records.NonceRequest(purpose=Purpose.START)),)
 
@@ -940,9 +942,9 @@ def test_a_device_released_at_the_moment_of_the_permit_was_seen_released():
 
 def test_words_while_stopping():
     state = in_phase(Phase.STOPPING, cause=StopCause.DEVICE_RELEASED)
-    again, effects = step(state, Said(Word.STOP), NOW)
+    again, effects = step(state, CommandGiven(OperatorCommand.STOP), NOW)
     assert (again.cause, stops(effects)) == (StopCause.DEVICE_RELEASED, [StopCause.OPERATOR_STOP])
-    withdrawn, effects = step(state, Said(Word.WITHDRAW), NOW)
+    withdrawn, effects = step(state, CommandGiven(OperatorCommand.WITHDRAW), NOW)
     assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
     assert withdrawn.registration_withdrawn
 
@@ -1078,8 +1080,8 @@ def test_a_reply_to_something_else_is_dropped(phase, mine):
 
 NOT_PENDING = {
     SessionOpened: {Phase.OPENING},
-    BlockStored: {Phase.UPLOADING},
-    PathStored: {Phase.UPLOADING},
+    BlockConfirmed: {Phase.UPLOADING},
+    PathConfirmed: {Phase.UPLOADING},
     VerdictReady: {Phase.VERIFYING},
     NonceReceived: {Phase.NONCE_PERMIT, Phase.NONCE_START, Phase.NONCE_RESET},
     RecordDurable: set(AUTHORISING),
@@ -1107,19 +1109,19 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
         SessionOpened(EPOCH, ControllerState.FAULT, StopCause.SECOND_NODE),
     )
     assert run.phase is Phase.HELD
-    run.feed(Said(Word.ACKNOWLEDGE))
-    assert run.effects == (Refused(Word.ACKNOWLEDGE, NOT_REPORTED),)
-    run.feed(beat(ControllerState.FAULT, cause=StopCause.SECOND_NODE), Said(Word.RESET))
+    run.feed(CommandGiven(OperatorCommand.ACKNOWLEDGE))
+    assert run.effects == (Refused(OperatorCommand.ACKNOWLEDGE, NOT_REPORTED),)
+    run.feed(beat(ControllerState.FAULT, cause=StopCause.SECOND_NODE), CommandGiven(OperatorCommand.RESET))
     assert "acknowledge" in run.effects[0].reason
-    run.feed(Said(Word.ACKNOWLEDGE))
+    run.feed(CommandGiven(OperatorCommand.ACKNOWLEDGE))
     assert sent(run.effects) == [records.Acknowledge(cause=StopCause.SECOND_NODE)]
     run.feed(reply(records.Acknowledge))
     assert (run.phase, run.effects) == (Phase.HELD, ())
     run.feed(beat(ControllerState.FAULT))
     assert (run.phase, run.effects) == (Phase.HELD, ()), "acknowledging is not resetting"
-    run.feed(Said(Word.ACKNOWLEDGE))
-    assert run.effects == (Refused(Word.ACKNOWLEDGE, "it is acknowledged already: say reset"),)
-    run.feed(Said(Word.RESET))
+    run.feed(CommandGiven(OperatorCommand.ACKNOWLEDGE))
+    assert run.effects == (Refused(OperatorCommand.ACKNOWLEDGE, "it is acknowledged already: say reset"),)
+    run.feed(CommandGiven(OperatorCommand.RESET))
     assert sent(run.effects) == [records.NonceRequest(purpose=Purpose.RESET)]
     run.feed(NonceReceived(Purpose.RESET, NONCE, EPOCH))
     assert (run.phase, run.commit.purpose) == (Phase.AUTHORISING_RESET, Purpose.RESET)
@@ -1137,7 +1139,7 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
 
 def test_a_cause_without_a_latch_needs_only_the_acknowledgement():
     run = Run(in_phase(Phase.HELD), NOW).feed(
-        beat(ControllerState.OPEN, cause=StopCause.OPERATOR_STOP), Said(Word.ACKNOWLEDGE)
+        beat(ControllerState.OPEN, cause=StopCause.OPERATOR_STOP), CommandGiven(OperatorCommand.ACKNOWLEDGE)
     )
     assert sent(run.effects) == [records.Acknowledge(cause=StopCause.OPERATOR_STOP)]
     assert run.feed(beat(ControllerState.OPEN)).phase is Phase.COLLECTING
@@ -1147,10 +1149,10 @@ def test_refused_acknowledgements_and_resets_are_shown_and_the_session_stays_hel
     run = Run(in_phase(Phase.HELD), NOW).feed(reply(records.Acknowledge, Refusal.EMERGENCY_STOP))
     assert run.phase is Phase.HELD
     pressed = "EMERGENCY_STOP: the emergency stop is still pressed: release it, then try again"
-    assert run.effects == (Refused(Word.ACKNOWLEDGE, f"the controller refused: {pressed}"),)
+    assert run.effects == (Refused(OperatorCommand.ACKNOWLEDGE, f"the controller refused: {pressed}"),)
     run = Run(in_phase(Phase.RESETTING), NOW).feed(reply(records.Reset, Refusal.NONCE_EXPIRED))
     assert (run.phase, run.state.nonce) == (Phase.HELD, None)
-    assert (run.effects[0].word, "NONCE_EXPIRED" in run.effects[0].reason) == (Word.RESET, True)
+    assert (run.effects[0].command, "NONCE_EXPIRED" in run.effects[0].reason) == (OperatorCommand.RESET, True)
 
 
 @pytest.mark.parametrize(
@@ -1175,7 +1177,7 @@ def test_a_reset_waits_for_everything_a_reset_needs():
         ("log.writable", False),
     ):
         state = altered(in_phase(Phase.HELD), field, value)
-        after, effects = step(state, Said(Word.RESET), NOW)
+        after, effects = step(state, CommandGiven(OperatorCommand.RESET), NOW)
         assert after == state
         assert [type(effect) for effect in effects] == [Refused]
 
@@ -1199,13 +1201,13 @@ def test_the_upload_begins_only_with_all_three_equal_to_the_approved():
 def test_blocks_go_one_after_the_other():
     assert len(records.split(JOB.path)) == JOB.blocks == PATH_BLOCKS
     run = Run(FRESH).until(Phase.UPLOADING)
-    assert run.feed(BlockStored(1)).state.block == 0
+    assert run.feed(BlockConfirmed(1)).state.block == 0
     assert [type(effect) for effect in run.effects] == [Dropped]
-    assert run.feed(BlockStored(0)).effects == (SendBlock(1),)
-    assert run.feed(BlockStored(1)).effects == (SendBlock(2),)
-    assert run.feed(BlockStored(2)).effects == ()
+    assert run.feed(BlockConfirmed(0)).effects == (SendBlock(1),)
+    assert run.feed(BlockConfirmed(1)).effects == (SendBlock(2),)
+    assert run.feed(BlockConfirmed(2)).effects == ()
     before = run.state.token
-    run.feed(STANDING, PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
+    run.feed(STANDING, PathConfirmed(UploadedPath(PATH.digest, Refusal.ACCEPTED, 0)))
     assert (run.phase, run.state.token) == (Phase.VERIFYING, before + 1)
     assert run.effects == (Verify(before + 1, START_JOINTS),)
 
@@ -1216,7 +1218,7 @@ def test_what_is_verified_begins_where_the_arm_stands_now(old):
     run = Run(FRESH).until(Phase.UPLOADING)
     if old is not None:
         run.feed(measured(ELSEWHERE)).feed(Tick(), after_s=old)
-    run.feed(PathStored(Stored(PATH.digest, Refusal.ACCEPTED, 0)))
+    run.feed(PathConfirmed(UploadedPath(PATH.digest, Refusal.ACCEPTED, 0)))
     assert (run.phase, run.effects) == (Phase.UPLOADING, ())
     late = Run(run.state, run.now_s).feed(Tick(), after_s=DEADLINES.transfer_timeout_s)
     assert "no measured joints" in late.state.reason
@@ -1227,12 +1229,12 @@ def test_what_is_verified_begins_where_the_arm_stands_now(old):
 @pytest.mark.parametrize(
     ("stored", "why"),
     [
-        (Stored(PATH.digest, Refusal.POSE_OUTSIDE_LIMITS, 17), "POSE_OUTSIDE_LIMITS at pose 17"),
-        (Stored(bytes(32), Refusal.ACCEPTED, 0), "digest of the stored path"),
+        (UploadedPath(PATH.digest, Refusal.POSE_OUTSIDE_LIMITS, 17), "POSE_OUTSIDE_LIMITS at pose 17"),
+        (UploadedPath(bytes(32), Refusal.ACCEPTED, 0), "digest of the stored path"),
     ],
 )
 def test_what_the_controller_did_not_accept_is_verified_for_guidance_and_then_refused(stored, why):
-    run = Run(FRESH).until(Phase.UPLOADING).feed(STANDING, PathStored(stored))
+    run = Run(FRESH).until(Phase.UPLOADING).feed(STANDING, PathConfirmed(stored))
     assert run.phase is Phase.VERIFYING
     run.until(Phase.REFUSED)
     assert why in run.state.reason
@@ -1305,9 +1307,9 @@ def _warned(*codes, confirmed=()):
 def test_an_admitted_path_waits_for_each_warning_to_be_confirmed():
     run = Run(_warned("CUT_TINY", "LIMITS_IN_RADIANS"), NOW).feed(beat(ControllerState.LOADED))
     assert (run.phase, run.effects) == (Phase.ADMITTED, ())
-    run.feed(Said(Word.CONFIRM, "LIMITS_IN_RADIANS"), beat(ControllerState.LOADED))
+    run.feed(CommandGiven(OperatorCommand.CONFIRM, "LIMITS_IN_RADIANS"), beat(ControllerState.LOADED))
     assert (run.phase, run.effects) == (Phase.ADMITTED, ())
-    run.feed(Said(Word.CONFIRM, "CUT_TINY"))
+    run.feed(CommandGiven(OperatorCommand.CONFIRM, "CUT_TINY"))
     assert (run.phase, sent(run.effects)) == (
         Phase.NONCE_PERMIT,
         [records.NonceRequest(purpose=Purpose.PERMIT)],
@@ -1324,13 +1326,16 @@ def test_an_admitted_path_waits_for_each_warning_to_be_confirmed():
 )
 def test_only_a_warning_that_waits_can_be_confirmed(what, confirmed, why):
     before = _warned("CUT_TINY", confirmed=confirmed)
-    assert step(before, Said(Word.CONFIRM, what), NOW) == (before, (Refused(Word.CONFIRM, why),))
+    assert step(before, CommandGiven(OperatorCommand.CONFIRM, what), NOW) == (
+        before,
+        (Refused(OperatorCommand.CONFIRM, why),),
+    )
 
 
 @pytest.mark.parametrize("phase", sorted({*Phase} - {Phase.ADMITTED} - ENDED))
 def test_a_warning_is_confirmed_only_where_it_has_been_shown(phase):
     before = in_phase(phase)
-    after, effects = step(before, Said(Word.CONFIRM, "CUT_TINY"), NOW)
+    after, effects = step(before, CommandGiven(OperatorCommand.CONFIRM, "CUT_TINY"), NOW)
     assert after.confirmed == frozenset()
     assert [type(effect) for effect in effects] == [Refused]
 
@@ -1359,7 +1364,7 @@ def test_a_measurement_is_kept_with_the_time_when_it_was_made_not_when_it_came(p
 def test_joints_that_were_measured_too_long_ago_start_nothing_however_late_they_came(age_s):
     late = measured(START_JOINTS, NOW - age_s)
     state, _ = step(READY, late, NOW)
-    after, effects = step(state, Said(Word.START), NOW)
+    after, effects = step(state, CommandGiven(OperatorCommand.START), NOW)
     assert after == state
     assert "age of the measured joints" in effects[0].reason
     state, _ = step(in_phase(Phase.AUTHORISING_START), late, NOW)
@@ -1454,14 +1459,19 @@ SILENT = ENDED | {Phase.STOPPING}
 @pytest.mark.parametrize("phase", [phase for phase in Phase if phase not in SILENT], ids=str)
 def test_a_command_that_does_not_apply_is_refused_with_what_is_so(phase):
     applies = {
-        Phase.HELD: {Word.ACKNOWLEDGE, Word.RESET},
-        Phase.ADMITTED: {Word.CONFIRM},
-        Phase.PERMITTED: {Word.START},
+        Phase.HELD: {OperatorCommand.ACKNOWLEDGE, OperatorCommand.RESET},
+        Phase.ADMITTED: {OperatorCommand.CONFIRM},
+        Phase.PERMITTED: {OperatorCommand.START},
     }
     patiently = {"tracking": patient(0.0)} if phase in MOVING else {}
     state = in_phase(phase, **patiently)
-    for word in {Word.ACKNOWLEDGE, Word.RESET, Word.CONFIRM, Word.START} - applies.get(phase, set()):
-        after, effects = step(state, Said(word, "BOX_SMALL"), NOW)
+    for word in {
+        OperatorCommand.ACKNOWLEDGE,
+        OperatorCommand.RESET,
+        OperatorCommand.CONFIRM,
+        OperatorCommand.START,
+    } - applies.get(phase, set()):
+        after, effects = step(state, CommandGiven(word, "BOX_SMALL"), NOW)
         told = f"{word} does not apply while {PHASES[phase].situation}"
         assert (after.phase, effects) == (phase, (Refused(word, told),)), phase
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from cutgate.protocol.frames import FRACTION_MAX, ROTATION_DEG, SLIDE_MM
 from cutgate.runtime.interlock.tracking import (
     Bounds,
+    FrameSeen,
     ReferenceTrajectory,
-    Seen,
     TrackingMonitor,
     _nearest,
 )
@@ -421,7 +421,7 @@ def test_what_has_been_seen_is_equal_if_it_is_the_same_and_on_the_same_trajector
     begun = [TrackingMonitor.begin(on, TIMING, TRACKING, 1.0, 5.0) for on in (one, one, other)]
     assert begun[0] == begun[1] != begun[2]
     assert hash(begun[0]) == hash(begun[1])
-    assert replace(begun[0], sampled=Seen(1.0, 5.0)) != begun[0]
+    assert replace(begun[0], sampled=FrameSeen(1.0, 5.0)) != begun[0]
 
 
 # ---------------------------------------------------------------- to the last bit
@@ -479,7 +479,7 @@ def test_more_is_tolerated_on_the_way_to_the_entry_and_from_there_on_no_more():
     more[3] = monitor.bounds.near_rad + 0.9 * monitor.bounds.start_rad
     for joint, by in more.items():
         for at_s, earliest_s, tolerated in ((0.5, 0.0, True), (1.5, 1.0, False)):
-            there = replace(monitor, sampled=Seen(earliest_s, at_s))
+            there = replace(monitor, sampled=FrameSeen(earliest_s, at_s))
             joints = monitor.trajectory.joints_at(at_s)
             joints[joint] += by
             assert (sample(there, joints, at_s)[1] == "") is tolerated, (joint, at_s)
@@ -540,9 +540,9 @@ def test_a_place_that_can_just_be_reached_is_believed_to_the_last_bit():
     monitor = replace(monitor, lead_s=-1.0)
     assert monitor.reach_s(4.0) == 3.0
     assert report(monitor, 1, 0, 4.0)[1] == ""
-    furthest = replace(monitor, sampled=Seen(3.0, 4.0))
+    furthest = replace(monitor, sampled=FrameSeen(3.0, 4.0))
     assert sample(furthest, monitor.trajectory.joints_at(3.0), 4.0)[1] == ""
-    behind = replace(monitor, sampled=Seen(3.0, 0.0))
+    behind = replace(monitor, sampled=FrameSeen(3.0, 0.0))
     assert report(behind, 0, FRACTION_MAX, 4.0)[1] == ""
     assert monitor.finished(7.0) is None
     assert monitor.finished(math.nextafter(7.0, 0.0)) is not None
@@ -574,7 +574,7 @@ def test_a_clock_that_goes_back_is_named_with_its_bound():
     monitor = at_any_tolerance(
         TrackingMonitor.begin(along_the_slide(), TIMING, TRACKING, 1.0, 0.0), latency_s=1.0
     )
-    seen = replace(monitor, sampled=Seen(3.0, 4.0))
+    seen = replace(monitor, sampled=FrameSeen(3.0, 4.0))
     _, found = seen.sample(monitor.trajectory.joints[0], 0.0, 0.0)
     assert rules(found) == [
         (

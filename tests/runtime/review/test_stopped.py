@@ -110,7 +110,7 @@ def test_progress_that_is_none_is_not_made_up(progress):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_tip_is_where_the_controllers_kinematics_say_and_the_depth_is_along_the_first_tool(seed):
-    """The witness: the simulated controller's own kinematics, which share nothing with the runtime's."""
+    """The oracle: the simulated controller's own kinematics, which share nothing with the runtime's."""
     random = np.random.default_rng(seed)
     joints_u = tuple(int(value) for value in random.uniform(-60e6, 60e6, 5))
     where = told(joints_u=joints_u)["where"]

@@ -21,9 +21,9 @@ import can
 
 from cutgate.config.model import Robot
 from cutgate.config.signals import wake_pipe
-from cutgate.config.terminal import WordReader
+from cutgate.config.terminal import CommandReader
 from cutgate.firmware_sim import memory
-from cutgate.firmware_sim.console import Word as ConsoleWord
+from cutgate.firmware_sim.console import ConsoleCommand as ConsoleWord
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.loop import Options, Process
@@ -36,7 +36,7 @@ from cutgate.protocol.records import Side
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
-from cutgate.runtime.audit.commit import Committer, Failed, Files, Job
+from cutgate.runtime.audit.commit import Committer, Job, LogFailed, LogFiles
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
@@ -44,13 +44,19 @@ from cutgate.runtime.audit.log import Clock as LogClock
 from cutgate.runtime.audit.replay import Replay, replay
 from cutgate.runtime.audit.written import LostError
 from cutgate.runtime.interlock.phases import ENDED
-from cutgate.runtime.interlock.state import Collected, DeviceCycle, Interlock, Phase, Verdict, Word
+from cutgate.runtime.interlock.state import (
+    Collected,
+    CutVerdict,
+    DeviceCycle,
+    Interlock,
+    OperatorCommand,
+    Phase,
+)
 from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.session import prover
 from cutgate.runtime.session.check import Answer as Own
 from cutgate.runtime.session.check import Check
-from cutgate.runtime.session.job import VERIFIER, make_job, read_files
-from cutgate.runtime.session.job import Files as InputFiles
+from cutgate.runtime.session.job import VERIFIER, InputFiles, make_job, read_files
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, framed
@@ -63,7 +69,7 @@ from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
 KEY = bytes(range(32))
-TURN_S = 0.005
+CYCLE_S = 0.005
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
 STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
@@ -106,7 +112,7 @@ class Disk(WatchedDisk):
 class TurnByTurn(Committer):
     """The commit thread's work, done when the disk answers in virtual time instead of in a thread."""
 
-    def __init__(self, disk: Disk, files: Files) -> None:
+    def __init__(self, disk: Disk, files: LogFiles) -> None:
         super().__init__(disk, files)
         self._thread.join()
         self._disk_in_time = disk
@@ -128,7 +134,9 @@ class TurnByTurn(Committer):
             try:
                 self._ended = self._work([job])
             except (OSError, LostError) as error:
-                self._report(Failed(str(error) if isinstance(error, LostError) else os.strerror(error.errno)))
+                self._report(
+                    LogFailed(str(error) if isinstance(error, LostError) else os.strerror(error.errno))
+                )
                 self._head.discard()
                 self._ended = True
             if self._ended:
@@ -165,7 +173,7 @@ def answers(request: Request) -> list[Answer]:
     ]
 
 
-def claim_of(verdict: Verdict) -> Claim:
+def claim_of(verdict: CutVerdict) -> Claim:
     """What a verification process says that has found this."""
     named = {name: getattr(verdict, name).hex() for name in ("path", "limits", "calibration", "tool")}
     return Claim(
@@ -338,7 +346,7 @@ class Terminal:
 
     def __init__(self, words: Any) -> None:
         self._reading, self._writing = os.pipe2(os.O_NONBLOCK)
-        self.reader = WordReader(self._reading, words)
+        self.reader = CommandReader(self._reading, words)
 
     def type(self, text: str) -> None:
         os.write(self._writing, f"{text}\n".encode())
@@ -370,9 +378,9 @@ class Pair:
         self.sessions = 0
         self.closing: list[Callable[[], None]] = [node.shutdown for node in self.wire.nodes.values()]
         self.options = Options(time_scale=4.0, joints=as_joints(records.joints_to_memory(STANDS)))
-        self.runtime_turns = self.controller_turns = True
+        self.runtime_runs = self.controller_runs = True
         self.strangers: list[Stranger] = []
-        self.turn_s = TURN_S
+        self.cycle_s = CYCLE_S
         self.session: Session | None = None
         self.power_up()
 
@@ -408,9 +416,9 @@ class Pair:
 
     def _stand_still(self, seconds: float) -> None:
         """The controller sleeps; everybody else goes on."""
-        self.controller_turns = False
+        self.controller_runs = False
         self.run(seconds)
-        self.controller_turns = True
+        self.controller_runs = True
 
     def _endpoint(self, side: Side) -> Endpoint:
         timing, deadlines = self.job.timing, self.job.deadlines
@@ -431,7 +439,7 @@ class Pair:
         self.closing.append(partial(_let_go, self.log))
         self.journal = Journal(self.log, "vcan0")
         self.prover, self.notes = Prover(), Notes()
-        self.terminal = Terminal(Word)
+        self.terminal = Terminal(OperatorCommand)
         self.closing += [self.prover.close, self.terminal.close]
         self.wire.nodes[RUNTIME].inbox.clear()
         self.session = Session(
@@ -442,7 +450,7 @@ class Pair:
             journal=self.journal,
             worker=self.prover,
             view=self.notes,
-            words=self.terminal.reader,
+            commands=self.terminal.reader,
             checkpoint_deadline_s=5.0,
             clock=self.clock,
             random=Generator(f"runtime {self.sessions}"),
@@ -453,7 +461,7 @@ class Pair:
         self.session.begin(wake[0])
         return self
 
-    def verdict_altered(self, altered: Callable[[Verdict], Verdict]) -> "Pair":
+    def verdict_altered(self, altered: Callable[[CutVerdict], CutVerdict]) -> "Pair":
         """The runtime's own verification and the verification process both go wrong, and in the same way."""
         assert self.session is not None
         check = Altered(
@@ -489,21 +497,21 @@ class Pair:
 
     # ------------------------------------------------------------ time
 
-    def turn(self) -> None:
+    def run_cycle(self) -> None:
         """Time passes, then the controller turns, then the runtime."""
-        self.clock.now_s += self.turn_s
-        if self.controller_turns:
-            self.process.turn(_readable(self.controller_terminal.reader.descriptor))
+        self.clock.now_s += self.cycle_s
+        if self.controller_runs:
+            self.process.run_cycle(_readable(self.controller_terminal.reader.descriptor))
         for stranger in self.strangers:
             stranger.speak()
-        if self.runtime_turns and self.session is not None and self.phase not in ENDED:
-            self.session.turn(_readable(self.terminal.reader.descriptor, self.prover.fileno()))
+        if self.runtime_runs and self.session is not None and self.phase not in ENDED:
+            self.session.run_cycle(_readable(self.terminal.reader.descriptor, self.prover.fileno()))
 
     def run(self, seconds: float) -> "Pair":
         """Turn for so long."""
         until_s = self.clock() + seconds - 1e-9
         while self.clock() < until_s:
-            self.turn()
+            self.run_cycle()
         return self
 
     def until(
@@ -516,7 +524,7 @@ class Pair:
                 f"not so in {limit_s} s: {self.phase} {self.state.reason} {self.said}"
             )
             act()
-            self.turn()
+            self.run_cycle()
         return self
 
     # ------------------------------------------------------------ the way to a place
@@ -542,7 +550,7 @@ class Pair:
     def say(self, word: str) -> "Pair":
         """The operator says a word; it is heard in this turn."""
         self.terminal.type(word)
-        self.turn()
+        self.run_cycle()
         return self
 
     def end(self, limit_s: float = 10.0) -> Phase:

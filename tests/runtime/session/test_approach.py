@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cutgate.firmware_sim.console import Word
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName
 from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.plant import Leg
@@ -14,7 +14,7 @@ from cutgate.protocol.frames import ControllerHeartbeat, Progress
 from cutgate.protocol.records import joints_to_counts, joints_to_memory
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.refusals import told
 from cutgate.runtime.interlock.state import Phase
 from tests.altering import altered
@@ -53,7 +53,7 @@ def test_the_arm_goes_from_where_it_stands_to_the_cut_and_back(pair, stands):
     assert any("DONE: 5 segments executed" in line for line in pair.said)
     pair.close()
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
     (entry,) = pair.read().of("/audit/approach")
     assert (tuple(entry["start_joints_u"]), entry["verdict"]) == (stands, "admissible")
 
@@ -91,7 +91,7 @@ def test_a_stop_stops_on_every_leg(pair, leg, who):
     if who == "runtime":
         pair.say("stop")
     else:
-        pair.process.act(Word.RELEASE)
+        pair.process.act(ConsoleCommand.RELEASE)
     assert pair.end() is Phase.STOPPED
     at_rest = standing(pair)
     assert pair.controller.state is ControllerState.INHIBITED
@@ -131,7 +131,7 @@ def test_an_approach_that_violates_a_deadband_is_not_admitted(pair):
     assert standing(pair) == LOW
     pair.close()
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
     (entry,) = pair.read().of("/audit/approach")
     assert entry["verdict"] == "inadmissible"
     assert "speed_percent" not in entry
@@ -183,7 +183,7 @@ def test_an_altered_approach_is_refused_by_the_controller(pair, field, value, re
     assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
     assert standing(pair) == STANDS
     pair.close()
-    assert pair.replayed().outcome is Outcome.DIFFERS, "and the log tells"
+    assert pair.replayed().outcome is ReplayOutcome.DIFFERS, "and the log tells"
 
 
 # ---------------------------------------------------------------- the site's settings

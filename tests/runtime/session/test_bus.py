@@ -143,12 +143,12 @@ def test_twenty_six_heartbeats_that_queued_while_the_loop_slept_move_nothing(cut
         cutting.wire.nodes[CONTROLLER].put(*link.encode(beat, cutting.clock()))
     place = cutting.process.arm.state
     cutting.clock.now_s += 0.5
-    cutting.process.turn()
+    cutting.process.run_cycle()
     assert cutting.controller.cause is StopCause.LOOP_STALLED
     assert not cutting.controller.may_move
     assert cutting.process.arm.state.joints == place.joints
     assert any("26 frames discarded" in line for line in cutting.said)
-    cutting.runtime_turns = False
+    cutting.runtime_runs = False
     cutting.run(0.2)
     assert cutting.process.arm.state.joints == place.joints
 
@@ -201,7 +201,7 @@ def test_anything_on_the_stop_identifier_stops(cutting, data):
 
 def test_a_controllers_fault_frame_stops_the_runtime_at_once(cutting):
     cutting.controller_terminal.type("estop")
-    cutting.turn()
+    cutting.run_cycle()
     assert cutting.wire.frames(ControllerFault)
     assert Phase.STOPPING in cutting.notes.phases
     assert stopped(cutting) == (StopCause.EMERGENCY_STOP, StopCause.EMERGENCY_STOP)
@@ -246,8 +246,8 @@ def test_a_permit_that_arrives_whole_after_a_stop_is_void(authorising):
 def test_a_permit_in_flight_when_the_stop_arrives_is_dead(authorising):
     stranger = Stranger(authorising, authorising.state.session.tag)
     stranger.say(signed(authorising))
-    authorising.turn()
-    authorising.turn()  # the first block is under way, the second waits for its flow control
+    authorising.run_cycle()
+    authorising.run_cycle()  # the first block is under way, the second waits for its flow control
     assert stranger.endpoint.outgoing() == []
     authorising.say("stop")
     authorising.run(0.06)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cutgate.protocol import records
-from cutgate.runtime.interlock.state import Collected, Verdict
+from cutgate.runtime.interlock.state import Collected, CutVerdict
 from cutgate.runtime.session import check as checks
 from cutgate.runtime.session.check import Check, disagreement, with_guidance
 from cutgate.runtime.session.messages import Request
@@ -16,7 +16,7 @@ from cutgate.runtime.verification import certificate, certified, plausibility
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach import curve as curves
 from cutgate.runtime.verification.approach import decision
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.steps import finished
 from tests.runtime.session.pair import (
@@ -94,7 +94,7 @@ def test_step_by_step_it_finds_what_is_found_in_one_go(tmp_path_factory):
     for joints_u in (STANDS, LOW):
         whole = decision.verify(
             problem_of(job, robot),
-            Start.of(joints_u, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2),
+            StartJoints.of(joints_u, clearance_um=10_000, tolerance_mm=0.5, tolerance_deg=0.2),
         )
         answer = own(tmp_path_factory, joints_u=joints_u)
         assert answer.approach.admissible is whole.admissible
@@ -194,7 +194,7 @@ def test_a_path_that_cannot_be_followed_has_no_verdict(tmp_path_factory, monkeyp
     def bends(*_given):
         raise ValueError("the verified path bends too much to be followed on segment 3")
 
-    monkeypatch.setattr(checks.course, "_followed", bends)
+    monkeypatch.setattr(checks.reference, "_followed", bends)
     with pytest.raises(ValueError, match="bends too much"):
         finished(Check(*job_and_robot(tmp_path_factory)).steps(5, STANDS))
 
@@ -210,7 +210,7 @@ def test_nothing_of_the_path_is_looked_at_in_the_steps(tmp_path_factory, monkeyp
         (certificate, "recheck"),
         (certificate, "certify"),
         (records.Path, "parse"),
-        (checks.course, "between"),
+        (checks.reference, "between"),
         (checks, "straight_lines"),
     ):
         monkeypatch.setattr(module, name, lambda *_given, **_options: 1 / 0)
@@ -238,12 +238,12 @@ def test_no_step_looks_at_more_than_a_block(tmp_path_factory, monkeypatch):
 
 def test_a_trajectory_of_many_knots_is_put_together_in_parts(tmp_path_factory, monkeypatch):
     whole = own(tmp_path_factory).verdict.trajectory
-    monkeypatch.setattr(checks.course, "ROWS", 7)
+    monkeypatch.setattr(checks.reference, "ROWS", 7)
     parts = own(tmp_path_factory).verdict.trajectory
     assert len(whole.times_s) > 3 * 7
     for name in ("times_s", "joints", "poses_s"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name))
-    assert inspect.isgenerator(checks.course.from_start(None, STANDS))
+    assert inspect.isgenerator(checks.reference.from_start(None, STANDS))
 
 
 # ---------------------------------------------------------------- what is made of a claim
@@ -279,7 +279,7 @@ NOT_CLAIMED = {"reason", "approach_reason", "trajectory", "to_confirm"}
 
 
 def test_every_field_of_a_verdict_is_compared():
-    assert {field.name for field in fields(Verdict)} == ANOTHER.keys() | NOT_CLAIMED
+    assert {field.name for field in fields(CutVerdict)} == ANOTHER.keys() | NOT_CLAIMED
 
 
 @pytest.mark.parametrize("name", ANOTHER)

@@ -20,10 +20,10 @@ def cutting(pair):
 
 
 def test_a_wedged_runtime_stops_the_arm_within_the_time_out(cutting):
-    cutting.runtime_turns = False
+    cutting.runtime_runs = False
     began_s = cutting.clock()
     cutting.until(lambda: not cutting.controller.may_move)
-    assert cutting.clock() - began_s <= 0.100 + 2 * cutting.turn_s
+    assert cutting.clock() - began_s <= 0.100 + 2 * cutting.cycle_s
     assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
     place = cutting.process.arm.state.joints
     cutting.run(0.2)
@@ -31,11 +31,11 @@ def test_a_wedged_runtime_stops_the_arm_within_the_time_out(cutting):
 
 
 def test_a_runtime_that_wakes_up_discards_what_queued_and_says_that_it_stalled(cutting):
-    cutting.runtime_turns = False
+    cutting.runtime_runs = False
     cutting.run(0.5)
-    cutting.runtime_turns = True
+    cutting.runtime_runs = True
     assert cutting.wire.nodes[0].inbox
-    cutting.turn()
+    cutting.run_cycle()
     assert cutting.state.cause is StopCause.LOOP_STALLED
     assert "frames discarded" in cutting.state.reason
     assert cutting.end() is Phase.STOPPED
@@ -44,22 +44,22 @@ def test_a_runtime_that_wakes_up_discards_what_queued_and_says_that_it_stalled(c
 @pytest.mark.parametrize("side", Side)
 def test_no_heartbeat_of_a_turn_that_stalled_says_what_was_right_before_it(cutting, side):
     """The clocks are looked at and the table is fed before the heartbeat: what it says was decided in this turn."""
-    cutting.runtime_turns = side is Side.CONTROLLER
-    cutting.controller_turns = side is Side.RUNTIME
+    cutting.runtime_runs = side is Side.CONTROLLER
+    cutting.controller_runs = side is Side.RUNTIME
     cutting.run(0.11)
-    cutting.runtime_turns = cutting.controller_turns = True
+    cutting.runtime_runs = cutting.controller_runs = True
     kind = RuntimeHeartbeat if side is Side.RUNTIME else ControllerHeartbeat
     before = len(cutting.wire.frames(kind))
-    cutting.turn()
+    cutting.run_cycle()
     assert StopCause.NONE not in {beat.cause for _, beat in cutting.wire.frames(kind)[before:]}
     assert cutting.state.cause is not StopCause.NONE
     assert cutting.controller.cause is not StopCause.NONE
 
 
 def test_a_gap_as_long_as_the_time_out_is_not_a_stall(cutting):
-    cutting.turn_s = 0.08
-    cutting.turn()
-    cutting.turn_s = 0.005
+    cutting.cycle_s = 0.08
+    cutting.run_cycle()
+    cutting.cycle_s = 0.005
     cutting.run(0.2)
     assert cutting.phase is Phase.CUTTING
 
@@ -77,20 +77,20 @@ def test_a_controller_that_hangs_stops_by_itself_when_it_wakes_up(pair):
 @pytest.mark.parametrize("seconds", [0.06, 0.09])
 def test_a_lost_heartbeat_says_how_long_this_side_stood_still(cutting, seconds):
     """Not for as long as the time-out; with what the controller then does not say any more it is too long."""
-    cutting.runtime_turns = False
+    cutting.runtime_runs = False
     cutting.run(seconds)
-    cutting.runtime_turns, cutting.controller_turns = True, False
+    cutting.runtime_runs, cutting.controller_runs = True, False
     cutting.until(lambda: cutting.phase is not Phase.CUTTING)
     assert cutting.state.cause is StopCause.HEARTBEAT_LOST
     assert (
         "no fresh controller heartbeat within 100 ms; this computer stood still for" in cutting.state.reason
     )
     told_ms = int(cutting.state.reason.split(" ms")[-2].rsplit(" ", 1)[1])
-    assert seconds <= told_ms / 1000 <= seconds + 3 * cutting.turn_s
+    assert seconds <= told_ms / 1000 <= seconds + 3 * cutting.cycle_s
 
 
 def test_a_heartbeat_is_sent_only_by_a_turn(cutting):
-    cutting.runtime_turns = False
+    cutting.runtime_runs = False
     before = len(cutting.wire.frames(RuntimeHeartbeat))
     cutting.run(0.3)
     assert len(cutting.wire.frames(RuntimeHeartbeat)) == before
@@ -135,7 +135,7 @@ def test_a_signal_wakes_the_loop_and_quits(pair):
 
 def test_a_session_without_a_terminal_can_be_waited_for(pair):
     pair.begin()
-    pair.session._words = None
+    pair.session._commands = None
     leaping(pair)
     pair.session._clock = pair.clock
     reading, writing = os.pipe()
@@ -163,8 +163,8 @@ def stands_at_the_bus(pair, port, seconds):
 @pytest.mark.parametrize("seconds", [0.09, 0.11])
 def test_a_runtime_that_stands_still_at_the_bus_says_so_in_the_same_turn(cutting, seconds):
     stands_at_the_bus(cutting, cutting.session._port, seconds)
-    cutting.controller_turns = False
-    cutting.turn()
+    cutting.controller_runs = False
+    cutting.run_cycle()
     stalled = seconds > 0.1
     assert (cutting.state.cause is StopCause.LOOP_STALLED) is stalled
     assert ("at the bus" in cutting.state.reason) is stalled
@@ -173,8 +173,8 @@ def test_a_runtime_that_stands_still_at_the_bus_says_so_in_the_same_turn(cutting
 @pytest.mark.parametrize("seconds", [0.09, 0.11])
 def test_a_controller_that_stands_still_at_the_bus_stops_in_the_same_turn(cutting, seconds):
     stands_at_the_bus(cutting, cutting.process.port, seconds)
-    cutting.runtime_turns = False
-    cutting.turn()
+    cutting.runtime_runs = False
+    cutting.run_cycle()
     stalled = seconds > 0.1
     assert (cutting.controller.cause is StopCause.LOOP_STALLED) is stalled
     assert cutting.controller.may_move is not stalled

@@ -112,7 +112,7 @@ def test_a_silent_controller_is_lost(pair):
 def test_the_person_at_the_controller_stops_the_cut(pair, word, cause):
     pair.power_up(time_scale=0.05)
     pair.to(Phase.CUTTING).controller_terminal.type(word)
-    pair.turn()
+    pair.run_cycle()
     assert not pair.controller.may_move
     assert pair.end() is Phase.STOPPED
     assert (pair.state.cause, pair.controller.cause) == (cause, cause)
@@ -120,7 +120,7 @@ def test_the_person_at_the_controller_stops_the_cut(pair, word, cause):
 
 def test_an_unknown_word_at_the_controller_is_answered(pair):
     pair.controller_terminal.type("dance")
-    pair.turn()
+    pair.run_cycle()
     assert "'dance' is no command here; say one of hold, release," in pair.said[-1]
 
 
@@ -163,7 +163,7 @@ def test_timing_outside_the_controllers_bounds_is_refused(pair):
 def test_a_refusal_is_not_cut_off_by_the_next_announcement(pair):
     """Whenever the next announcement was due: the refusal needs several frames, and each of them a turn."""
     timing = replace(pair.job.timing, heartbeat_ms=4)
-    pair.turn_s = 0.02
+    pair.cycle_s = 0.02
     pair.begin(replace(pair.job, timing=timing))
     pair.until(lambda: "refused: TIMING_OUT_OF_BOUNDS" in pair.said)
     refused_s = pair.clock()
@@ -309,7 +309,7 @@ def stopping(pair):
     """The bone moves in the turn in which the operator says stop: what the controller says of it crosses the stop."""
     pair.power_up(time_scale=0.05)
     pair.to(Phase.CUTTING).run(0.1)
-    pair.wire.delay_s = {of(kind): pair.turn_s / 2 for kind in (ControllerFault, ControllerHeartbeat)}
+    pair.wire.delay_s = {of(kind): pair.cycle_s / 2 for kind in (ControllerFault, ControllerHeartbeat)}
     pair.controller_terminal.type("bone-motion")
     return pair
 

@@ -60,7 +60,7 @@ def test_a_decision_that_does_not_become_durable_in_time_is_an_audit_failure(pai
     pair.to(pending)
     began_s = pair.clock()
     pair.end()
-    assert pair.clock() - began_s <= 1.0 + 2 * pair.turn_s + 0.02
+    assert pair.clock() - began_s <= 1.0 + 2 * pair.cycle_s + 0.02
     assert pair.state.cause is StopCause.AUDIT_FAILED
     assert not first_frames(pair, record)
     pair.run(0.2)
@@ -77,7 +77,7 @@ def test_the_stop_frame_does_not_wait_for_a_silent_disk(pair, phase):
         pair.to(Phase.CUTTING)
     pair.disk.answers = False
     pair.to(phase)
-    said_s = pair.clock() + pair.turn_s
+    said_s = pair.clock() + pair.cycle_s
     pair.say("stop")
     (seen, stop) = pair.wire.frames(RuntimeStop)[0]
     assert (seen.at_s, stop.cause) == (said_s, StopCause.OPERATOR_STOP)
@@ -107,7 +107,7 @@ def test_a_full_disk_stops_the_cut(pair):
 def test_a_slow_checkpoint_stops_the_cut_only_beyond_its_own_deadline(pair, delay_s, phase):
     pair.power_up(time_scale=0.02)
     pair.to(Phase.CUTTING)
-    pair.disk.delay_s, pair.turn_s = delay_s, 0.02
+    pair.disk.delay_s, pair.cycle_s = delay_s, 0.02
     pair.run(6.5)
     assert pair.phase is phase
     if phase is Phase.STOPPED:
@@ -191,7 +191,7 @@ def test_a_cut_that_nobody_can_prove_is_stopped_with_the_next_chunk(pair, loss):
     pair.power_up(time_scale=0.05)
     pair.to(Phase.CUTTING).run(2.0)
     act(pair.log)
-    assert pair.end(limit_s=1.0 + 2 * pair.turn_s) is Phase.STOPPED
+    assert pair.end(limit_s=1.0 + 2 * pair.cycle_s) is Phase.STOPPED
     assert pair.state.cause is StopCause.AUDIT_FAILED
     assert any(told in note for note in pair.notes.notes), pair.notes.notes
     assert (pair.controller.state, pair.controller.cause) == (ControllerState.FAULT, StopCause.AUDIT_FAILED)

@@ -7,16 +7,16 @@ from cutgate.protocol.frames import ControllerHeartbeat
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 from cutgate.runtime.interlock.state import (
     Announced,
-    BlockStored,
+    BlockConfirmed,
+    CommandGiven,
     ControllerView,
     NonceReceived,
+    OperatorCommand,
     ParameterReceived,
-    PathStored,
+    PathConfirmed,
     ReplyReceived,
-    Said,
     SessionOpened,
-    Stored,
-    Word,
+    UploadedPath,
 )
 from cutgate.runtime.session import events
 from tests.runtime.interlock.builders import ANNOUNCE, CALIBRATION, EPOCH, LIMITS, NONCE, TOOL
@@ -27,8 +27,8 @@ MEANINGS = [
     (LIMITS, ParameterReceived(LIMITS)),
     (CALIBRATION, ParameterReceived(CALIBRATION)),
     (TOOL, ParameterReceived(TOOL)),
-    (records.BlockStored(2), BlockStored(2)),
-    (records.PathStored(DIGEST, Refusal.ACCEPTED, 0), PathStored(Stored(DIGEST, Refusal.ACCEPTED, 0))),
+    (records.BlockStored(2), BlockConfirmed(2)),
+    (records.PathStored(DIGEST, Refusal.ACCEPTED, 0), PathConfirmed(UploadedPath(DIGEST, Refusal.ACCEPTED, 0))),
     (records.Nonce(Purpose.START, NONCE, EPOCH), NonceReceived(Purpose.START, NONCE, EPOCH)),
     (records.Reply(0x0A, 5, Refusal.NONCE_EXPIRED, StopCause.NONE, 0), ReplyReceived(0x0A, Refusal.NONCE_EXPIRED, StopCause.NONE, False)),
     (records.Reply(0x0A, 5, Refusal.ACCEPTED, StopCause.NONE, 7), ReplyReceived(0x0A, Refusal.ACCEPTED, StopCause.NONE, True)),
@@ -62,9 +62,9 @@ def test_a_heartbeat_tells_each_of_its_signals(field):
     assert events.view_of(beat) == expected
 
 
-@pytest.mark.parametrize("word", Word, ids=str)
+@pytest.mark.parametrize("word", OperatorCommand, ids=str)
 def test_each_command_of_the_operator_is_itself(word):
-    assert events.of_operator(word) == Said(word)
+    assert events.of_operator(word) == CommandGiven(word)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_each_command_of_the_operator_is_itself(word):
     ],
 )
 def test_a_confirmation_names_what_it_confirms(typed, what):
-    assert events.of_operator(typed) == Said(Word.CONFIRM, what)
+    assert events.of_operator(typed) == CommandGiven(OperatorCommand.CONFIRM, what)
 
 
 @pytest.mark.parametrize("typed", ["begin", "start now", "CONFIRM X", "confirmX"])

@@ -30,7 +30,7 @@ def cutting(pair):
 
 def inhibited(pair):
     """Whether the arm stands within the time-out, and stays so."""
-    pair.run(0.1 + 2 * pair.turn_s)
+    pair.run(0.1 + 2 * pair.cycle_s)
     return not pair.controller.may_move and not pair.controller.cutting_mode
 
 
@@ -39,7 +39,7 @@ def inhibited(pair):
 
 def test_a_bus_that_fails_ends_the_runtimes_session_at_once(cutting):
     cutting.wire.nodes[RUNTIME].broken = True
-    cutting.turn()
+    cutting.run_cycle()
     assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.BUS_FAILED)
     assert inhibited(cutting)
     assert cutting.controller.cause is StopCause.HEARTBEAT_LOST
@@ -52,7 +52,7 @@ def test_a_bus_that_fails_ends_the_runtimes_session_at_once(cutting):
 
 def test_a_bus_that_can_only_be_written_still_carries_the_stop(cutting):
     cutting.wire.nodes[RUNTIME].deaf = True
-    cutting.turn()
+    cutting.run_cycle()
     assert cutting.wire.frames(RuntimeStop)[-1][1].cause is StopCause.BUS_FAILED
     assert inhibited(cutting)
     assert cutting.controller.cause is StopCause.BUS_FAILED
@@ -89,7 +89,7 @@ def test_a_bus_that_fails_once_under_the_stop_is_not_trusted_again(cutting, monk
 
 
 def test_what_the_controller_said_before_the_bus_failed_counts(cutting, monkeypatch):
-    """The hub ends: a client reads what still waits, and then that it has ended, in the same turn."""
+    """The hub ends: a client reads what still waits, and then that it has ended, in the same cycle."""
     node = cutting.wire.nodes[RUNTIME]
     recv = node.recv
 
@@ -100,9 +100,9 @@ def test_what_the_controller_said_before_the_bus_failed_counts(cutting, monkeypa
         return message
 
     cutting.controller_terminal.type("bone-motion")
-    cutting.runtime_turns = False
-    cutting.turn()
-    cutting.runtime_turns = True
+    cutting.runtime_runs = False
+    cutting.run_cycle()
+    cutting.runtime_runs = True
     monkeypatch.setattr(node, "recv", recv_to_the_end)
     assert cutting.end() is Phase.STOPPED
     assert cutting.state.cause is StopCause.BONE_MOVED
@@ -112,8 +112,8 @@ def test_what_the_controller_said_before_the_bus_failed_counts(cutting, monkeypa
 def test_a_bus_that_fails_stops_the_controller(cutting):
     cutting.wire.nodes[CONTROLLER].broken = True
     with pytest.raises(can.CanError):
-        cutting.turn()
-    cutting.controller_turns = False
+        cutting.run_cycle()
+    cutting.controller_runs = False
     assert cutting.controller.cause is StopCause.BUS_FAILED
     assert not cutting.controller.may_move
     assert cutting.end() is Phase.STOPPED
@@ -144,7 +144,7 @@ def test_an_error_inside_a_turn_sends_the_stop_and_is_raised(cutting, monkeypatc
 
     monkeypatch.setattr(getattr(cutting.session, place), "step", fail)
     with pytest.raises(type(error)):
-        cutting.turn()
+        cutting.run_cycle()
     stop = cutting.wire.frames(RuntimeStop)[-1]
     assert (stop[0].at_s, stop[1].cause) == (cutting.clock(), StopCause.INTERNAL_ERROR)
     assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.INTERNAL_ERROR)
@@ -213,7 +213,7 @@ def test_an_error_while_the_session_is_stopping_keeps_the_first_cause(cutting, m
     assert cutting.phase is Phase.STOPPING
     monkeypatch.setattr(cutting.session, "_read_disk", broken)
     with pytest.raises(RuntimeError):
-        cutting.turn()
+        cutting.run_cycle()
     assert (cutting.phase, cutting.state.cause) == (Phase.STOPPED, StopCause.OPERATOR_STOP)
     assert [stop.cause for _, stop in cutting.wire.frames(RuntimeStop)] == [
         StopCause.OPERATOR_STOP,
@@ -249,7 +249,7 @@ def test_a_log_that_takes_nothing_any_more_holds_up_neither_the_stop_nor_the_err
     monkeypatch.setattr(cutting.log, "write", broken)
     monkeypatch.setattr("cutgate.runtime.session.loop.step", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        cutting.turn()
+        cutting.run_cycle()
     assert cutting.wire.frames(RuntimeStop)[-1][1].cause is StopCause.INTERNAL_ERROR
     assert inhibited(cutting)
 
@@ -274,7 +274,7 @@ def test_an_error_before_the_link_is_open_sends_nothing(pair, monkeypatch):
     pair.begin()
     monkeypatch.setattr(pair.journal, "step", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        pair.turn()
+        pair.run_cycle()
     assert pair.state.cause is StopCause.INTERNAL_ERROR
     assert not pair.wire.frames(RuntimeStop)
 
@@ -297,7 +297,7 @@ def command(pair, monkeypatch, tmp_path):
     node = pair.wire.nodes[RUNTIME]
     monkeypatch.setattr("cutgate.runtime.commands.run._bus", lambda *_, **_fd: (node, "test/a\udcffb"))
     monkeypatch.setattr("cutgate.runtime.session.conduct.Worker", Prover)
-    monkeypatch.setattr("cutgate.runtime.session.conduct.typed", lambda _words: None)
+    monkeypatch.setattr("cutgate.runtime.session.conduct.typed", lambda _commands: None)
     monkeypatch.setattr("sys.argv", ["cutgate", "run", "pl\udcffan"])
     monkeypatch.setattr(node, "shutdown", lambda: None)
 
@@ -316,7 +316,7 @@ def command(pair, monkeypatch, tmp_path):
 
 
 def test_the_command_exits_70_and_closes_the_log_as_not_clean(command, monkeypatch, capsys):
-    monkeypatch.setattr(Session, "_turn", lambda *_: 1 / 0)
+    monkeypatch.setattr(Session, "_run_cycle", lambda *_: 1 / 0)
     code, log = command()
     assert code == INTERNAL
     assert "internal error: ZeroDivisionError" in capsys.readouterr().err
@@ -352,7 +352,7 @@ def test_an_error_inside_the_controllers_turn_latches_and_is_raised(cutting, mon
     monkeypatch.setattr(cutting.process, place, lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         cutting.run(0.1)
-    cutting.controller_turns = False
+    cutting.controller_runs = False
     monkeypatch.undo()
     assert (cutting.controller.state, cutting.controller.cause) == (
         ControllerState.FAULT,
@@ -372,7 +372,7 @@ def test_a_memory_that_cannot_be_written_latches(cutting, monkeypatch):
 
     monkeypatch.setattr("cutgate.firmware_sim.memory.replace_durably", fail)
     cutting.controller_terminal.type("bone-motion")
-    cutting.turn()
+    cutting.run_cycle()
     assert (cutting.controller.state, cutting.controller.cause) == (
         ControllerState.FAULT,
         StopCause.BONE_MOVED,
@@ -388,5 +388,5 @@ def test_an_error_of_the_controller_on_a_dead_bus_is_still_the_error(cutting, mo
     monkeypatch.setattr(cutting.process, "_move", lambda *_: 1 / 0)
     cutting.wire.nodes[CONTROLLER].mute = True
     with pytest.raises(ZeroDivisionError):
-        cutting.turn()
+        cutting.run_cycle()
     assert cutting.controller.state is ControllerState.FAULT

@@ -10,14 +10,14 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.frames import RuntimeHeartbeat
 from cutgate.protocol.states import StopCause
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session.messages import ANSWER_BYTES_MAX, Broken, Claim, framed
 from cutgate.runtime.verification.steps import finished
 from tests.runtime.session.pair import (
     ADMISSIBLE_MM,
+    CYCLE_S,
     STANDS,
-    TURN_S,
     answers,
     check_of,
     claim_of,
@@ -218,7 +218,7 @@ def test_whatever_it_does_after_its_verdict_stops_no_cut(pair, admissible, more,
     more(pair.prover, lies(pair.prover.asked[0], admissible))
     assert pair.end() is Phase.DONE
     pair.close()
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 @pytest.mark.parametrize("at", [Phase.WAITING, Phase.COLLECTING, Phase.UPLOADING])
@@ -250,7 +250,7 @@ STEP_S = 0.001
 
 
 def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
-    """Steps of a millisecond each, a hundred of them: at most a quarter of a heartbeat in one turn, and at once again."""
+    """Steps of a millisecond each, a hundred of them: at most a quarter of a heartbeat in one cycle, and at once again."""
     pair.begin()
     check, a_turn = pair.session._verifying._check, []
 
@@ -272,7 +272,7 @@ def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
     heartbeat_s = pair.job.timing.heartbeat_ms / 1000
     while pair.phase is not Phase.ADMITTED and pair.phase is not Phase.NONCE_PERMIT:
         a_turn.append(0)
-        pair.turn()
+        pair.run_cycle()
         if pair.session._verifying._steps is not None:  # nobody waits for a heartbeat before it goes on
             before_s = pair.clock()
             pair.session._wait(pair.wake[0])
@@ -280,7 +280,7 @@ def test_the_runtimes_own_check_never_holds_up_a_turn(pair):
     assert sum(a_turn) == 100
     assert max(a_turn) * STEP_S <= heartbeat_s / 4
     times = [seen.at_s for seen, _ in pair.wire.frames(RuntimeHeartbeat)]
-    assert max(b - a for a, b in pairwise(times)) <= heartbeat_s * 1.25 + TURN_S + 1e-9
+    assert max(b - a for a, b in pairwise(times)) <= heartbeat_s * 1.25 + CYCLE_S + 1e-9
     assert pair.end() is Phase.DONE
 
 

@@ -9,7 +9,7 @@ from cutgate.protocol.frames import BULK_IDS
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.protocol.transfer import FD_LENGTHS
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.pair import Pair, job_of, pair_of
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth
@@ -33,7 +33,7 @@ def test_a_session_over_fd_cuts_every_segment_and_leaves_a_log_that_replays(pair
     pair.run(0.2)
     assert pair.close().closed
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def test_bulk_frames_alone_are_fd_and_everything_else_is_8_bytes_classic(pair):

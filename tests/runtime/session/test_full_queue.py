@@ -9,7 +9,7 @@ from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS, IDS, RuntimeStop
 from cutgate.protocol.port import LAST_TRIES, RETRY_S
 from cutgate.protocol.states import StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
 from tests.runtime.session.wire import CONTROLLER, RUNTIME
 
@@ -28,7 +28,7 @@ def test_a_session_over_a_bus_that_takes_a_few_frames_a_turn_cuts_to_its_end(pai
     assert pair.wire.nodes[RUNTIME].refused > 0
     pair.close()
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def test_a_stop_leaves_in_its_turn_although_an_upload_waits(pair):
@@ -52,7 +52,7 @@ def test_a_queue_that_stays_full_stops_both_sides_within_the_time_out(pair, side
     pair.wire.nodes[side].room = 0
     stood_s = pair.clock()
     pair.until(lambda: not pair.controller.may_move)
-    assert pair.clock() - stood_s <= TIMEOUT_S + 2 * pair.turn_s + pair.job.timing.heartbeat_ms / 1000
+    assert pair.clock() - stood_s <= TIMEOUT_S + 2 * pair.cycle_s + pair.job.timing.heartbeat_ms / 1000
     assert pair.end() is Phase.STOPPED
     assert StopCause.HEARTBEAT_LOST in (pair.state.cause, pair.controller.cause)
     assert StopCause.BUS_FAILED not in (pair.state.cause, pair.controller.cause)
@@ -89,15 +89,15 @@ def test_the_last_word_of_a_session_is_tried_until_there_is_room(pair, monkeypat
             monkeypatch.setattr(session._cycle, "read", lambda: 1 / 0)
         else:
             pair.terminal.type("quit")
-        last_turn({pair.terminal.reader.descriptor})
+        last_cycle({pair.terminal.reader.descriptor})
         session.state = replace(session.state, phase=Phase.STOPPED)
 
     def pause(seconds):
         pauses.append(seconds)
         node._left = int(len(pauses) == 5)
 
-    last_turn, flush_last = session.turn, session._port.flush_last
-    monkeypatch.setattr(session, "turn", turn)
+    last_cycle, flush_last = session.run_cycle, session._port.flush_last
+    monkeypatch.setattr(session, "run_cycle", turn)
     monkeypatch.setattr(session, "begin", lambda _wake: None)
     monkeypatch.setattr(session, "_wait", lambda _wake: set())
     monkeypatch.setattr(session._port, "flush_last", lambda: flush_last(pause))
@@ -147,7 +147,7 @@ def test_what_a_stop_voids_before_it_has_left_is_not_called_sent(pair, waiting, 
     begun = len(pair.wire.seen)
     pair.disk.answers = True
     pair.until(lambda: pair.phase is not waiting)
-    pair.say("stop").turn()
+    pair.say("stop").run_cycle()
     squeeze(pair, None)
     assert pair.end() is Phase.STOPPED
     mine = [seen.can_id for seen in pair.wire.seen[begun:] if seen.sender is RUNTIME]
@@ -156,7 +156,7 @@ def test_what_a_stop_voids_before_it_has_left_is_not_called_sent(pair, waiting, 
     stages = [(entry["kind"], entry["stage"]) for entry in pair.read().of("/audit/permit")]
     assert stages[-3:] == [(kind, "authorised"), (kind, "sent"), (kind, "withheld")]
     assert "void" in pair.read().of("/audit/permit")[-1]["reason"]
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def test_what_left_before_a_stop_stays_sent(pair):

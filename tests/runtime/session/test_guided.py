@@ -8,7 +8,7 @@ import pytest
 from cutgate.protocol.frames import RuntimeStop
 from cutgate.protocol.states import StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.commands.session_view import run_document
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.review.story import story
@@ -33,7 +33,7 @@ def told(outside):
     """What log, its story and the JSON document say."""
     outside.close()
     assert outside.read().report.status is Status.OK
-    assert outside.replayed().outcome is Outcome.IDENTICAL
+    assert outside.replayed().outcome is ReplayOutcome.IDENTICAL
     (entry,) = outside.read().of("/audit/guidance")
     (verdict,) = story(outside.read(), outside.paths.log, outside.paths.candump)["verdicts"]
     document = run_document(outside.state, outside.session.answer, outside.paths, None)["verdict"]
@@ -50,7 +50,7 @@ def test_an_inadmissible_cut_is_refused_shown_and_recorded_before_guidance_is_lo
     log = outside.read()
     assert [entry["verdict"] for entry in log.of("/audit/verdict")] == ["inadmissible"]
     assert log.of("/audit/guidance") == []
-    assert outside.replayed().outcome is Outcome.IDENTICAL, "a log that ends there is whole"
+    assert outside.replayed().outcome is ReplayOutcome.IDENTICAL, "a log that ends there is whole"
 
 
 def test_guidance_that_comes_in_time_is_shown_recorded_and_part_of_the_document(outside):

@@ -11,19 +11,19 @@ from cutgate.protocol.port import Passed
 from cutgate.protocol.states import FaultCode, Refusal, StopCause, StopCode
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.interlock.state import (
+    CommandGiven,
     Dropped,
     Event,
     Failed,
     FaultReceived,
     Gone,
+    OperatorCommand,
     Phase,
     Refused,
     ReplyReceived,
-    Said,
     SendBlock,
     SendStop,
     Tick,
-    Word,
 )
 from cutgate.runtime.interlock.table import EVERYWHERE
 from cutgate.runtime.session.journal import NAMES, Journal, plain
@@ -68,8 +68,10 @@ def test_reasons_that_are_no_text_are_recorded_all_the_same(log):
     journal, state = log.journal, READY
     stopped = in_phase(Phase.STOPPING, reason=BAD, cause=StopCause.INTERNAL_ERROR)
     journal.step(state, Failed(StopCause.INTERNAL_ERROR, BAD), stopped, (), 1.0)
-    journal.step(state, Said(Word.START), state, (Refused(Word.START, BAD),), 1.0)
-    journal.step(state, Said(Word.STOP), state, (Dropped(BAD),), 1.0)
+    journal.step(
+        state, CommandGiven(OperatorCommand.START), state, (Refused(OperatorCommand.START, BAD),), 1.0
+    )
+    journal.step(state, CommandGiven(OperatorCommand.STOP), state, (Dropped(BAD),), 1.0)
     decisions = written(log, "/audit/decision")
     assert [decision["reason"] for decision in decisions] == [SHOWN, SHOWN, f"dropped {SHOWN}"]
 

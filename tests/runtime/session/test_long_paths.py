@@ -77,7 +77,7 @@ def test_the_digest_of_the_path_is_taken_before_the_first_turn(pair, monkeypatch
     sizes = []
     whole = records.digest
     monkeypatch.setattr(records, "digest", lambda body: sizes.append(len(body)) or whole(body))
-    pair.controller_turns = False
+    pair.controller_runs = False
     pair.run(0.1)
     assert pair.state.job.path_digest == whole(pair.job.path)
     assert len(pair.job.path) not in sizes

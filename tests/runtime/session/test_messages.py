@@ -178,7 +178,7 @@ def test_what_is_said_of_foreign_bytes_ends_after_200_characters():
 
 
 def test_so_much_is_read_and_no_more():
-    """As said in docs/architecture.md: what a turn of the loop can be kept busy with."""
+    """As said in docs/architecture.md: what a cycle of the loop can be kept busy with."""
     assert (ANSWER_BYTES_MAX, REQUEST_BYTES_MAX) == (16_384, 262_144)
 
 

@@ -10,8 +10,8 @@ from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeSto
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit import records as audit
 from cutgate.runtime.audit.inspect import read_log
-from cutgate.runtime.audit.replay import Outcome, replay
-from cutgate.runtime.interlock.state import Phase, Refused, Word
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
+from cutgate.runtime.interlock.state import OperatorCommand, Phase, Refused
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
@@ -70,13 +70,13 @@ def test_quit_stops_the_arm_first(pair, phase):
     assert pair.controller.cause is StopCause.OPERATOR_QUIT
 
 
-@pytest.mark.parametrize("word", [Word.START, Word.ACKNOWLEDGE, Word.RESET])
+@pytest.mark.parametrize("word", [OperatorCommand.START, OperatorCommand.ACKNOWLEDGE, OperatorCommand.RESET])
 @pytest.mark.parametrize("phase", [Phase.COLLECTING, Phase.AUTHORISING_PERMIT, Phase.CUTTING])
 def test_a_word_at_the_wrong_moment_is_refused_and_recorded(pair, word, phase):
     pair.power_up(time_scale=0.05)
     reach(pair, phase).say(word)
     refused = [effect for effect in pair.notes.effects if isinstance(effect, Refused)]
-    assert refused[-1].word is word
+    assert refused[-1].command is word
     assert pair.state.cause is StopCause.NONE
     pair.disk.answers = True
     pair.say("stop").end()
@@ -227,8 +227,8 @@ def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
     assert pair.phase is not Phase.OPENING
     sent = pair.clock()
     assert pair.wire.frames(RuntimeStop)
-    pair.turn()
-    assert pair.clock() <= sent + 2 * pair.turn_s
+    pair.run_cycle()
+    assert pair.clock() <= sent + 2 * pair.cycle_s
     assert pair.controller.state is ControllerState.INHIBITED
     assert pair.controller.cause is cause
     assert (pair.job.registration in pair.controller.memory.withdrawn) is (word == "withdraw")
@@ -272,7 +272,7 @@ def test_a_warning_keeps_from_the_permit_until_it_is_confirmed_by_its_code(doubt
         ("confirm", "CUT_TINY", True),
         ("start", None, True),
     ]
-    assert doubtful.replayed().outcome is Outcome.IDENTICAL
+    assert doubtful.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def test_a_warning_nobody_confirms_ends_the_session_and_is_named(doubtful):
@@ -289,7 +289,7 @@ def test_replay_finds_a_permit_that_left_without_the_confirmation(doubtful, chan
     doubtful.close()
 
     def edit(record):
-        confirms = isinstance(record, audit.Operator) and record.word == "confirm"
+        confirms = isinstance(record, audit.AuditOperator) and record.word == "confirm"
         return record.model_copy(update=change) if confirms else record
 
     forged = forge(doubtful.paths.log.read_bytes(), edit)

@@ -8,9 +8,9 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status, read_log
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
-from tests.runtime.session.pair import TURN_S
+from tests.runtime.session.pair import CYCLE_S
 from tests.runtime.session.wire import RUNTIME
 
 
@@ -36,7 +36,7 @@ def test_a_session_cuts_every_segment_and_leaves_a_log_that_replays(pair):
     assert (pair.controller.state, pair.controller.cause) == (ControllerState.INHIBITED, StopCause.NONE)
     assert pair.close().closed
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
     assert [(stop.code, stop.cause) for _, stop in pair.wire.frames(RuntimeStop)] == [
         (StopCode.END, StopCause.SESSION_ENDED)
     ]
@@ -68,7 +68,7 @@ def test_heartbeats_keep_their_period_on_both_sides(pair):
     pair.end()
     for kind in (RuntimeHeartbeat, ControllerHeartbeat):
         times = [seen.at_s for seen, _ in pair.wire.frames(kind)]
-        assert max(b - a for a, b in pairwise(times)) <= 0.020 + TURN_S + 1e-9
+        assert max(b - a for a, b in pairwise(times)) <= 0.020 + CYCLE_S + 1e-9
 
 
 def test_a_path_outside_the_controllers_limits_is_refused_and_its_pose_is_named(outside):
@@ -84,7 +84,7 @@ def test_a_path_outside_the_controllers_limits_is_refused_and_its_pose_is_named(
     )
     assert outside.close().closed
     assert outside.read().report.status is Status.OK
-    assert outside.replayed().outcome is Outcome.IDENTICAL
+    assert outside.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def test_a_stopped_session_leaves_a_log_that_replays(pair):
@@ -97,7 +97,7 @@ def test_a_stopped_session_leaves_a_log_that_replays(pair):
     )
     assert pair.close().closed
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 @pytest.mark.parametrize("phase", [Phase.WAITING, Phase.COLLECTING, Phase.VERIFYING, Phase.PERMITTED])

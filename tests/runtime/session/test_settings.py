@@ -29,7 +29,7 @@ from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from cutgate.runtime.session import conduct, new_log, withdrawal
 from cutgate.runtime.session.check import Answer
-from cutgate.runtime.session.job import Files, make_job, read_files
+from cutgate.runtime.session.job import InputFiles, make_job, read_files
 from cutgate.runtime.verification.steps import finished
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
@@ -54,7 +54,7 @@ class Trial:
 
     setting: str
     value: str
-    base: Files
+    base: InputFiles
     folder: Path
     monkeypatch: pytest.MonkeyPatch
 
@@ -66,7 +66,7 @@ class Trial:
         return f"{head}{f'[{table}]' if table else ''}\n{key} = {self.value}\n"
 
     @cached_property
-    def files(self) -> Files:
+    def files(self) -> InputFiles:
         data = self.text.encode()
         site = Loaded(site_from_bytes("site.toml", data), data, Path("site.toml"))
         return replace(self.base, site=site, allow_simulated=False)
@@ -261,7 +261,7 @@ def test_every_setting_has_a_row():
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Files, Path]:
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[InputFiles, Path]:
     """What a session needs besides its site; the plan has six poses."""
     files, _ = job_of(tmp_path_factory)
     folder = tmp_path_factory.mktemp("settings")

@@ -30,7 +30,7 @@ def sizes(pair):
 @pytest.mark.parametrize("heartbeat_ms", HEARTBEATS_MS)
 def test_a_moving_arm_writes_no_more_than_was_told_of_its_seconds_and_little_less(pair, heartbeat_ms):
     """Ten seconds of the cut, chunk by chunk. What is told is 1 to 10 % more, and twice that is reserved."""
-    pair.turn_s = heartbeat_ms / 1000 / 4
+    pair.cycle_s = heartbeat_ms / 1000 / 4
     pair.power_up(time_scale=0.01)
     pair.begin(timed(pair, heartbeat_ms)).to(Phase.CUTTING)
     pair.run(2.0)
@@ -48,7 +48,7 @@ def test_a_moving_arm_writes_no_more_than_was_told_of_its_seconds_and_little_les
 @pytest.mark.parametrize("heartbeat_ms", HEARTBEATS_MS)
 def test_a_whole_session_stays_within_half_of_what_is_reserved(pair, heartbeat_ms):
     """From the verdict to the last byte, close record, index and summary included."""
-    pair.turn_s = min(pair.turn_s, heartbeat_ms / 1000 / 4)
+    pair.cycle_s = min(pair.cycle_s, heartbeat_ms / 1000 / 4)
     pair.begin(timed(pair, heartbeat_ms)).to(Phase.ADMITTED, Phase.NONCE_PERMIT)
     before, began_s, needed = sum(sizes(pair)), pair.clock(), pair.state.log.needed_bytes
     assert pair.end(limit_s=60.0) is Phase.DONE
@@ -107,8 +107,8 @@ def test_the_estimate_covers_the_slowest_approach(pair):
     for percent in (100, 1):
         timing = replace(pair.job.timing, approach_speed_percent=percent)
         seconds[percent] = estimated_s(replace(pair.job, timing=timing))
-    turn_s = math.radians(340) / 2.0  # the roll of the example, from limit to limit at its speed
-    assert seconds[1] - seconds[100] == pytest.approx(2 * 99 * turn_s)
+    cycle_s = math.radians(340) / 2.0  # the roll of the example, from limit to limit at its speed
+    assert seconds[1] - seconds[100] == pytest.approx(2 * 99 * cycle_s)
 
 
 def test_the_estimate_covers_the_trajectory_that_is_verified(pair):

@@ -68,9 +68,9 @@ def test_a_loop_that_slept_starts_nothing_on_what_it_finds_when_it_wakes_up(pair
     pair.run(0.05)
     moved_s = moves_off(pair)
     pair.run(0.05)
-    pair.runtime_turns = False
+    pair.runtime_runs = False
     pair.run(asleep_s)
-    pair.runtime_turns = pair.disk.answers = True
+    pair.runtime_runs = pair.disk.answers = True
     pair.run(0.5)
     assert all(start.at_s - moved_s <= TIME_OUT_S for start in first_frames(pair, records.Start))
 
@@ -95,7 +95,7 @@ def test_joints_late_within_the_time_out_start_and_later_ones_are_refused_by_the
 def test_a_start_succeeds_at_every_timing_that_is_allowed(pair, heartbeat_ms, timeout_ms):
     """Joints are called as old as is proved of them: with the fewest heartbeats to the time-out that is still enough."""
     timing = replace(pair.job.timing, heartbeat_ms=heartbeat_ms, timeout_ms=timeout_ms)
-    pair.turn_s = heartbeat_ms / 4000
+    pair.cycle_s = heartbeat_ms / 4000
     pair.begin(replace(pair.job, timing=timing))
     assert pair.end(30.0) is Phase.DONE, pair.state.reason
 

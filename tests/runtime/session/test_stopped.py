@@ -9,7 +9,7 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import FRACTION_MAX, IDS, Joints01, Progress
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Log, read_log
-from cutgate.runtime.audit.records import CanFrame, Close, Decision
+from cutgate.runtime.audit.records import AuditClose, AuditDecision, CanFrame
 from cutgate.runtime.commands.session_view import run_document, stopped
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.review.story import story
@@ -45,7 +45,7 @@ def disk(pair):
 
 
 def silence(pair):
-    pair.controller_turns = False
+    pair.controller_runs = False
 
 
 ACTS = {
@@ -75,9 +75,9 @@ def test_what_a_stalled_session_was_sent_meanwhile_is_told_although_it_is_not_ac
     """Else a person looks for the tool where it was before the stall."""
     moving(pair, 0.3)
     before, _ = pair.session.last_seen
-    pair.runtime_turns = False
+    pair.runtime_runs = False
     pair.run(0.2)
-    pair.runtime_turns = True
+    pair.runtime_runs = True
     assert pair.end() is Phase.STOPPED
     told = stopped(pair.session)
     assert told["cause"] == StopCause.LOOP_STALLED.name
@@ -151,8 +151,8 @@ def test_a_log_that_ends_while_the_arm_moves_says_where_and_that_nobody_confirme
     pair.close()
 
     def cut_off(record):
-        ended = isinstance(record, Close) or (
-            isinstance(record, Decision) and record.to_state in ("stopping", "stopped")
+        ended = isinstance(record, AuditClose) or (
+            isinstance(record, AuditDecision) and record.to_state in ("stopping", "stopped")
         )
         return None if ended else record
 

@@ -15,7 +15,7 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerHeartbeat, Joint4, Joints01, Joints23, Progress, RuntimeStop
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.interlock.tracking import TrackingTolerance
 from tests.runtime.session.test_session import first_frames
@@ -74,7 +74,7 @@ def test_neither_jitter_nor_tolerated_losses_trip_it(pair, seed):
     """
     draw = random.Random(seed)
     timing = pair.job.timing
-    most_s = (timing.timeout_ms - timing.heartbeat_ms) / 1000 - 2 * pair.turn_s
+    most_s = (timing.timeout_ms - timing.heartbeat_ms) / 1000 - 2 * pair.cycle_s
     percent, latest_s = draw.randint(10, 100), draw.choice([0.03, 0.06, most_s])
     pair.power_up(time_scale=draw.choice([1.0, 2.0, 7.0, 60.0]))
     pair.begin(replace(pair.job, timing=replace(timing, approach_speed_percent=percent)))
@@ -104,7 +104,7 @@ def test_a_drift_that_the_controller_does_not_see_is_stopped_on_every_leg(pair, 
     assert turned * 900.0 < 6.0, "mm: far less than the deadbands leave"
     pair.close()
     assert pair.read().report.status is Status.OK
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
     (entry,) = [fault for fault in pair.read().of("/audit/fault") if fault["cause"] == "TRACKING_DEVIATION"][
         :1
     ]
@@ -171,7 +171,7 @@ def test_a_controller_that_says_done_too_early_is_not_believed(pair):
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT, 0.1)
     pair.process.controller = replace(pair.controller, state=ControllerState.DONE)
-    pair.turn()
+    pair.run_cycle()
     assert pair.end() is Phase.STOPPED
     assert "the controller reports the end, at most" in pair.state.reason
 
@@ -211,7 +211,7 @@ def test_a_drift_so_late_that_done_is_reported_is_no_completed_cut(pair):
     )
     assert last["reason"] == pair.state.reason
     assert last["permissives"][0]["holds"] is False
-    assert pair.replayed().outcome is Outcome.IDENTICAL
+    assert pair.replayed().outcome is ReplayOutcome.IDENTICAL
 
 
 def after_the_end(pair, rule, message):
@@ -226,7 +226,7 @@ def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, 
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT, 0.1)
     pair.until(lambda: pair.process._cycle.next_heartbeat_s - pair.clock() > 0.015)  # between two samples
-    pair.runtime_turns = False
+    pair.runtime_runs = False
     for number in range(waiting):
         measured = len(pair.wire.frames(Joint4))
         if number == off:
@@ -234,8 +234,8 @@ def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, 
             pair.process.arm.frozen = (q0 + math.radians(0.4), *rest)
         pair.until(lambda measured=measured: len(pair.wire.frames(Joint4)) > measured)
         pair.process.arm.frozen = None
-    pair.runtime_turns = True
-    pair.turn()
+    pair.runtime_runs = True
+    pair.run_cycle()
     if off >= waiting:
         assert pair.phase is Phase.CUTTING
         return
@@ -256,7 +256,7 @@ def test_the_end_waits_for_joints_measured_after_it_and_not_for_ever(pair, lost)
         return
     assert "no measured joints" in stopped_by_the_monitor(pair)
     (stop, _) = pair.wire.frames(RuntimeStop)[0]
-    assert stop.at_s - began_s <= 0.200 + 2 * pair.turn_s
+    assert stop.at_s - began_s <= 0.200 + 2 * pair.cycle_s
 
 
 @pytest.mark.parametrize("kind", [*JOINTS, Progress])
@@ -269,7 +269,7 @@ def test_silence_of_joints_or_progress_alone_is_stopped_within_two_time_outs(pai
     assert ("no progress" if kind is Progress else "no measured joints") in reason
     assert "at most 200 ms" in reason
     (stop, _) = pair.wire.frames(RuntimeStop)[0]
-    assert stop.at_s - began_s <= 0.200 + 2 * pair.turn_s
+    assert stop.at_s - began_s <= 0.200 + 2 * pair.cycle_s
 
 
 def test_joints_that_are_late_are_stopped(pair):
@@ -320,23 +320,23 @@ def test_the_sites_tolerances_are_used(pair):
 
 @pytest.mark.parametrize("joint", range(5))
 def test_a_joint_that_is_measured_faster_than_its_limit_stops_the_controller_by_itself(pair, joint):
-    """A knock within its position tolerance: less than 1 mm and 0.5 deg, in one turn of 5 ms."""
+    """A knock within its position tolerance: less than 1 mm and 0.5 deg, in one cycle of 5 ms."""
     pair.power_up(time_scale=1.0)
     on(pair, Leg.CUT)
     for part, stopped in ((0.5, False), (1.1, True)):
         joints = list(pair.process.arm.state.joints)
-        limit = (1.0, 1.0, 200.0, 2.0, 2.0)[joint] * pair.turn_s
+        limit = (1.0, 1.0, 200.0, 2.0, 2.0)[joint] * pair.cycle_s
         joints[joint] += min(part * limit, 0.99 if joint == 2 else math.radians(0.49))
         if stopped and joint > 1:  # no knock within the tolerance of position is as fast
             pair.process.arm.plant = replace(
                 pair.process.arm.plant, limits=slower(pair.process.arm.plant.limits)
             )
         said = len(pair.said)
-        fault = pair.process.arm.plant.too_fast(pair.process.arm.state.joints, tuple(joints), pair.turn_s)
+        fault = pair.process.arm.plant.too_fast(pair.process.arm.state.joints, tuple(joints), pair.cycle_s)
         assert (fault is not None) is stopped
         assert len(pair.said) == said
     pair.process.arm.measured = tuple(joints)
-    pair.turn()
+    pair.run_cycle()
     assert any(f"the arm stopped by itself: q{joint} moved by" in line for line in pair.said)
     assert pair.controller.cause is StopCause.LIMIT_EXCEEDED
     assert pair.controller.state is ControllerState.FAULT

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from cutgate.runtime.kinematics.arm import TrueArm
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband, Problem
 
 DEG = math.pi / 180.0
 WIDE = 36000.0 * DEG
@@ -59,9 +59,9 @@ def random_problem(rng, *, calibrated=True, segments=3, wide=False, spinning=Fal
     upper = np.array(
         [centre + span / 2, max(bend), rng.uniform(200, 700), rng.uniform(2, 7), rng.uniform(1.5, math.pi)]
     )
-    calibration = Calibration()
+    calibration = ArmCalibration()
     if calibrated and rng.random() < 0.7:
-        calibration = Calibration(
+        calibration = ArmCalibration(
             *rng.uniform(-2, 2, 2),
             joint_offset=rng.uniform(-1, 1, 5) * (0.02, 0.02, 3, 0.02, 0.02),
             slide_tilt=rng.uniform(-0.02, 0.02, 2),

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband, Problem
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband, Problem
 from tests.runtime.verification.cases import DEG
 
 LARGEST_TURN = 170 * DEG
@@ -22,7 +22,7 @@ def random_path(rng, segments, lean=0.02):
     """A problem with a path of so many segments; the slide leans by up to ``lean`` each way where calibrated."""
     elbow = str(rng.choice(["right", "left"]))
     arm = Arm(*_links(rng), elbow)
-    calibration = _calibration(rng, lean) if rng.random() < 0.4 else Calibration()
+    calibration = _calibration(rng, lean) if rng.random() < 0.4 else ArmCalibration()
     lower, upper = _limits(rng, 1.0 if elbow == "right" else -1.0)
     joints = _walk(rng, segments, lower, upper)
     tool = float(rng.choice([0.0, 1.0, 20.0, 80.0, 200.0], p=[0.05, 0.25, 0.25, 0.25, 0.2]))
@@ -73,7 +73,7 @@ def _links(rng):
 
 
 def _calibration(rng, lean):
-    return Calibration(
+    return ArmCalibration(
         *rng.uniform(-2, 2, 2),
         joint_offset=rng.uniform(-1, 1, 5) * (0.02, 0.02, 3, 0.02, 0.02),
         slide_tilt=rng.uniform(-lean, lean, 2),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, turned, wrist_path
 
@@ -115,7 +115,7 @@ def test_a_leaning_slide_stretches_what_the_turning_axis_does(elbow, margin):
         [[900.0 - 5.0 - margin - crest, 0.0, 0.0]] * 2,
         axes,
         tool_length_mm=tool,
-        calibration=Calibration(slide_tilt=np.array([lean, 0.0])),
+        calibration=ArmCalibration(slide_tilt=np.array([lean, 0.0])),
         **limited(q0=(-3.0, 3.0), q1=(0.0, 2.5)),
     )
     assert check(path, "outer", 5.0, margin, elbow).admissible is (margin > 0)

@@ -18,7 +18,7 @@ from cutgate.runtime.verification.bounds.enclosures import Q0_MIN, ROLL_MIN
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.branch import goes
 from cutgate.runtime.verification.certificate import Certificate, CertificateError, certify, recheck
-from cutgate.runtime.verification.problem import Calibration, Deadband
+from cutgate.runtime.verification.problem import ArmCalibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, random_problem, wrist_path
 from tests.runtime.verification.random_paths import random_paths
@@ -127,8 +127,8 @@ def test_a_shoulder_that_winds_beyond_its_limit_is_no_proof():
     assert recheck(wide, proof) == ()
     short = replace(wide, upper=np.array([9.0, *wide.upper[1:]]))
     assert any(reason.startswith("left: ") for reason in recheck(short, proof))
-    calm = {name: 5.0 if name in {"left", "right"} else bound for name, bound in proof.bounds.items()}
-    assert any(reason.startswith("left: ") for reason in recheck(short, replace(proof, bounds=calm)))
+    recovery = {name: 5.0 if name in {"left", "right"} else bound for name, bound in proof.bounds.items()}
+    assert any(reason.startswith("left: ") for reason in recheck(short, replace(proof, bounds=recovery)))
 
 
 def test_cuts_that_were_needed_cannot_be_left_out():
@@ -510,7 +510,7 @@ def test_a_certificate_of_nothing_is_its_head():
 def test_the_frame_is_about_the_reported_joint(joint, elbow):
     """Offsets that differ between the joints: each is added to its own."""
     offset = np.array([0.2, 0.01, 1.0, -0.3, 0.05])
-    case = winding(12, joint, elbow, calibration=Calibration(joint_offset=offset))
+    case = winding(12, joint, elbow, calibration=ArmCalibration(joint_offset=offset))
     verdict = certified.verify(case)
     assert verdict.admissible
     proof = certify(case, verdict)
@@ -597,7 +597,7 @@ def test_a_speed_that_comes_as_near_to_its_limit_as_it_may_is_proven(joint):
 
 @pytest.mark.parametrize("elbow", ["right", "left"])
 def test_a_held_rolls_margins_are_those_of_the_reported_joint_whatever_its_offset(elbow):
-    offset = Calibration(joint_offset=np.array([0.0, 0.0, 0.0, 0.3, -0.002]))
+    offset = ArmCalibration(joint_offset=np.array([0.0, 0.0, 0.0, 0.3, -0.002]))
     case = vertical(calibration=offset) if elbow == "right" else mirrored(vertical(calibration=offset))
     proof = certify(case, certified.verify(case))
     assert proof.bounds["roll_min"] == pytest.approx(case.hold_roll - case.lower[3], abs=1e-8)

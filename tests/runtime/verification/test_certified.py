@@ -8,7 +8,7 @@ import pytest
 
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.effort import Effort, EffortSpentError
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from tests.runtime.verification.cases import DEG, WIDE, axis, problem, wrist_path
 from tests.tool_paths import tool_path
 
@@ -201,7 +201,7 @@ def test_residuals_and_tolerances_widen_the_deadbands():
         problem(
             tips,
             axes,
-            calibration=Calibration(residual_mm=0.5, residual_rad=0.002),
+            calibration=ArmCalibration(residual_mm=0.5, residual_rad=0.002),
             deadband=Deadband(5.0, 2 * DEG, 0.25, 0.001),
         )
     )
@@ -217,13 +217,13 @@ def test_residuals_and_tolerances_widen_the_deadbands():
 def test_an_offset_past_the_straight_elbow_makes_extension_the_boundary():
     offset = np.array([0.0, -0.1, 0.0, 0.0, 0.0])
     tips, axes = wrist_path([[890.0, 0.0, 100.0], [890.0, 1.0, 100.0]], LEVEL)
-    shifted = certified.verify(problem(tips, axes, calibration=Calibration(joint_offset=offset)))
+    shifted = certified.verify(problem(tips, axes, calibration=ArmCalibration(joint_offset=offset)))
     assert shifted.boundaries["outer"].clearance == pytest.approx(900 - math.hypot(890, 1), abs=1e-6)
 
 
 def test_a_leaning_slide_is_a_shear():
     tips, axes = wrist_path([[600.0, 0.0, 100.0], [600.0, 0.0, 140.0]], LEVEL)
-    leaning = Calibration(slide_tilt=np.array([0.02, 0.0]))
+    leaning = ArmCalibration(slide_tilt=np.array([0.02, 0.0]))
     verdict = certified.verify(problem(tips, axes, calibration=leaning))
     assert verdict.boundaries["outer"].clearance == pytest.approx(900 - 600 + 100 * 0.02, abs=1e-6)
 
@@ -262,7 +262,7 @@ def test_a_wrist_centre_on_the_column_is_refused():
         ({"deadband": Deadband(0.0, 0.1)}, "arm deadband"),
         ({"deadband": Deadband(5.0, math.nan)}, "wrist deadband"),
         ({"arm": Arm(0.0, 450.0, "right")}, "upper link"),
-        ({"calibration": Calibration(residual_mm=-1.0)}, "residual"),
+        ({"calibration": ArmCalibration(residual_mm=-1.0)}, "residual"),
         ({"hold_roll": math.inf}, "held roll"),
         ({"upper": np.zeros(4)}, "shape"),
     ],
@@ -338,7 +338,7 @@ def test_a_unwrapped_limit_that_decides_is_refused_in_mm():
 def test_an_offset_past_the_folded_elbow_makes_the_fold_the_boundary():
     tips, axes = wrist_path([[60.0, 0.0, 100.0], [60.0, 1.0, 100.0]], LEVEL)
     folds = limits(q0=(-170, 170), q1=(0, 179))
-    offset = Calibration(joint_offset=np.array([0.0, 0.1, 0.0, 0.0, 0.0]))
+    offset = ArmCalibration(joint_offset=np.array([0.0, 0.1, 0.0, 0.0, 0.0]))
     verdict = certified.verify(
         problem(tips, axes, arm=Arm(450.0, 400.0, "right"), calibration=offset, **folds)
     )

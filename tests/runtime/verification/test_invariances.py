@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.problem import Calibration
+from cutgate.runtime.verification.problem import ArmCalibration
 from tests.oracle.dense import Dense
 from tests.runtime.verification.cases import mirrored, turned
 from tests.runtime.verification.judge import GAP, judged
@@ -163,7 +163,7 @@ def test_another_unit_of_length(seed, k):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_zero_calibration_is_bit_identical_to_none(seed):
-    zero = Calibration(0.0, 0.0, np.zeros(5), np.zeros(2), 0.0, 0.0)
+    zero = ArmCalibration(0.0, 0.0, np.zeros(5), np.zeros(2), 0.0, 0.0)
     for asked in drawn(seed):
-        none = replace(asked.problem, calibration=Calibration())
+        none = replace(asked.problem, calibration=ArmCalibration())
         assert certified.verify(none) == certified.verify(replace(asked.problem, calibration=zero))

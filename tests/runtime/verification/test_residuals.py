@@ -19,7 +19,7 @@ from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.bounds.motion import _widening
 from cutgate.runtime.verification.bounds.points import roll_widening
 from cutgate.runtime.verification.certificate import certify, recheck
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from tests.oracle.dense import COLUMNS, Dense
 from tests.runtime.verification.cases import DEG, WIDE, axis, mirrored, problem, wrist_path
 from tests.seeds import seeds
@@ -48,7 +48,7 @@ def near_extension(**changes):
         "lower": np.array([-175 * DEG, 0.0, 50.0, -170 * DEG, 0.0]),
         "upper": np.array([175 * DEG, 145 * DEG, 450.0, 2.888563631378748 * DEG, 110 * DEG]),
         "speed": np.full(5, 1e6),
-        "calibration": Calibration(residual_mm=3.0),
+        "calibration": ArmCalibration(residual_mm=3.0),
         "deadband": Deadband(0.1, 0.5 * DEG),
     }
     return problem(tips, axes, **(values | changes))
@@ -66,7 +66,7 @@ def near_fold(**changes):
         "lower": np.array([-175 * DEG, 0.0, 50.0, -51.93536651403848 * DEG, 0.0]),
         "upper": np.array([175 * DEG, 180 * DEG, 450.0, 170 * DEG, 110 * DEG]),
         "speed": np.full(5, 1e6),
-        "calibration": Calibration(residual_mm=3.0),
+        "calibration": ArmCalibration(residual_mm=3.0),
         "deadband": Deadband(0.5, 0.5 * DEG),
     }
     return problem(tips, axes, **(values | changes))
@@ -99,7 +99,7 @@ def test_a_wrist_off_by_residual_and_tolerance_that_turns_the_roll_past_its_limi
     case = posed(
         place,
         elbow,
-        calibration=Calibration(residual_mm=3.0 * part),
+        calibration=ArmCalibration(residual_mm=3.0 * part),
         deadband=Deadband(arm_mm, 0.5 * DEG, path_tolerance_mm=3.0 * (1 - part)),
     )
     name = end(PLACES[place][1], elbow)
@@ -141,7 +141,7 @@ def test_a_proof_that_states_what_the_published_widening_would_prove_is_no_proof
 
 @in_both_places
 def test_where_the_disc_of_the_errors_reaches_the_singular_elbow_the_roll_is_undefined(place):
-    case = posed(place, "right", calibration=Calibration(residual_mm=4.0))
+    case = posed(place, "right", calibration=ArmCalibration(residual_mm=4.0))
     verdict = certified.verify(case)
     assert not verdict.admissible
     assert verdict.boundaries["outer" if place == "extension" else "inner"].violated
@@ -164,7 +164,7 @@ def drawn(rng):
     )
     leans = rng.random() < 0.4
     arm_mm = 10.0 ** rng.uniform(-3, 0.7)
-    calibration = Calibration(
+    calibration = ArmCalibration(
         residual_mm=error * part,
         residual_rad=turn * turned,
         slide_tilt=rng.uniform(-0.02, 0.02, 2) if leans else np.zeros(2),

@@ -182,8 +182,8 @@ def test_outside_only_the_nearest_side_is_negative():
     distances = np.array([[5.0, 3.0, 2.0, 9.0], [5.0, 3.0, 2.0, 9.0]])
     inside = np.array([True, False])
     np.testing.assert_array_equal(
-        signed_sides(distances, inside, full_turn=False), [[5, 3, 2, 9], [5, 3, -2, 9]]
+        signed_sides(distances, inside, full_revolution=False), [[5, 3, 2, 9], [5, 3, -2, 9]]
     )
     np.testing.assert_array_equal(
-        signed_sides(distances, inside, full_turn=True), [[5, 3, 2, 9], [5, -3, 2, 9]]
+        signed_sides(distances, inside, full_revolution=True), [[5, 3, 2, 9], [5, -3, 2, 9]]
     )

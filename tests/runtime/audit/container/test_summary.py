@@ -20,7 +20,7 @@ from mcap.records import (
 
 from cutgate.runtime.audit.container import raw
 from cutgate.runtime.audit.container.raw import BrokenError, Budget, Raw
-from cutgate.runtime.audit.container.summary import Expected, Found
+from cutgate.runtime.audit.container.summary import Expected, SummaryFound
 
 START = 500
 
@@ -101,7 +101,7 @@ def judged(records=RECORDS, offsets=None, footer=None, budget=None, start=START)
     made, end = with_offsets(records, start)
     offsets = made if offsets is None else offsets
     body = b"".join(packed(record) for record in (*records, *offsets))
-    found, at = Found(expected(), START, budget or Budget()), start
+    found, at = SummaryFound(expected(), START, budget or Budget()), start
     try:
         for record in (*records, *offsets):
             whole = packed(record)
@@ -178,7 +178,7 @@ def test_the_order_of_the_groups_and_in_them_counts():
 
 
 def test_a_summary_of_endless_groups_is_not_read_to_its_end():
-    found = Found(expected(), START, Budget())
+    found = SummaryFound(expected(), START, Budget())
     for number in range(6):
         whole = packed(SCHEMAS[0] if number % 2 else CHANNELS[0])
         found.take(Raw(whole[0], START, len(whole) - 9, 0), None, whole)

@@ -128,6 +128,8 @@ def test_depth_is_no_matter():
     ],
 )
 def test_a_document_is_a_json_object_or_none(text, found):
-    record = records.Approach(document=text, verdict="admissible", start_joints_u=(), entry_um=0, exit_um=0)
+    record = records.AuditApproach(
+        document=text, verdict="admissible", start_joints_u=(), entry_um=0, exit_um=0
+    )
     assert document_of(record) == found
     assert json.dumps(document_of(record)) == json.dumps(found)

@@ -55,7 +55,7 @@ def verdict(word="admissible", **changes):
         "evaluations_wrist": 1,
         **{f"{name}_sha256": digest(name).hex() for name in DIGESTS},
     }
-    return records.Verdict(**values | changes)
+    return records.AuditVerdict(**values | changes)
 
 
 def approach(word="admissible", **changes):
@@ -69,7 +69,7 @@ def approach(word="admissible", **changes):
         "exit_joints_u": EXIT,
         "speed_percent": 25,
     }
-    return records.Approach(**values | changes)
+    return records.AuditApproach(**values | changes)
 
 
 def record(kind, stage, token=1, signed=None, **changes):
@@ -79,7 +79,7 @@ def record(kind, stage, token=1, signed=None, **changes):
     if kind == "permit":
         values |= {f"{name}_sha256": digest(name).hex() for name in DIGESTS}
         values["configuration_sha256"] = CONFIGURATION.hex()
-    return records.Permit(**values | changes)
+    return records.AuditPermit(**values | changes)
 
 
 def ledger(recomputed=None, admitted="admissible", recorded=None, way=None):
@@ -226,7 +226,7 @@ def test_the_approach_that_is_bound_is_the_one_that_was_verified():
 
 
 def confirm(what="CUT_HIGH", command="confirm", accepted=True):
-    return records.Operator(word=command, what=what, accepted=accepted)
+    return records.AuditOperator(word=command, what=what, accepted=accepted)
 
 
 WARNED = ADMISSIBLE | {
@@ -321,7 +321,7 @@ def decided(**changes):
         "disposition": "decided",
         "permissives": (rule("one", holds=False), rule("two", holds=True), rule("three", holds=False)),
     }
-    return list(decision_differences(records.Decision(**values | changes)))
+    return list(decision_differences(records.AuditDecision(**values | changes)))
 
 
 SENT = [f"decision 7 sent although this did not hold: {name}" for name in ("one", "three")]

@@ -44,7 +44,7 @@ def changed(data, **attachments):
 
 
 def opened(log):
-    return typed(log, records.Open)[0]
+    return typed(log, records.AuditOpen)[0]
 
 
 def test_the_inputs_are_the_bytes_that_are_attached(data):
@@ -200,12 +200,12 @@ def test_a_record_that_cannot_be_read_is_named_with_its_place():
     with pytest.raises(
         ReplayError, match="a record of /audit/operator cannot be read: accepted: Field required"
     ):
-        model_of(records.Operator, b'{"word": "stop"}')
-    assert model_of(records.Operator, b'{"word": "stop", "accepted": true}').word == "stop"
+        model_of(records.AuditOperator, b'{"word": "stop"}')
+    assert model_of(records.AuditOperator, b'{"word": "stop", "accepted": true}').word == "stop"
 
 
 def test_records_of_one_kind_come_in_file_order(data):
-    assert [one.stage for one in typed(read_log(data), records.Permit)] == 2 * [
+    assert [one.stage for one in typed(read_log(data), records.AuditPermit)] == 2 * [
         "authorised",
         "sent",
         "acknowledged",

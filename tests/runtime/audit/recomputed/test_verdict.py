@@ -35,12 +35,12 @@ def given(log):
 
 @pytest.fixture(scope="module")
 def opened(log):
-    return typed(log, records.Open)[0]
+    return typed(log, records.AuditOpen)[0]
 
 
 @pytest.fixture(scope="module")
 def recorded(log):
-    return typed(log, records.Verdict)[0]
+    return typed(log, records.AuditVerdict)[0]
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,9 @@ def test_a_document_of_another_kind_differs_and_is_no_exception(recorded, again,
     assert len(found) > 1
 
 
-FIELDS = sorted(records.Verdict.model_fields.keys() - records.AuditRecord.model_fields.keys() - {"document"})
+FIELDS = sorted(
+    records.AuditVerdict.model_fields.keys() - records.AuditRecord.model_fields.keys() - {"document"}
+)
 
 
 @pytest.mark.parametrize("name", [name for name in FIELDS if name not in ("verifier", "reason")])
@@ -160,7 +162,7 @@ def test_on_another_machine_counts_may_differ_and_clearances_may_not(recorded, a
 
 
 def test_the_boundary_records_are_those_of_the_documents(log, recorded):
-    found, expected = typed(log, records.Boundary), expected_boundaries([recorded])
+    found, expected = typed(log, records.AuditBoundary), expected_boundaries([recorded])
     assert [one.name for one in found] == [one.name for one in expected]
     assert list(boundary_differences(found, expected, finished=True)) == []
     assert len(expected_boundaries([recorded, recorded])) == 2 * len(found)
@@ -176,7 +178,7 @@ def test_of_a_document_that_is_none_no_boundary_is_expected(recorded, document):
 
 def test_each_field_of_each_boundary_counts(log, recorded):
     expected = expected_boundaries([recorded])
-    found = typed(log, records.Boundary)
+    found = typed(log, records.AuditBoundary)
     for place, one in enumerate(found):
         other = one.model_copy(update={"violated": not one.violated})
         changed = [*found[:place], other, *found[place + 1 :]]
@@ -187,7 +189,7 @@ def test_each_field_of_each_boundary_counts(log, recorded):
 
 
 def test_none_is_missing_from_a_finished_file_and_none_too_many_in_any(log, recorded):
-    found, expected = typed(log, records.Boundary), expected_boundaries([recorded])
+    found, expected = typed(log, records.AuditBoundary), expected_boundaries([recorded])
     count = len(found)
     told = [f"boundaries: {count - 1} recorded, the documents have {count}"]
     assert list(boundary_differences(found[:-1], expected, finished=True)) == told

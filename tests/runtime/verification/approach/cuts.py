@@ -7,7 +7,7 @@ import numpy as np
 
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.approach.joint_line import joint_line as decided
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.steps import finished
 from tests.oracle.dense import COLUMNS, Dense
@@ -42,7 +42,7 @@ def vertical(hold_roll):
 def joint_line(given_problem, start, pose, name="approach", **tolerances):
     """The verdict on a joint line between any two joints."""
     geometry, _ = canonical(given_problem)
-    begin = Start(np.asarray(start, float), 0, **tolerances)
+    begin = StartJoints(np.asarray(start, float), 0, **tolerances)
     return finished(decided(geometry, begin, name, np.asarray(pose, float), roll_held=False))
 
 
@@ -95,4 +95,4 @@ def random_case(seed, **options):
     made = replace(made, branch=(branch.q0_turns, branch.roll_turns))
     joints = made.lower + rng.uniform(0.05, 0.95, 5) * (made.upper - made.lower)
     tolerance = float(rng.choice([0.0, 0.5]))
-    return made, Start(joints, int(rng.integers(0, 20_000)), tolerance, tolerance * DEG / 2)
+    return made, StartJoints(joints, int(rng.integers(0, 20_000)), tolerance, tolerance * DEG / 2)

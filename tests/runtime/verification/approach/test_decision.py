@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.approach.straight_line import first_and_last_joints
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from tests.runtime.verification.approach.cuts import (
     ARCS,
     MIDDLE,
@@ -71,7 +71,7 @@ def test_an_approach_is_admitted_exactly_where_dense_sampling_keeps_every_deadba
 
 
 def test_the_middle_of_the_limits_is_a_start_for_the_example():
-    verdict = verify(cut(), Start(MIDDLE, 10_000, 0.5, 0.2 * DEG))
+    verdict = verify(cut(), StartJoints(MIDDLE, 10_000, 0.5, 0.2 * DEG))
     assert verdict.admissible
     assert verdict.reasons == ()
     assert [leg.name for leg in verdict.legs] == ["approach", "entry", "exit", "retract"]
@@ -86,10 +86,10 @@ def test_the_middle_of_the_limits_is_a_start_for_the_example():
 
 def test_residuals_and_tolerances_widen_the_deadbands_of_every_leg():
     arm = cut(
-        calibration=Calibration(residual_mm=0.3, residual_rad=0.1 * DEG),
+        calibration=ArmCalibration(residual_mm=0.3, residual_rad=0.1 * DEG),
         deadband=Deadband(5.0, 2 * DEG, path_tolerance_mm=0.2, path_tolerance_rad=0.05 * DEG),
     )
-    verdict = verify(arm, Start(MIDDLE, 10_000))
+    verdict = verify(arm, StartJoints(MIDDLE, 10_000))
     for leg in verdict.legs:
         assert leg.boundaries["inner"].deadband == pytest.approx(5.5)
         assert leg.boundaries["pitch_min"].deadband == pytest.approx(2.15)
@@ -99,7 +99,7 @@ def test_residuals_and_tolerances_widen_the_deadbands_of_every_leg():
 def test_a_roll_that_must_unwind_turns_on_the_joint_line(turns):
     start = MIDDLE.copy()
     start[3] = 400 * DEG
-    verdict = verify(replace(spinning(), branch=(0, turns)), Start(start, 10_000))
+    verdict = verify(replace(spinning(), branch=(0, turns)), StartJoints(start, 10_000))
     assert verdict.admissible
     assert verdict.entry[3] / DEG == pytest.approx(-54.103025 + 360 * turns, abs=1e-3)
     ends = (400.0, verdict.entry[3] / DEG)
@@ -110,7 +110,7 @@ def test_a_roll_that_must_unwind_turns_on_the_joint_line(turns):
 def test_the_mirrored_arm_has_the_mirrored_verdict():
     mirror = np.array([-1.0, -1.0, 1.0, -1.0, 1.0])
     right = cut(
-        calibration=Calibration(
+        calibration=ArmCalibration(
             joint_offset=np.array([0.01, 0.02, 1.0, 0.03, 0.01]), slide_tilt=np.array([0.01, 0.02])
         )
     )
@@ -121,12 +121,12 @@ def test_the_mirrored_arm_has_the_mirrored_verdict():
         arm=Arm(450.0, 450.0, "left"),
         lower=np.where(mirror < 0, -right.upper, right.lower),
         upper=np.where(mirror < 0, -right.lower, right.upper),
-        calibration=Calibration(
+        calibration=ArmCalibration(
             joint_offset=right.calibration.joint_offset * mirror, slide_tilt=np.array([0.01, -0.02])
         ),
     )
     start = np.array([0.4, 1.2, 200.0, -1.0, 0.8])
-    one, other = (verify(p, Start(q, 7_000)) for p, q in ((right, start), (left, start * mirror)))
+    one, other = (verify(p, StartJoints(q, 7_000)) for p, q in ((right, start), (left, start * mirror)))
     np.testing.assert_allclose(one.entry * mirror, other.entry, atol=2e-8)
     swap = {"left": "right", "right": "left", "roll_min": "roll_max", "roll_max": "roll_min"}
     for a, b in zip(one.legs, other.legs, strict=True):
@@ -146,7 +146,7 @@ def test_the_mirrored_arm_has_the_mirrored_verdict():
     ],
 )
 def test_a_start_that_is_none_is_refused(field, value, text):
-    verdict = verify(cut(), replace(Start(MIDDLE, 10_000), **{field: value}))
+    verdict = verify(cut(), replace(StartJoints(MIDDLE, 10_000), **{field: value}))
     assert (verdict.admissible, verdict.legs, verdict.entry) == (False, (), None)
     assert text in verdict.reasons[0]
     assert report.bound(verdict, 25) is None
@@ -158,13 +158,13 @@ def test_a_cut_without_a_branch_or_joints_has_no_approach():
         (replace(cut(), tips_mm=cut().tips_mm + 2000.0), "no joints"),
         (replace(cut(), tips_mm=cut().tips_mm * math.nan), "not all finite"),
     ):
-        verdict = verify(bad, Start(MIDDLE, 10_000))
+        verdict = verify(bad, StartJoints(MIDDLE, 10_000))
         assert not verdict.admissible
         assert text in verdict.reasons[0]
 
 
 def test_a_start_too_near_to_a_limit_is_told_once_which_joint_to_move():
-    start = Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000)
+    start = StartJoints(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000)
     (reason,) = verify(cut(), start).reasons
     assert reason.startswith("the arm stands with q2 at 52.000 mm")
     assert "move q2 by +3.01 mm" in reason
@@ -172,7 +172,7 @@ def test_a_start_too_near_to_a_limit_is_told_once_which_joint_to_move():
 
 def test_what_is_lacking_elsewhere_is_said_of_its_leg():
     high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
-    reasons = verify(high, Start(MIDDLE, 60_000)).reasons
+    reasons = verify(high, StartJoints(MIDDLE, 60_000)).reasons
     legs = [reason.split(":")[0] for reason in reasons]
     assert "joint line from the start joints to the entry pose" in legs
     assert "straight line from the entry pose to the first pose" in legs
@@ -182,7 +182,7 @@ def test_what_is_lacking_elsewhere_is_said_of_its_leg():
 
 def test_what_is_lacking_elsewhere_is_said_beside_the_move_of_a_joint():
     high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
-    start = Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 60_000)
+    start = StartJoints(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 60_000)
     first, *others = verify(high, start).reasons
     assert "move q2 by +3.01 mm" in first
     assert any(reason.startswith("straight line from the entry pose") for reason in others)

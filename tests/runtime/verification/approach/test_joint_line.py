@@ -9,10 +9,10 @@ import pytest
 from cutgate.runtime.verification.approach import joint_line as joint_lines
 from cutgate.runtime.verification.approach.curve import Least
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.approach.sentences import shortfall
 from cutgate.runtime.verification.bounds.geometry import canonical
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from cutgate.runtime.verification.verdict import Boundary
 from tests.runtime.verification.approach.cuts import (
     ARCS,
@@ -129,7 +129,7 @@ def test_a_line_whose_ends_keep_inner_and_whose_middle_does_not_is_refused():
 def test_start_joints_outside_their_limits_are_named(joint, value, text):
     start = MIDDLE.copy()
     start[joint] = value
-    verdict = verify(cut(), Start(start, 10_000))
+    verdict = verify(cut(), StartJoints(start, 10_000))
     assert not verdict.admissible
     assert f"the arm stands with {text}" in verdict.reasons[0]
     assert all(b.certified is None and b.violated for b in map(verdict.legs[0].boundaries.get, ARCS))
@@ -137,7 +137,7 @@ def test_start_joints_outside_their_limits_are_named(joint, value, text):
 
 def test_a_line_past_the_straight_elbow_is_refused_though_the_reported_limit_allows_it():
     """An offset pushes the reported limit of 0 to a true -1 deg: the branch ends at the straight arm."""
-    arm = cut(calibration=Calibration(joint_offset=np.array([0.0, -1.0 * DEG, 0.0, 0.0, 0.0])))
+    arm = cut(calibration=ArmCalibration(joint_offset=np.array([0.0, -1.0 * DEG, 0.0, 0.0, 0.0])))
     start = MIDDLE.copy()
     start[1] = 0.5 * DEG
     leg = joint_line(arm, start, MIDDLE)
@@ -176,11 +176,11 @@ def test_below_a_vertical_tool_a_stop_counts():
     """A true lower limit of the pitch above 0 is a stop."""
     stop = vertical(0.4)
     stop = replace(stop, lower=np.array([*stop.lower[:4], 1e-9]))
-    assert "pitch_min" in verify(stop, Start(MIDDLE, 10_000)).legs[0].boundaries
+    assert "pitch_min" in verify(stop, StartJoints(MIDDLE, 10_000)).legs[0].boundaries
 
 
 def test_below_a_vertical_tool_whose_roll_is_held_there_is_no_stop():
-    assert "pitch_min" not in verify(vertical(0.4), Start(MIDDLE, 10_000)).legs[0].boundaries
+    assert "pitch_min" not in verify(vertical(0.4), StartJoints(MIDDLE, 10_000)).legs[0].boundaries
 
 
 def test_a_line_within_half_a_turn_of_a_limit_is_bounded_over_all_of_it():
@@ -280,7 +280,7 @@ def test_a_linear_quantity_is_at_least_a_bound_over_this_part(ends, bound, part)
 
 def boundary_of(name, least):
     geometry, _ = canonical(cut())
-    return joint_lines._boundary(name, least, geometry, Start(MIDDLE, 0))
+    return joint_lines._boundary(name, least, geometry, StartJoints(MIDDLE, 0))
 
 
 def test_a_boundary_that_keeps_exactly_its_deadband_is_kept():

@@ -10,7 +10,7 @@ from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.protocol import records
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Approach, Leg, Start
+from cutgate.runtime.verification.approach.model import ApproachVerdict, LegVerdict, StartJoints
 from cutgate.runtime.verification.verdict import Boundary
 from tests.runtime.verification.approach.cuts import MIDDLE, cut
 from tests.runtime.verification.cases import DEG
@@ -18,7 +18,7 @@ from tests.runtime.verification.cases import DEG
 
 def test_the_document_is_finite_and_says_what_was_verified():
     for start in (MIDDLE, np.array([2.0, *MIDDLE[1:]])):
-        given_start = Start(start, 10_000, 0.5, 0.2 * DEG)
+        given_start = StartJoints(start, 10_000, 0.5, 0.2 * DEG)
         verdict = verify(cut(), given_start)
         text = json.dumps(report.document(verdict, given_start), allow_nan=False)
         document = json.loads(text)
@@ -29,7 +29,7 @@ def test_the_document_is_finite_and_says_what_was_verified():
 
 
 def test_what_is_bound_is_what_was_verified():
-    verdict = verify(cut(), Start(MIDDLE, 10_000))
+    verdict = verify(cut(), StartJoints(MIDDLE, 10_000))
     bound = report.bound(verdict, 40)
     assert isinstance(bound, records.Approach)
     assert as_joints(records.joints_to_memory(bound.entry_joints_u)) == as_joints(verdict.entry)
@@ -38,7 +38,7 @@ def test_what_is_bound_is_what_was_verified():
 
 
 def test_the_tightest_boundary_and_its_leg_are_named():
-    verdict = verify(cut(), Start(MIDDLE, 10_000))
+    verdict = verify(cut(), StartJoints(MIDDLE, 10_000))
     leg, tightest = report.worst(verdict)
     margins = {
         (one.name, b.name): b.certified / b.deadband for one in verdict.legs for b in one.boundaries.values()
@@ -51,14 +51,14 @@ def test_the_tightest_boundary_and_its_leg_are_named():
 
 
 def test_an_undefined_boundary_is_the_worst_and_reasons_are_the_summary():
-    verdict = verify(cut(), Start(np.array([2.0, *MIDDLE[1:]]), 10_000))
+    verdict = verify(cut(), StartJoints(np.array([2.0, *MIDDLE[1:]]), 10_000))
     assert report.worst(verdict)[1].certified is None
     assert report.summary(verdict) == "; ".join(verdict.reasons)
     assert report.bound(verdict, 25) is None
 
 
 def test_an_answer_without_legs_has_no_worst():
-    none = Approach(True, 0, 0, None, None, (), ())
+    none = ApproachVerdict(True, 0, 0, None, None, (), ())
     assert report.worst(none) is None
     assert report.summary(none) == "every leg keeps every deadband"
     assert report.bound(none, 25) is None
@@ -67,7 +67,9 @@ def test_an_answer_without_legs_has_no_worst():
 def test_joints_are_shown_in_deg_and_mm_and_not_at_all_where_they_are_not_finite():
     assert report.shown(np.array([math.pi, 0.0, 12.5, math.nan, -math.inf])) == [180.0, 0.0, 12.5, None, None]
     assert (
-        report.document(Approach(False, 0, 0, None, None, (), ("so",)), Start(MIDDLE, 0))["entry_joints"]
+        report.document(ApproachVerdict(False, 0, 0, None, None, (), ("so",)), StartJoints(MIDDLE, 0))[
+            "entry_joints"
+        ]
         is None
     )
 
@@ -76,8 +78,10 @@ def by_hand():
     """Two legs: the second's boundary keeps more mm and fewer deadbands."""
     inner = Boundary("inner", "mm", 3.25, 3.0, None, 0.5, None, 2.0, violated=False)
     pitch = Boundary("pitch_min", "deg", 6.5, 6.0, None, 0.25, None, 5.0, violated=False)
-    legs = (Leg("approach", {"inner": inner}, ()), Leg("exit", {"pitch_min": pitch}, ("so",)))
-    return Approach(True, 10_500, 20_000, np.radians([1.0, 2.0, 0.0, 4.0, 5.0]), None, legs, ("so", "and so"))
+    legs = (LegVerdict("approach", {"inner": inner}, ()), LegVerdict("exit", {"pitch_min": pitch}, ("so",)))
+    return ApproachVerdict(
+        True, 10_500, 20_000, np.radians([1.0, 2.0, 0.0, 4.0, 5.0]), None, legs, ("so", "and so")
+    )
 
 
 def test_the_least_margin_is_per_deadband():
@@ -86,7 +90,7 @@ def test_the_least_margin_is_per_deadband():
 
 
 def test_the_document_has_all_of_the_answer():
-    start = Start(np.array([0.0, 0.0, 250.0, math.pi, 0.0]), 10_000, 0.5, math.pi / 2)
+    start = StartJoints(np.array([0.0, 0.0, 250.0, math.pi, 0.0]), 10_000, 0.5, math.pi / 2)
     document = report.document(by_hand(), start)
     assert document.pop("entry_joints") == pytest.approx([1.0, 2.0, 0.0, 4.0, 5.0])
     assert document == {

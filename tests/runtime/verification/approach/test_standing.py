@@ -9,10 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cutgate.runtime.verification.approach.decision import verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.approach.standing import standing
 from cutgate.runtime.verification.bounds.geometry import canonical
-from cutgate.runtime.verification.problem import Calibration, Deadband
+from cutgate.runtime.verification.problem import ArmCalibration, Deadband
 from tests.runtime.verification.approach.cuts import MIDDLE, cut, random_case
 from tests.runtime.verification.cases import DEG
 
@@ -35,14 +35,14 @@ def test_an_arm_at_a_limit_is_told_which_joint_to_move_and_may_begin_there(joint
     limit = getattr(arm, end)[joint]
     stands[joint] = limit + far * (1.0 if joint == 2 else DEG) * (1.0 if end == "lower" else -1.0)
     tolerances = {"tolerance_mm": 0.5, "tolerance_rad": 0.5 * DEG}
-    verdict = verify(arm, Start(stands, 10_000, **tolerances))
+    verdict = verify(arm, StartJoints(stands, 10_000, **tolerances))
     assert not verdict.admissible
     assert len(verdict.reasons) == 1
     assert f"move q{joint} by {'+' if end == 'lower' else '-'}" in verdict.reasons[0]
     moved = told(verdict, stands)
-    assert verify(arm, Start(moved, 10_000, **tolerances)).admissible
+    assert verify(arm, StartJoints(moved, 10_000, **tolerances)).admissible
     short = stands + (moved - stands) * 0.95 if joint > 1 else moved
-    assert joint <= 1 or not verify(arm, Start(short, 10_000, **tolerances)).admissible
+    assert joint <= 1 or not verify(arm, StartJoints(short, 10_000, **tolerances)).admissible
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -63,7 +63,7 @@ def test_after_the_moves_that_it_is_told_no_arm_stands_too_near_to_a_limit(seed)
 
 def test_where_no_place_keeps_the_deadband_no_move_is_named():
     arm, stands = cut(deadband=Deadband(460.0, 2 * DEG)), MIDDLE.copy()
-    verdict = verify(arm, Start(stands, 10_000))
+    verdict = verify(arm, StartJoints(stands, 10_000))
     assert any(
         "q1 at 72.500 deg" in r and "no place of it keeps 460 mm at the wrist centre" in r
         for r in verdict.reasons
@@ -75,14 +75,14 @@ def test_where_next_to_no_place_is_left_no_move_is_named():
     """The slide has 10.001 mm, 5 mm are kept from either end."""
     narrow = cut().upper.copy()
     narrow[2] = 60.001
-    verdict = verify(cut(upper=narrow), Start(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000))
+    verdict = verify(cut(upper=narrow), StartJoints(np.array([*MIDDLE[:2], 52.0, *MIDDLE[3:]]), 10_000))
     assert "must be kept: let the arm start from elsewhere" in standing_of(cut(upper=narrow), 2, 52.0)[0]
     assert not verdict.admissible
 
 
 def test_an_arm_without_workspace_or_without_a_place_that_is_reported_is_told_no_move():
     """An offset leaves the elbow no angle; limits of the shoulder that begin beyond every joints frame."""
-    folded = cut(calibration=Calibration(joint_offset=np.array([0.0, -146.0 * DEG, 0.0, 0.0, 0.0])))
+    folded = cut(calibration=ArmCalibration(joint_offset=np.array([0.0, -146.0 * DEG, 0.0, 0.0, 0.0])))
     assert standing_of(folded, 2, 52.0) == ()
     far = {"lower": cut().lower.copy(), "upper": cut().upper.copy()}
     far["lower"][0], far["upper"][0] = 3000 * DEG, 3100 * DEG
@@ -107,7 +107,7 @@ def test_an_arm_beyond_what_a_joints_frame_carries_is_told_to_come_back_first(jo
     wide["lower"][joint], wide["upper"][joint] = -36000 * DEG, 36000 * DEG
     arm, stands = cut(**wide), MIDDLE.copy()
     stands[joint] = 2610 * DEG
-    verdict = verify(arm, Start(stands, 10_000))
+    verdict = verify(arm, StartJoints(stands, 10_000))
     assert not verdict.admissible
     (reason,) = verdict.reasons
     assert (
@@ -116,4 +116,4 @@ def test_an_arm_beyond_what_a_joints_frame_carries_is_told_to_come_back_first(jo
     )
     moved = told(verdict, stands)
     assert moved[joint] == pytest.approx(2600 * DEG, abs=0.2 * DEG)
-    assert verify(arm, Start(moved, 10_000)).admissible
+    assert verify(arm, StartJoints(moved, 10_000)).admissible

@@ -14,7 +14,7 @@ from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.protocol import records
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import joint_lines, verify
-from cutgate.runtime.verification.approach.model import Start
+from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.approach.straight_line import (
     first_and_last_joints,
     roll_is_held,
@@ -22,7 +22,7 @@ from cutgate.runtime.verification.approach.straight_line import (
     straight_line,
     straight_lines,
 )
-from cutgate.runtime.verification.problem import Arm, Calibration
+from cutgate.runtime.verification.problem import Arm, ArmCalibration
 from cutgate.runtime.verification.steps import finished
 from tests.firmware_sim.arms import CALIBRATED, LIMITS, NOMINAL, TOOL, TOOL_MM, WIDE, line_path
 from tests.oracle.dense import Dense
@@ -60,7 +60,7 @@ def test_entry_and_exit_joints_bring_the_tool_there_on_the_branch_of_the_cut(see
 
 
 def test_a_vertical_tool_is_approached_with_its_held_roll():
-    verdict = verify(vertical(0.4), Start(MIDDLE, 10_000))
+    verdict = verify(vertical(0.4), StartJoints(MIDDLE, 10_000))
     assert verdict.admissible, verdict.reasons
     assert verdict.entry[[3, 4]] == pytest.approx([0.4, 0.0], abs=1e-8)
     assert verdict.exit[[3, 4]] == pytest.approx([0.4, 0.0], abs=1e-8)
@@ -69,12 +69,12 @@ def test_a_vertical_tool_is_approached_with_its_held_roll():
 
 
 def test_a_vertical_tool_without_a_held_roll_has_no_approach():
-    assert not verify(vertical(None), Start(MIDDLE, 10_000)).admissible
+    assert not verify(vertical(None), StartJoints(MIDDLE, 10_000)).admissible
 
 
 def test_a_straight_leg_that_leaves_the_slides_travel_is_refused_with_its_sentence():
     high = replace(cut(), upper=np.array([80 * DEG, 145 * DEG, 300.0, 170 * DEG, 110 * DEG]))
-    verdict = verify(high, Start(MIDDLE, 60_000))
+    verdict = verify(high, StartJoints(MIDDLE, 60_000))
     assert any("pose to the first pose: top: " in reason for reason in verdict.reasons)
     assert any("last pose to the exit pose: top: " in reason for reason in verdict.reasons)
     assert any("lower approach_clearance_mm or move the bone" in reason for reason in verdict.reasons)
@@ -82,7 +82,7 @@ def test_a_straight_leg_that_leaves_the_slides_travel_is_refused_with_its_senten
 
 def test_a_straight_leg_keeps_the_joint_speeds():
     slow = replace(cut(), feed_mm_s=5_000.0)
-    verdict = verify(slow, Start(MIDDLE, 10_000))
+    verdict = verify(slow, StartJoints(MIDDLE, 10_000))
     reasons = verdict.reasons
     assert not verdict.admissible
     assert not any(b.violated for leg in verdict.legs for b in leg.boundaries.values())
@@ -104,7 +104,7 @@ def of_both(path, calibration, limits, clearance_um, hold_roll=None):
         lower=limits.q_min,
         upper=limits.q_max,
         hold_roll=hold_roll,
-        calibration=Calibration(
+        calibration=ArmCalibration(
             calibration.upper_link_error_mm,
             calibration.forearm_link_error_mm,
             calibration.joint_offset,
@@ -112,7 +112,7 @@ def of_both(path, calibration, limits, clearance_um, hold_roll=None):
         ),
     )
     middle = (limits.q_min + limits.q_max) / 2
-    return report.bound(verify(mine, Start(middle, clearance_um)), 25), theirs
+    return report.bound(verify(mine, StartJoints(middle, clearance_um)), 25), theirs
 
 
 @pytest.mark.parametrize("calibration", [NOMINAL, CALIBRATED], ids=["nominal", "calibrated"])
@@ -148,7 +148,7 @@ def test_the_controller_holds_the_roll_of_a_vertical_tool_on_the_way_as_well():
 
 def test_the_straight_lines_are_known_before_it_is_known_where_the_arm_stands():
     lines = straight_lines(cut(), 10_000)
-    whole = verify(cut(), Start(MIDDLE, 10_000))
+    whole = verify(cut(), StartJoints(MIDDLE, 10_000))
     assert (lines.inward, lines.outward) == whole.legs[1:3]
     assert lines.admissible
     assert report.bound(lines, 25) == report.bound(whole, 25)
@@ -157,7 +157,7 @@ def test_the_straight_lines_are_known_before_it_is_known_where_the_arm_stands():
     assert report.bound(far, 25) is None
     nowhere = straight_lines(cut(), -1)
     assert report.bound(nowhere, 25) is None
-    assert finished(joint_lines(nowhere, Start(MIDDLE, 10_000))) is nowhere
+    assert finished(joint_lines(nowhere, StartJoints(MIDDLE, 10_000))) is nowhere
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import guidance
 from cutgate.runtime.verification.placing.guidance import guide
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from cutgate.runtime.verification.report.document import guidance_document
 from tests.runtime.verification.cases import DEG, problem, random_problem
 from tests.seeds import seeds
@@ -76,7 +76,7 @@ ROBOTS = {
         "lower": np.array([-200.000000, -150.0, 50.0, -54.650155, 5.0]) * SCALE,
         "upper": np.array([200.000000, -10.0, 450.0, 58.324104, 110.0]) * SCALE,
         "deadband": Deadband(2.922988, 1.304367 * DEG),
-        "calibration": Calibration(
+        "calibration": ArmCalibration(
             0.4,
             -0.3,
             joint_offset=np.array([0.571182, 0.03881, -0.141052, -0.04835, -0.076552]) * SCALE,

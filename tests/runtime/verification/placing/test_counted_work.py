@@ -11,7 +11,7 @@ from cutgate.runtime.verification.effort import Effort, EffortSpentError
 from cutgate.runtime.verification.placing import freedom as placing
 from cutgate.runtime.verification.placing import guidance
 from cutgate.runtime.verification.placing.guidance import WORK, guide
-from cutgate.runtime.verification.problem import Arm, Calibration, Deadband
+from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
 from cutgate.runtime.verification.report.document import Digests, verdict_document
 from tests.runtime.commands.contract import VerdictDocument
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
@@ -91,7 +91,7 @@ def scattered(rng):
         lower=np.array([middle - span / 2, rng.choice([0.0, bend[0]]), 50.0, -rng.uniform(0.5, 9), 0.0]),
         upper=np.array([middle + span / 2, rng.choice([math.pi, bend[1]]), 450.0, rng.uniform(0.5, 9), 1.9]),
         speed=np.full(5, float(rng.choice([1e-6, 1e6]))),
-        calibration=Calibration(
+        calibration=ArmCalibration(
             slide_tilt=rng.uniform(-0.02, 0.02, 2), residual_mm=float(rng.choice([0, 0.3]))
         ),
         deadband=Deadband(float(rng.choice([1e-3, 1.0, 5.0])), float(rng.choice([0.01, 2.0])) * DEG),

@@ -10,7 +10,7 @@ from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.guidance import guide, pivot_of
 from cutgate.runtime.verification.placing.survey import Work, survey
-from cutgate.runtime.verification.problem import Calibration
+from cutgate.runtime.verification.problem import ArmCalibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
 from tests.runtime.verification.placing.test_guidance import LEAN, THIN, registered
 from tests.runtime.verification.placing.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes
@@ -125,7 +125,7 @@ def plain(tips, axes):
 def test_a_map_starts_at_the_present_height_where_the_path_is_admissible_there():
     path = strokes(600.0, 0.0)
     assert certified.verify(path).admissible
-    assert reach.start(path, plain) == reach.Start(0.0, 0.0, "present")
+    assert reach.start(path, plain) == reach.GridStart(0.0, 0.0, "present")
 
 
 @pytest.mark.parametrize("height", [30.0, 600.0])
@@ -135,7 +135,7 @@ def test_a_map_starts_from_the_height_that_guidance_would_choose(height):
     assert chosen.verified
     assert chosen.translation_mm[2] != 0.0
     begun = reach.start(path, plain)
-    assert begun == reach.Start(0.0, chosen.translation_mm[2], "guidance", chosen.translation_mm)
+    assert begun == reach.GridStart(0.0, chosen.translation_mm[2], "guidance", chosen.translation_mm)
     x, y, lift = begun.move_mm
     assert reach.judged(path, plain, begun.yaw_deg, (x, y, lift)).admissible
 
@@ -152,9 +152,9 @@ def test_a_map_starts_with_the_turn_that_guidance_needs():
 @pytest.mark.parametrize(
     ("heights", "begun"),
     [
-        ((600.0, 600.0), reach.Start(0.0, -350.0, "slide")),
-        ((200.0, 200.0), reach.Start(0.0, 0.0, "present")),
-        ((-400.0, 900.0), reach.Start(0.0, 0.0, "present")),
+        ((600.0, 600.0), reach.GridStart(0.0, -350.0, "slide")),
+        ((200.0, 200.0), reach.GridStart(0.0, 0.0, "present")),
+        ((-400.0, 900.0), reach.GridStart(0.0, 0.0, "present")),
     ],
     ids=["too high", "fits", "taller than the slide"],
 )
@@ -178,7 +178,7 @@ def test_the_outline_is_the_workspace_of_the_robot_as_given():
 
 
 def test_a_calibrated_robot_is_mapped_with_its_residuals():
-    path = strokes(600.0, 0.0, calibration=Calibration(residual_mm=3.0))
+    path = strokes(600.0, 0.0, calibration=ArmCalibration(residual_mm=3.0))
     grid = reach.Grid(1.0, (0.0,), (0.0,), (0.0,), (0.0,))
     (p,) = judged(path, grid)
     assert p.bound in {8.0, 2.0}

@@ -12,7 +12,7 @@ from cutgate.runtime.verification.placing import search
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
 from cutgate.runtime.verification.placing.guidance import moved
 from cutgate.runtime.verification.placing.search import FINEST_MM, TOLERANCE_MM, smallest_translation
-from cutgate.runtime.verification.problem import Arm, Calibration
+from cutgate.runtime.verification.problem import Arm, ArmCalibration
 from tests.runtime.verification.cases import DEG, axis, problem, random_problem, wrist_path
 from tests.runtime.verification.placing.placements import admitted, grid
 
@@ -45,7 +45,7 @@ NARROW_ROLL = {
     "upper": np.array([80, 145, 450, 75, 110]) * (DEG, DEG, 1, DEG, DEG),
 }
 TILTED = {
-    "calibration": Calibration(
+    "calibration": ArmCalibration(
         1.0, -1.0, slide_tilt=np.array((0.02, -0.015)), residual_mm=0.3, residual_rad=0.002
     )
 }
@@ -162,7 +162,7 @@ def test_a_leaning_slide_is_allowed_for_in_what_is_proved_for_every_turn():
     elbow = [2.0 * math.acos(r / 900.0) for r in (847.0 + 9.0, 847.0 - 9.0)]
     lower = np.array((-1.4, elbow[0], 50.0, -60.0, 0.0))
     upper = np.array((1.4, elbow[1], 450.0, 60.0, 2.0))
-    lean = Calibration(slide_tilt=np.array((0.02, 0.0)))
+    lean = ArmCalibration(slide_tilt=np.array((0.02, 0.0)))
     at = [[850.0, -80.0, 250.0], [848.2, 0.0, 60.0], [855.8, 0.0, 440.0], [850.0, 80.0, 250.0]]
     path = problem(*wrist_path(at, axis(1.0, 0.3)), lower=lower, upper=upper, calibration=lean)
     assert Placing(path, Reserve()).fits(np.zeros(2))

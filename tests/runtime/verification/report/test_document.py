@@ -9,7 +9,7 @@ import pytest
 
 from cutgate.runtime.verification.advice import Guidance, Move
 from cutgate.runtime.verification.report.document import Digests, document_text, verdict_document
-from cutgate.runtime.verification.verdict import Boundary, Branch, Evaluations, SpeedLine, Verdict
+from cutgate.runtime.verification.verdict import Boundary, Evaluations, JointBranch, SpeedLine, Verdict
 from tests.runtime.commands.contract import VerdictDocument
 
 GOOD = Boundary("outer", "mm", 7.25, 7.2493, 3, 0.5, 12.5, 5.0, violated=False)
@@ -22,7 +22,7 @@ VERDICT = Verdict(
     axis_angle_rad=math.pi,
     deadband_arm_mm=5.0,
     deadband_wrist_rad=math.radians(2.0),
-    branch=Branch("right", 0, -1),
+    branch=JointBranch("right", 0, -1),
     evaluations=Evaluations(10, 12, 501),
     boundaries={"outer": GOOD, "roll_min": UNDEFINED},
     speed=(SpeedLine(0, 1.0, 0.25, 4, ok=True), SpeedLine(3, 2.0, math.inf, 7, ok=False)),

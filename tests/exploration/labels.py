@@ -40,8 +40,8 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
     """An event, record or frame in a few words."""
     name = type(event).__name__
     match event:
-        case r.Said(word=word, what=what):
-            return f"says {word} {what}".strip()
+        case r.CommandGiven(command=command, what=what):
+            return f"says {command} {what}".strip()
         case c.HeartbeatReceived(code=code, cause=cause, fresh=fresh):
             return f"heartbeat {code.name}{_named(cause)}{'' if fresh else ', stale'}"
         case r.HeartbeatReceived(view=view, fresh=fresh):
@@ -52,7 +52,7 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
             return f"device {pressed}{'' if inputs.emergency_stop_clear else ', emergency stop pressed'}"
         case r.FaultReceived(code=code, cause=cause) | c.StopReceived(code=code, cause=cause):
             return f"{'fault' if isinstance(code, FaultCode) else 'stop'} {code.name}{_named(cause)}"
-        case c.Fault(cause=cause) | r.Failed(cause=cause):
+        case c.FaultArisen(cause=cause) | r.Failed(cause=cause):
             return f"fault{_named(cause)}"
         case r.Gone(cause=cause):
             return f"gives up{_named(cause)}"

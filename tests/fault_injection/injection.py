@@ -1,4 +1,4 @@
-"""Bad weather: what happens to frames, loops, disk, people and power, drawn from a seed, several things at once."""
+"""Faults: what happens to frames, loops, disk, people and power, drawn from a seed, several things at once."""
 
 import random
 from collections.abc import Callable
@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import can
 
-from cutgate.firmware_sim.console import Word as ControllerWord
+from cutgate.firmware_sim.console import ConsoleCommand as ControllerWord
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS
 from cutgate.protocol.records import Side
-from cutgate.runtime.interlock.state import Word
+from cutgate.runtime.interlock.state import OperatorCommand
 from tests.runtime.session.pair import Pair
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Node
 
@@ -19,18 +19,18 @@ SENDER: dict[int, Side] = {
 }
 """Who sends on each identifier."""
 RATES = (0.0, 0.0, 0.0, 0.002, 0.01, 0.05)
-"""How often each thing may happen to a frame, or in a turn, while it storms: most things not at all, some often."""
+"""How often each thing may happen to a frame, or in a cycle, while faults are injected: most things not at all, some often."""
 LATE_S = 0.25
 STILL_S = 0.3
 """The longest delay of a frame, and the longest that a loop stands still, s: above and below the time-out."""
 
-FrameError = Callable[["Weather", can.Message], list[can.Message]]
-Act = Callable[["Weather"], None]
+FrameError = Callable[["Injection", can.Message], list[can.Message]]
+Act = Callable[["Injection"], None]
 
 
 @dataclass
-class Weather:
-    """The storm of one seed over one pair; ``only``: nothing but this happens, and that often.
+class Injection:
+    """The faults of one seed over one pair; ``only``: nothing but this happens, and that often.
 
     ``fell`` is what a person reads when a test has failed: everything that happened, in order.
     """
@@ -83,10 +83,10 @@ class Weather:
                 act(self)
 
     def clear(self) -> None:
-        """The storm is over: nothing is lost, the disk answers, everybody turns. What was done stays done."""
+        """The faults are over: nothing is lost, the disk answers, everybody turns. What was done stays done."""
         self.blowing = False
         pair = self.pair
-        pair.runtime_turns = pair.controller_turns = True
+        pair.runtime_runs = pair.controller_runs = True
         pair.disk.answers, pair.disk.delay_s = True, 0.0
         for node in pair.wire.nodes.values():
             node.mute = node.deaf = False
@@ -115,38 +115,38 @@ def _with(message: can.Message, data: bytes, can_id: int | None = None) -> can.M
     return can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False)
 
 
-def corrupted(weather: Weather, message: can.Message) -> list[can.Message]:
+def corrupted(injection: Injection, message: can.Message) -> list[can.Message]:
     data = bytearray(message.data)
-    for _ in range(weather.draw.randint(1, 3)):
-        data[weather.draw.randrange(len(data))] ^= 1 << weather.draw.randrange(8)
+    for _ in range(injection.draw.randint(1, 3)):
+        data[injection.draw.randrange(len(data))] ^= 1 << injection.draw.randrange(8)
     return [_with(message, bytes(data))]
 
 
-def shortened(weather: Weather, message: can.Message) -> list[can.Message]:
-    return [_with(message, bytes(message.data)[: weather.draw.randrange(8)])]
+def shortened(injection: Injection, message: can.Message) -> list[can.Message]:
+    return [_with(message, bytes(message.data)[: injection.draw.randrange(8)])]
 
 
-def delayed(weather: Weather, message: can.Message) -> list[can.Message]:
-    weather.hold(message)
+def delayed(injection: Injection, message: can.Message) -> list[can.Message]:
+    injection.hold(message)
     return []
 
 
-def said_again(weather: Weather, message: can.Message) -> list[can.Message]:
+def said_again(injection: Injection, message: can.Message) -> list[can.Message]:
     """Something that either side has said before, in whatever session, arrives as well."""
-    old = weather.draw.choice(weather.heard or [message])
-    weather.hold(old)
+    old = injection.draw.choice(injection.heard or [message])
+    injection.hold(old)
     return [message]
 
 
-def misaddressed(weather: Weather, message: can.Message) -> list[can.Message]:
-    return [_with(message, bytes(message.data), weather.draw.choice([*SENDER, 0x123]))]
+def misaddressed(injection: Injection, message: can.Message) -> list[can.Message]:
+    return [_with(message, bytes(message.data), injection.draw.choice([*SENDER, 0x123]))]
 
 
 FRAME_ERRORS: dict[str, FrameError] = {
     "corrupted": corrupted,
     "shortened": shortened,
-    "lost": lambda _weather, _message: [],
-    "twice": lambda _weather, message: [message, message],
+    "lost": lambda _injection, _message: [],
+    "twice": lambda _injection, message: [message, message],
     "delayed": delayed,
     "said again": said_again,
     "misaddressed": misaddressed,
@@ -157,64 +157,64 @@ FRAME_ERRORS: dict[str, FrameError] = {
 # ---------------------------------------------------------------- people, loops, disk, power
 
 
-def _operator(weather: Weather) -> None:
-    word = weather.draw.choice([*Word])
-    weather.note(f"operator: {word}")
-    weather.pair.terminal.type(word)
+def _operator(injection: Injection) -> None:
+    word = injection.draw.choice([*OperatorCommand])
+    injection.note(f"operator: {word}")
+    injection.pair.terminal.type(word)
 
 
-def _person(weather: Weather) -> None:
-    word = weather.draw.choice([*ControllerWord])
-    weather.note(f"controller: {word}")
-    weather.pair.controller_terminal.type(word)
+def _person(injection: Injection) -> None:
+    word = injection.draw.choice([*ControllerWord])
+    injection.note(f"controller: {word}")
+    injection.pair.controller_terminal.type(word)
 
 
 def _still(name: str) -> Act:
-    def act(weather: Weather) -> None:
-        weather.for_a_while(
-            lambda: setattr(weather.pair, name, False), lambda: setattr(weather.pair, name, True)
+    def act(injection: Injection) -> None:
+        injection.for_a_while(
+            lambda: setattr(injection.pair, name, False), lambda: setattr(injection.pair, name, True)
         )
 
     return act
 
 
-def _slow_disk(weather: Weather) -> None:
-    weather.pair.disk.delay_s = weather.draw.choice((0.001, 0.05, 0.5, 3.0))
+def _slow_disk(injection: Injection) -> None:
+    injection.pair.disk.delay_s = injection.draw.choice((0.001, 0.05, 0.5, 3.0))
 
 
 def _deaf(side: Side, how: str) -> Act:
-    def act(weather: Weather) -> None:
-        setattr(weather.pair.wire.nodes[side], how, True)
+    def act(injection: Injection) -> None:
+        setattr(injection.pair.wire.nodes[side], how, True)
 
     return act
 
 
-def _crash(weather: Weather) -> None:
-    weather.crashed = True
+def _crash(injection: Injection) -> None:
+    injection.crashed = True
 
 
-def _no_verifier(weather: Weather) -> None:
+def _no_verifier(injection: Injection) -> None:
     """Before it has said its verdict the session stops; afterwards nothing is asked of it any more."""
-    weather.pair.prover.die()
+    injection.pair.prover.die()
 
 
-def reboot(weather: Weather) -> None:
+def reboot(injection: Injection) -> None:
     """Power goes and comes: nothing stays but the memory file; what waited to be read is gone."""
-    pair = weather.pair
+    pair = injection.pair
     node = pair.wire.nodes[CONTROLLER]
     node.inbox.clear()
     node.mute = node.deaf = False
-    pair.controller_turns = True
+    pair.controller_runs = True
     pair.power_up()
 
 
 ACTS: dict[str, Act] = {
     "the operator says something": _operator,
     "somebody does something at the controller": _person,
-    "the runtime stands still": _still("runtime_turns"),
-    "the controller stands still": _still("controller_turns"),
+    "the runtime stands still": _still("runtime_runs"),
+    "the controller stands still": _still("controller_runs"),
     "the disk is slow": _slow_disk,
-    "the disk answers no more": lambda weather: setattr(weather.pair.disk, "answers", False),
+    "the disk answers no more": lambda injection: setattr(injection.pair.disk, "answers", False),
     "the verifier dies": _no_verifier,
     "the runtime cannot send": _deaf(RUNTIME, "mute"),
     "the runtime cannot read": _deaf(RUNTIME, "deaf"),

@@ -3,14 +3,16 @@
 from dataclasses import replace
 
 import cutgate.firmware_sim.table
-from cutgate.firmware_sim.state import Fault
+from cutgate.firmware_sim.state import FaultArisen
 from cutgate.protocol.states import StopCause
 from tests.exploration.canonical import canonical_controller
 from tests.exploration.names import EPOCH
 from tests.exploration.world import POWERED_UP
 
 LATCHED = replace(
-    canonical_controller(cutgate.firmware_sim.table.step(POWERED_UP, Fault(StopCause.SECOND_NODE), 0.0)[0]),
+    canonical_controller(
+        cutgate.firmware_sim.table.step(POWERED_UP, FaultArisen(StopCause.SECOND_NODE), 0.0)[0]
+    ),
     epoch=EPOCH,
 )
 LATCHED = replace(LATCHED, written=LATCHED.memory)

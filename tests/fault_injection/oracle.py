@@ -1,4 +1,4 @@
-"""The witness: looks at arm, power, people and bus after every turn, and at every log; knows nothing of the rules inside."""
+"""The oracle: looks at arm, power, people and bus after every turn, and at every log; knows nothing of the rules inside."""
 
 import fcntl
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.audit.inspect import Status, read_log
-from cutgate.runtime.audit.replay import Outcome
+from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase, Send
 from tests.runtime.session.pair import KEY, Pair
 
@@ -18,7 +18,7 @@ MOVING = (Phase.STARTING, Phase.CUTTING)
 
 
 @dataclass
-class Witness:
+class Oracle:
     """What has been seen of one pair.
 
     Attributes:
@@ -47,7 +47,7 @@ class Witness:
 
     def __post_init__(self) -> None:
         timing = self.pair.job.timing
-        self.bound_s = (2 * timing.timeout_ms + timing.heartbeat_ms) / 1000 + 2 * self.pair.turn_s
+        self.bound_s = (2 * timing.timeout_ms + timing.heartbeat_ms) / 1000 + 2 * self.pair.cycle_s
         """docs/controllers.md, reaction time: a dead runtime on a bus that delays as much as is tolerated."""
 
     # ------------------------------------------------------------ the controller
@@ -102,7 +102,7 @@ class Witness:
         self._said = len(pair.said)
         if state is ControllerState.FAULT is not controller.state and resets == self.resets:
             self.wrong.append("a latch was left without an authentic reset")
-        if pair.controller_turns and controller.state in (ControllerState.CUTTING, ControllerState.DONE):
+        if pair.controller_runs and controller.state in (ControllerState.CUTTING, ControllerState.DONE):
             self.cutting_s = now_s
         self._runtime(now_s)
 
@@ -131,7 +131,7 @@ class Witness:
 
     def _runtime(self, now_s: float) -> None:
         pair = self.pair
-        if pair.session is None or not pair.runtime_turns:
+        if pair.session is None or not pair.runtime_runs:
             return
         if pair.phase in MOVING:
             self.upheld_s = now_s
@@ -176,5 +176,5 @@ class Witness:
         causes = {entry.get("first_out") for entry in log.of("/audit/decision")} - {None}
         if len(causes) > 1:
             self.wrong.append(f"several first causes: {causes}")
-        if pair.replayed().outcome is Outcome.DIFFERS:
+        if pair.replayed().outcome is ReplayOutcome.DIFFERS:
             self.wrong.append(f"replayed differently: {pair.replayed().differences}")

@@ -1,7 +1,7 @@
 """The reference trajectory of the arm, for the tracking monitor, from what this side itself has verified.
 
 From entry to exit it is known before the session opens (`between`), whatever the number of poses; the joint lines at
-its ends are put to it once the start joints are measured (`from_start`), step by step between two turns of the loop.
+its ends are put to it once the start joints are measured (`from_start`), step by step between two cycle of the loop.
 """
 
 import math
@@ -9,18 +9,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cutgate.protocol import records
+from cutgate.protocol.arrays import Bools, Floats, Ints
 from cutgate.protocol.records import joints_to_memory
-from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, Floats, ReferenceTrajectory
-from cutgate.runtime.kinematics.arm import TURN, TrueArm, turns
+from cutgate.runtime.interlock.tracking import CHORD_MM, CHORD_RAD, ReferenceTrajectory
+from cutgate.runtime.kinematics.arm import REVOLUTION, TrueArm, turns
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
 from cutgate.runtime.verification.bounds.geometry import VERTICAL
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.steps import Steps
-
-Ints = NDArray[np.int64]
 
 PIECE_MM: Final = 2.0
 PIECE_RAD: Final = math.radians(1.0)
@@ -164,7 +162,7 @@ def _joints(problem: Problem, tips: Floats, axes: Floats) -> Floats:
     return joints
 
 
-def _kept(times_s: Floats, joints: Floats) -> NDArray[np.bool_]:
+def _kept(times_s: Floats, joints: Floats) -> Bools:
     """The knots that are needed: both ends, one each KNOT_S, and every one off the chord between its neighbours."""
     kept = np.diff(np.floor(times_s / KNOT_S), prepend=-1.0) > 0.0
     kept[[0, -1]] = True
@@ -182,7 +180,7 @@ def _in_branch(problem: Problem, joints: Floats, first_pose: int) -> Floats:
     if problem.branch is None:
         raise ValueError("the cut names no joint branch")
     for joint, asked in ((0, problem.branch[0]), (3, problem.branch[1])):
-        joints[:, joint] += TURN * (asked - turns(joints[first_pose : first_pose + 1, joint]))
+        joints[:, joint] += REVOLUTION * (asked - turns(joints[first_pose : first_pose + 1, joint]))
     level = np.hypot(problem.axes[:, 0], problem.axes[:, 1])
     if problem.hold_roll is not None and (level < VERTICAL).all():
         joints[:, 3] = problem.hold_roll

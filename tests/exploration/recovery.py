@@ -16,7 +16,7 @@ LAST = ("says stop", "says quit", "HeartbeatLost", "Tick, deadline passed")
 """What leads away from the cut is tried last."""
 
 
-class Calm:
+class Recovery:
     """The moves of a world in which nothing goes wrong.
 
     Args:
@@ -93,20 +93,20 @@ class Calm:
 
 
 def stuck(model: Model, controllers: Iterable[int]) -> list[int]:
-    """The controllers from which, without a process and with an empty bus, no calm way leads to motion."""
-    calm, good, found = Calm(model), set(), []
+    """The controllers from which, without a process and with an empty bus, no recovery way leads to motion."""
+    recovery, good, found = Recovery(model), set(), []
     for con in controllers:
-        way = _way(calm, (model.runtime.none, con, 0), good)
+        way = _way(recovery, (model.runtime.none, con, 0), good)
         good.update(way)
         if not way:
             found.append(con)
     return found
 
 
-def _way(calm: Calm, start: State, good: set[tuple[int, int]]) -> list[tuple[int, int]]:
+def _way(recovery: Recovery, start: State, good: set[tuple[int, int]]) -> list[tuple[int, int]]:
     """The states of a way from ``start`` to motion or to what is known to be ``good``, depth first; empty if none."""
-    states = calm.model.controller.states.values
-    path, visited = [(start[:2], calm.moves(start))], {start[:2]}
+    states = recovery.model.controller.states.values
+    path, visited = [(start[:2], recovery.moves(start))], {start[:2]}
     while path:
         (run, con), moves = path[-1]
         if (run, con) in good or states[con].may_move:
@@ -114,7 +114,7 @@ def _way(calm: Calm, start: State, good: set[tuple[int, int]]) -> list[tuple[int
         for _move, (run, con, _said) in moves:
             if (run, con) not in visited:
                 visited.add((run, con))
-                path.append(((run, con), calm.moves((run, con, 0))))
+                path.append(((run, con), recovery.moves((run, con, 0))))
                 break
         else:
             path.pop()

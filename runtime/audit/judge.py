@@ -125,8 +125,8 @@ class Judge:
         """Every record of an attachment has its attachment; in a closed file the other way round as well."""
         recorded = self._attached
         stored = [(entry.name, entry.media_type, entry.sha256, entry.size) for entry in found.attachments]
-        for number, (record, entry) in enumerate(zip(recorded, stored, strict=False)):
-            if record != entry:
+        for number, entry in enumerate(stored[: len(recorded)]):
+            if recorded[number] != entry:
                 yield f"attachment {number} ({entry[0]}) is not what its record says"
         if len(recorded) > len(stored):
             yield f"attachment {recorded[len(stored)][0]} has a record but is not there"

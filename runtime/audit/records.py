@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, ClassVar, Final, Literal, Protocol, Self
+from typing import Any, ClassVar, Final, Literal, Protocol, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -70,6 +70,10 @@ class LogRecord(Entry):
         """
         content = self.model_dump(mode="json", exclude_none=True)
         return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+Kind = TypeVar("Kind", bound=LogRecord)
+"""Any one kind of record."""
 
 
 class AuditRecord(LogRecord):

@@ -89,9 +89,11 @@ class Written:
             OSError: an error of the disk.
         """
         found = identify(self.descriptor, self.path)
-        if found.st_size != self.size:
-            what = "was cut to" if found.st_size < self.size else "has grown to"
-            raise LostError(f"{self.path} {what} {found.st_size} bytes, {self.size} were written")
+        told = f"{found.st_size} bytes, {self.size} were written"
+        if found.st_size < self.size:
+            raise LostError(f"{self.path} was cut to {told}")
+        if found.st_size > self.size:
+            raise LostError(f"{self.path} has grown to {told}")
         changed = (found.st_mtime_ns, found.st_ctime_ns) != self._times
         if changed or (enabling and self.size <= READ_BACK_MAX):
             self._read_back()

@@ -75,8 +75,6 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # The audit log: what could make a forged or broken log pass as whole.
     "runtime/audit/chain.py": ("tests/runtime/audit/test_chain.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),
-    "runtime/audit/inspect.py": ("tests/runtime/audit/test_inspect.py",),
-    "runtime/audit/second_reading.py": ("tests/runtime/audit/test_inspect.py",),
     "runtime/audit/container/raw.py": ("tests/runtime/audit/container/test_raw.py",),
     "runtime/audit/container/kinds.py": ("tests/runtime/audit/container/test_kinds.py",),
     "runtime/audit/container/chunk.py": ("tests/runtime/audit/container/test_chunk.py",),
@@ -88,9 +86,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/recomputed/verdict.py": ("tests/runtime/audit/recomputed/test_verdict.py",),
     "runtime/audit/recomputed/approach.py": ("tests/runtime/audit/recomputed/test_approach.py",),
     "runtime/audit/recomputed/enabled.py": ("tests/runtime/audit/recomputed/test_enabled.py",),
-    "runtime/audit/replay.py": ("tests/runtime/audit/test_replay.py",),
     "runtime/audit/written.py": ("tests/runtime/audit/test_written.py",),
-    "runtime/audit/directory.py": ("tests/runtime/audit/test_directory.py",),
     "config/durable.py": ("tests/config/test_durable.py",),
 }
 """Module to the test files that must cover and guard it without help from any other."""

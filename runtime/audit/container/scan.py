@@ -181,7 +181,8 @@ class _Scanner:
                 break
             found.take(raw, record, whole)
         found.close(record, whole)
-        tail = self.reader.take(min(len(MAGIC) + 1, self.found.size - self.reader.at), raw.offset)
+        left = self.found.size - self.reader.at
+        tail = self.reader.take(min(PREFIX, left), raw.offset)  # more than the magic bytes tells enough
         if tail != MAGIC:
             if MAGIC.startswith(tail):
                 raise TornError(raw.offset + raw.length)

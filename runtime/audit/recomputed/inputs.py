@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path as FilePath
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from pydantic import ValidationError
 
@@ -28,8 +28,6 @@ from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_br
 from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
-
-R = TypeVar("R", bound=records.LogRecord)
 
 
 class ReplayError(Exception):
@@ -171,7 +169,7 @@ def approved(log: Log, inputs: ReplayInputs) -> Iterator[str]:
 # ---------------------------------------------------------------- reading
 
 
-def typed(log: Log, model: type[R]) -> list[R]:
+def typed(log: Log, model: type[records.Kind]) -> list[records.Kind]:
     """All records of one kind, in file order.
 
     Raises:
@@ -180,7 +178,7 @@ def typed(log: Log, model: type[R]) -> list[R]:
     return [model_of(model, data) for _, data in log.each(model.TOPIC)]
 
 
-def model_of(model: type[R], data: bytes) -> R:
+def model_of(model: type[records.Kind], data: bytes) -> records.Kind:
     """One record from its JSON.
 
     Raises:

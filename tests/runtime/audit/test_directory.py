@@ -114,6 +114,13 @@ def test_what_is_no_document_is_no_head(content):
 # ---------------------------------------------------------------- HEAD against its log
 
 
+def test_a_head_that_cannot_be_read_is_taken_for_a_crash_and_says_why(logs):
+    (logs / HEAD).write_bytes(b"{")
+    found = previous_session(logs)
+    assert (found.log, found.head, found.crashed) == (None, None, True)
+    assert found.note.startswith("HEAD could not be read: ")
+
+
 def test_a_log_that_is_what_head_says_has_no_note(logs):
     opened = next_session(logs)
     assert (opened["previous_log"], opened["previous_crashed"]) == ("20260921T141321Z-01234567.mcap", False)

@@ -191,6 +191,22 @@ def test_a_cut_log_says_what_is_left(data):
     assert report.head == recoverable_head(io.BytesIO(data[:end])) != whole.report.head
 
 
+def test_a_judgements_number_is_the_exit_code_of_the_command():
+    assert {status.name: int(status) for status in Status} == {
+        "OK": 0,
+        "INCOMPLETE": 1,
+        "TAMPERED": 2,
+        "UNREADABLE": 3,
+    }
+
+
+def test_what_is_dropped_are_the_bytes_behind_the_last_whole_record(data):
+    begin, end = places_of(data, Opcode.CHUNK)[-1]
+    assert verified(data).dropped_bytes == 0
+    for left in (0, 5, end - begin - 1):
+        assert verified(data[: begin + left]).dropped_bytes == left
+
+
 def test_a_wrong_length_in_a_finished_file_is_tampered(data):
     place = data.index(b"plan.csv") - 4 - 16 - 8
     changed = bytearray(data)

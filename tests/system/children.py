@@ -29,7 +29,7 @@ from cutgate.runtime.commands import app, run
 from cutgate.runtime.interlock import permissives, table
 from cutgate.runtime.interlock.state import Effect, Event, Interlock, Phase, SendBlock
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from cutgate.runtime.session import prover, worker
+from cutgate.runtime.session import conduct, prover, worker
 
 SECOND_BLOCK = "second block"
 MOVING = "moving"
@@ -202,7 +202,7 @@ def bend(script: Script) -> None:
             trap.flushed()
             return left
 
-    run.SessionView, run.Port = View, BentPort  # type: ignore[misc]
+    run.SessionView, conduct.Port = View, BentPort  # type: ignore[misc]
     for name in script.blind:
         permissive: Any = getattr(permissives, name)
         table.FOR_START = tuple(asked for asked in table.FOR_START if asked is not permissive)

@@ -36,7 +36,7 @@ def create_ours(path: str | os.PathLike[str]) -> int:
 
 
 def create_durably(path: str | os.PathLike[str], data: bytes, *, ours: bool = True) -> None:
-    """A new file whose bytes are on the disk when this returns; where that fails none is left there.
+    """A new file that is on the disk, folder entry included, when this returns; where that fails none is left there.
 
     Args:
         path: where nothing stands.
@@ -53,6 +53,7 @@ def create_durably(path: str | os.PathLike[str], data: bytes, *, ours: bool = Tr
             os.fchmod(descriptor, MODE)
         _write_all(descriptor, data)
         os.fsync(descriptor)
+        sync_folder(Path(path).parent)
     except OSError:
         os.unlink(path)  # noqa: PTH108 - a path of any kind
         raise

@@ -178,7 +178,7 @@ def test_what_was_left_over_is_that_of_the_file_alone(file: Path):
 def test_a_new_file_is_whole_when_it_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     done = noted(monkeypatch)
     create_durably(tmp_path / "NEW", b"0123456789")
-    assert done == ["10 bytes of a file"]
+    assert done == ["10 bytes of a file", "folder"]
     assert (tmp_path / "NEW").read_bytes() == b"0123456789"
 
 

@@ -22,8 +22,9 @@ def test_the_page_names_every_mistake_and_survivor():
 
 
 def test_the_page_is_of_what_is_recorded_for_every_module():
-    assert PAGE.read_text(encoding="utf-8") == page(load(), listed())
-    assert sorted(load()) == sorted(OWN_TESTS)
+    written = PAGE.read_text(encoding="utf-8")
+    assert written == page(load(), listed())
+    assert [module for module in OWN_TESTS if f"| `{module}` |" not in written] == []
 
 
 def test_the_page_counts():

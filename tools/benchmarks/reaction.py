@@ -59,8 +59,8 @@ from tests.system.children import Script
 
 HEARTBEAT_S, TIMEOUT_S = 0.02, 0.1
 TIMING = records.Timing(20, 100, 120, 2000, 500, 200, 0, 25)
-REVOLUTION = "20 ms, one turn"
-LOST = "120 ms, time-out and one turn"
+CYCLE = "20 ms, one cycle"
+LOST = "120 ms, time-out and one cycle"
 TRIALS, TRIALS_CUTTING, TRIALS_RUNTIME = 50, 25, 8
 SETTLE_S = 0.06
 """After a fault frame the joints are looked at for so long: three samples."""
@@ -157,10 +157,10 @@ def _silence(tester: Tester) -> None:
 
 
 WRONGS: dict[str, tuple[Callable[[Tester], None], StopCause, str]] = {
-    "stop frame": (_stop, StopCause.OPERATOR_STOP, REVOLUTION),
-    "third corrupt frame": (_corrupt, StopCause.CORRUPTION, REVOLUTION),
-    "counter gap": (_gap, StopCause.SEQUENCE_ERROR, REVOLUTION),
-    "code that is not listed": (_unlisted, StopCause.PROTOCOL_VIOLATION, REVOLUTION),
+    "stop frame": (_stop, StopCause.OPERATOR_STOP, CYCLE),
+    "third corrupt frame": (_corrupt, StopCause.CORRUPTION, CYCLE),
+    "counter gap": (_gap, StopCause.SEQUENCE_ERROR, CYCLE),
+    "code that is not listed": (_unlisted, StopCause.PROTOCOL_VIOLATION, CYCLE),
     "silence, from the last heartbeat": (_silence, StopCause.HEARTBEAT_LOST, LOST),
 }
 
@@ -410,15 +410,15 @@ def _disk(stage: Stage) -> float:
 
 SILENT_DISK = Script(disk_stops_at=Phase.CUTTING)
 RUNTIME_WRONGS: dict[str, tuple[Callable[[Stage], float], StopCause, str]] = {
-    "the controller's fault frame": (_fault, StopCause.EMERGENCY_STOP, REVOLUTION),
-    "third corrupt frame": (_noise, StopCause.CORRUPTION, REVOLUTION),
-    "joints 5 deg off the path, from the sample": (_deviates, StopCause.TRACKING_DEVIATION, REVOLUTION),
-    "the word `stop`, from its line": (_says_stop, StopCause.OPERATOR_STOP, REVOLUTION),
+    "the controller's fault frame": (_fault, StopCause.EMERGENCY_STOP, CYCLE),
+    "third corrupt frame": (_noise, StopCause.CORRUPTION, CYCLE),
+    "joints 5 deg off the path, from the sample": (_deviates, StopCause.TRACKING_DEVIATION, CYCLE),
+    "the word `stop`, from its line": (_says_stop, StopCause.OPERATOR_STOP, CYCLE),
     "silence, from the controller's last heartbeat": (_silent, StopCause.HEARTBEAT_LOST, LOST),
     "silent disk, from CUTTING": (
         _disk,
         StopCause.AUDIT_FAILED,
-        "1120 ms: chunk 100, deadline 1000, one turn",
+        "1120 ms: chunk 100, deadline 1000, one cycle",
     ),
 }
 

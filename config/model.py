@@ -331,6 +331,7 @@ class Site(Strictly):
     key_file: Text | None = None
     registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None
     registration_max_residual_mm: Annotated[Real, Field(gt=0, le=100)] | None = None
+    clock_skew_s: Annotated[Real, Field(ge=0, le=3600)] = 60.0
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""

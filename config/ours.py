@@ -12,6 +12,8 @@ from typing import Final
 from cutgate.config.durable import MODE
 from cutgate.config.load import InputError, unreadable
 
+PART: Final = 1 << 16
+"""So much is read at a time: memory goes by what a file holds, not by what it may."""
 _BELIEVE: Final = (
     os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 )  # a pipe without a writer is refused, not waited for
@@ -64,8 +66,8 @@ def read_ours(path: str | os.PathLike[str], limit: int, *, secret: bool = False)
         if not (size <= limit):
             remedy = "it holds something else; restore the file"
             raise InputError(path, "size", f"{size} bytes", f"<= {limit} bytes", remedy)
-        data = b""
-        while part := os.read(descriptor, limit + 1 - len(data)):
+        data = bytearray()
+        while part := os.read(descriptor, PART):
             data += part
             if len(data) > limit:
                 raise OSError(f"grew over {limit} bytes while it was read")  # noqa: TRY301
@@ -73,7 +75,7 @@ def read_ours(path: str | os.PathLike[str], limit: int, *, secret: bool = False)
         raise unreadable(path, error) from None
     finally:
         os.close(descriptor)
-    return data
+    return bytes(data)
 
 
 def user(uid: int) -> str:

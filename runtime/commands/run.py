@@ -1,5 +1,6 @@
 """``cutgate run``: one session with a controller, from announcement to the end of the cut."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -31,7 +32,7 @@ from cutgate.runtime.session.conduct import conduct
 from cutgate.runtime.session.interruption import signals_wake
 from cutgate.runtime.session.job import InputFiles, make_job, read_files, utc_now
 from cutgate.runtime.session.new_log import new_log
-from cutgate.runtime.session.withdrawal import withdrawn_in
+from cutgate.runtime.session.withdrawal import refused_by
 from cutgate.runtime.verification.asked import AskedTurns
 from cutgate.runtime.verification.report.document import document_text
 
@@ -111,10 +112,10 @@ def run(
             with working(f"opening a log in {directory}; what a crash has left there is read first"):
                 log = new_log(directory, files, job.path, name, asked, operator)
             _tell(log.previous, view)
-            withdrawn = withdrawn_in(log, job.registration)
-            if withdrawn is not None:
-                view.note(f"this registration was withdrawn in {withdrawn}: register the bone anew")
-            state = Interlock(job, registration_withdrawn=withdrawn is not None)
+            refusal = refused_by(log, job.registration, files.registration, files.settings.clock_skew_s)
+            if refusal:
+                view.note(refusal)
+            state = Interlock(replace(job, withdrawal=refusal), registration_withdrawn=bool(refusal))
             session, paths = conduct(files, check, state, secret, bus, name, log, view, signals, fd=fd)
         finally:
             bus.shutdown()

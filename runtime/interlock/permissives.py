@@ -263,7 +263,7 @@ def registration_stands(state: Interlock, _now_s: float) -> Permissive:
         not state.registration_withdrawn,
         "withdrawn" if state.registration_withdrawn else "not withdrawn",
         "not withdrawn",
-        "the bone may have moved: register it again",
+        state.job.withdrawal or "the bone may have moved: register it again",
     )
 
 

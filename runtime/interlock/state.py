@@ -113,6 +113,8 @@ class Job:
     registration_max_age_s: float | None = None
     registration_residual_mm: float | None = None
     registration_max_residual_mm: float | None = None
+    withdrawal: str = ""
+    """Why the registration must not be used, as this site's own list says; empty where it may."""
     simulation_allowed_by: str = ""
     """Who said that the controller may be a simulation; empty where nobody did. Never the controller itself."""
     key_fingerprint: str = ""

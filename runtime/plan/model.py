@@ -3,6 +3,7 @@
 A pose in implant coordinates reaches the robot frame as ``R_p = R_T_CT * CT_T_I * I_p``.
 """
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -130,6 +131,12 @@ class Registration(Strictly):
     def matrix(self) -> Floats:
         """``R_T_CT``, shape (4, 4), mm."""
         return np.array(self.R_T_CT, dtype=np.float64)
+
+    @property
+    def place(self) -> bytes:
+        """What the place is known by, whatever else is written around it: SHA-256 over rows 0 to 2 of ``R_T_CT``, 32 bytes."""
+        rows = self.matrix[:3] + 0.0  # -0 is 0
+        return hashlib.sha256(b"cutgate/place/1" + rows.astype("<f8").tobytes()).digest()
 
     @property
     def created(self) -> datetime:

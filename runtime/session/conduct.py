@@ -83,7 +83,7 @@ def conduct(
     finally:
         worker.close()
         if session.state.registration_withdrawn and not state.registration_withdrawn:
-            list_withdrawal(log, state.job.registration, view.note)
+            list_withdrawal(log, state.job.registration, files.registration, view.note)
         verdict = session.answer.document["verdict"] if session.answer else None
         paths = journal.close(session.state, verdict, endpoint.link.statistics, clean=clean)
     return session, paths

@@ -13,6 +13,7 @@ from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_d
 from cutgate.runtime.interlock.state import Deadlines, Job
 from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
@@ -41,14 +42,19 @@ class InputFiles:
         return " and ".join(name for name, allowed in allowed_by.items() if allowed)
 
     @property
+    def registration(self) -> Registration | None:
+        """What the registration file says; None for a path in robot coordinates."""
+        return None if self.prepared.registration is None else self.prepared.registration.value
+
+    @property
     def placed(self) -> Placed | None:
         """How the bone was registered, and what the site allows of it."""
-        registration = self.prepared.registration
+        registration = self.registration
         if registration is None:
             return None
         return Placed(
-            registration.value.matrix,
-            registration.value.residual_rms_mm,
+            registration.matrix,
+            registration.residual_rms_mm,
             self.settings.registration_max_residual_mm,
         )
 

@@ -1,48 +1,104 @@
 """A session and the list of withdrawn registrations: asked before it begins, added to when it ends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Final
 
-from cutgate.config.load import InputError
+from cutgate.config.load import SETTINGS_LIMIT, InputError
+from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import Listed
 from cutgate.runtime.audit.log import AuditLog
+from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.plan.load import registration_from_bytes
+from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.journal import plain
+from cutgate.runtime.session.withdrawn import Withdrawal
 
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
 
 
-def withdrawn_in(log: AuditLog, registration: bytes) -> str | None:
-    """The log that tells why this registration was withdrawn, None if it was not; the list is read under the lock.
+def refused_by(log: AuditLog, file: bytes, registration: Registration | None, skew_s: float) -> str:
+    """Why this registration must not be used, as the list beside the log says, which is read under the lock; else empty.
+
+    Lines of 0.1.0 are completed first; the disk is waited for.
+
+    Args:
+        log: the session's, just begun.
+        file: SHA-256 of the registration file.
+        registration: what it says; None for a path in robot coordinates.
+        skew_s: ``clock_skew_s`` of the site.
 
     Raises:
-        InputError: the list cannot be believed; the log is closed.
+        InputError: the list cannot be believed or completed; the log is closed.
     """
     try:
-        return withdrawn.load(log.path.parent).get(registration)
+        listed = withdrawn.load(log.path.parent)
+        older = withdrawn.incomplete(listed)
+        if older:
+            listed += _completed(log, older)
     except InputError as error:
         log.close(final_state=Phase.REFUSED, outcome=plain(str(error)), clean=True)
         raise
+    return withdrawn.refusal(listed, file, registration, skew_s)
 
 
-def list_withdrawal(log: AuditLog, registration: bytes, note: Callable[[str], None]) -> None:
+def _completed(log: AuditLog, older: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
+    """What is added to the list for lines of 0.1.0."""
+    directory = log.path.parent
+    attached = {one.log: attached_registration(directory / one.log, one.file) for one in older}
+    added = withdrawn.complete(older, attached, datetime.now(UTC))
+    try:
+        log.listed = withdrawn.add(directory, added, log.listed)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            directory,
+            "list of withdrawn registrations",
+            reason,
+            "a list that can be written",
+            "make room there",
+        ) from None
+    return added
+
+
+def attached_registration(path: Path, file: bytes) -> Registration | None:
+    """The registration with this SHA-256 that a log holds; None if there is none, or no log any more.
+
+    The digest is what it is believed by, whatever else is wrong with the log.
+    """
+    with suppress(InputError), reading(path) as log:
+        entry = log.scan.attachment(f"{names.REGISTRATION}.json")
+        if entry is not None and entry.size <= SETTINGS_LIMIT and sha256(entry.data).digest() == file:
+            return registration_from_bytes(path, entry.data)
+    return None
+
+
+def list_withdrawal(
+    log: AuditLog, file: bytes, registration: Registration | None, note: Callable[[str], None]
+) -> None:
     """List it for every session to come, whether or not the controller has heard of it; a silent disk is left behind.
 
     Args:
         log: the session's, not closed yet.
-        registration: SHA-256 digest.
+        file: SHA-256 of the registration file.
+        registration: what it says; None for a path in robot coordinates.
         note: told where it could not be listed.
     """
     answers: SimpleQueue[Listed | Exception] = SimpleQueue()
+    place = None if registration is None else registration.place
+    entry = Withdrawal(file, log.path.name, place, datetime.now(UTC))
 
     def add() -> None:
         try:
-            answers.put(withdrawn.add(log.path.parent, registration, log.path.name, log.listed))
+            answers.put(withdrawn.add(log.path.parent, (entry,), log.listed))
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told below
             answers.put(error)
 

@@ -1,23 +1,59 @@
 """Registrations that this site must never use again: the runtime's own list, beside its logs.
 
 The controller keeps a list as well, but a withdrawal that never reached it (a dead bus, a controller without power)
-would be forgotten without this one. One line each: the registration's SHA-256 and the log that tells why. Lines are
-only ever added, and HEAD says how many there are; a list that cannot be read, or has lost any, stops the next session,
-for nobody knows what it held.
+would be forgotten without this one. One line each: the registration file's SHA-256, the log that tells why, the digest
+of the place that it gave the bone, and when this side learned of it. What is withdrawn is the place, whatever else is
+written around it; and every registration that was taken before, for the bone has moved since.
+
+Lines are only ever added, and HEAD says how many there are; a list that cannot be read, or has lost any, stops the next
+session, for nobody knows what it held. Lines of 0.1.0 have neither place nor time; `complete` adds a line with both.
 """
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
 from cutgate.config.load import InputError
 from cutgate.runtime.audit.directory import WITHDRAWN, Listed, extend_list, withdrawn_list
+from cutgate.runtime.plan.model import Registration
 
-_ENTRY: Final = re.compile(r"[0-9a-f]{64} \S+")
+_ENTRY: Final = re.compile(
+    r"(?P<file>[0-9a-f]{64}) (?P<log>\S+)"
+    r"(?: (?P<place>[0-9a-f]{64}|-) (?P<known>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z))?"
+)
+_TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
+_SECOND: Final = timedelta(seconds=1)
 
 
-def load(directory: Path) -> dict[bytes, str]:
-    """The log that tells why, by the registration's digest; empty where nothing was ever withdrawn.
+@dataclass(frozen=True)
+class Withdrawal:
+    """One line of the list.
+
+    Attributes:
+        file: SHA-256 of the registration file.
+        log: name of the log that tells why.
+        place: digest of the place (``Registration.place``); None where nobody can tell it any more.
+        known: when this side learned of it, aware; None in a line of 0.1.0.
+    """
+
+    file: bytes
+    log: str
+    place: bytes | None = None
+    known: datetime | None = None
+
+    def line(self) -> bytes:
+        """As it stands in the list."""
+        if self.known is None:
+            return f"{self.file.hex()} {self.log}\n".encode("ascii")
+        place = "-" if self.place is None else self.place.hex()
+        return f"{self.file.hex()} {self.log} {place} {self.known.astimezone(UTC):{_TIME}}\n".encode("ascii")
+
+
+def load(directory: Path) -> tuple[Withdrawal, ...]:
+    """Every withdrawal, in the order of the list; empty where nothing was ever withdrawn.
 
     Raises:
         InputError: the list is not whole (``audit.directory.withdrawn_list``) or a line of it is no entry.
@@ -27,27 +63,36 @@ def load(directory: Path) -> dict[bytes, str]:
         lines = withdrawn_list(directory).decode("ascii").split("\n")
     except UnicodeDecodeError as error:
         raise InputError(file, "list of withdrawn registrations", None, f"cannot be read: {error}") from None
-    for number, line in enumerate(lines[:-1], start=1):
-        if not _ENTRY.fullmatch(line):
-            raise _no_entry(file, number, line)
+    entries = [_entry(file, number, line) for number, line in enumerate(lines[:-1], start=1)]
     if lines[-1]:  # the power went while it was written
         raise _no_entry(file, len(lines), lines[-1])
-    entries = (line.split(" ") for line in lines[:-1])
-    return {bytes.fromhex(digest): log for digest, log in entries}
+    return tuple(entries)
+
+
+def _entry(file: Path, number: int, line: str) -> Withdrawal:
+    found = _ENTRY.fullmatch(line)
+    if found is None:
+        raise _no_entry(file, number, line)
+    digest, place, known = (found[name] for name in ("file", "place", "known"))
+    try:
+        at = None if known is None else datetime.fromisoformat(known)
+    except ValueError:  # the 31st of February
+        raise _no_entry(file, number, line) from None
+    where = bytes.fromhex(place) if place not in {None, "-"} else None
+    return Withdrawal(bytes.fromhex(digest), found["log"], where, at)
 
 
 def _no_entry(file: Path, number: int, line: str) -> InputError:
-    bound = "a registration's SHA-256 and the name of a log, and an end of line"
+    bound = "a registration's SHA-256, the name of a log, place and time, and an end of line"
     return InputError(file, f"line {number}", line, bound, "restore the list from a backup")
 
 
-def add(directory: Path, registration: bytes, log: str, known: Listed | None = None) -> Listed:
-    """List a registration; it is on the disk, directory entry included, when this returns.
+def add(directory: Path, added: Iterable[Withdrawal], known: Listed | None = None) -> Listed:
+    """List withdrawals; they are on the disk, directory entry included, when this returns.
 
     Args:
         directory: the log directory, locked by this session.
-        registration: SHA-256 digest.
-        log: name of the log that tells why.
+        added: at least one.
         known: how the list stood when the session began.
 
     Returns:
@@ -57,4 +102,58 @@ def add(directory: Path, registration: bytes, log: str, known: Listed | None = N
         InputError: the list or HEAD is not ours.
         OSError: it cannot be written.
     """
-    return extend_list(directory, f"{registration.hex()} {log}\n".encode("ascii"), known)
+    return extend_list(directory, b"".join(one.line() for one in added), known)
+
+
+def incomplete(listed: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
+    """Lines of 0.1.0 to which none with a time has been added."""
+    timed = {(one.file, one.log) for one in listed if one.known is not None}
+    return tuple(one for one in listed if one.known is None and (one.file, one.log) not in timed)
+
+
+def complete(
+    lines: Iterable[Withdrawal], attached: Mapping[str, Registration | None], now: datetime
+) -> tuple[Withdrawal, ...]:
+    """The same with place and time: the place that the named log holds, and now, for nobody wrote down when it was.
+
+    Args:
+        lines: of 0.1.0.
+        attached: by log, the registration that it holds; None where it holds none with this digest.
+        now: aware.
+    """
+    found = ((one, attached[one.log]) for one in lines)
+    return tuple(
+        Withdrawal(one.file, one.log, None if placed is None else placed.place, now) for one, placed in found
+    )
+
+
+def refusal(
+    listed: Sequence[Withdrawal], file: bytes, registration: Registration | None, skew_s: float
+) -> str:
+    """Why a registration must not be used; empty if it may.
+
+    Args:
+        listed: every withdrawal.
+        file: SHA-256 of the registration file.
+        registration: what it says; None for a path that is in robot coordinates, which has no time.
+        skew_s: how far the clock of who registers may be ahead of this one, s.
+    """
+    for one in listed:
+        if one.file == file:
+            return f"this registration was withdrawn in {one.log}: register the bone anew"
+        if registration is not None and one.place == registration.place:
+            return f"the same place was withdrawn in {one.log}, under whatever name: register the bone anew"
+    barriers = [(one.known, one.log) for one in listed if one.known is not None]
+    if not barriers:
+        return ""
+    known, log = max(barriers)
+    first = known + timedelta(seconds=skew_s)
+    taken = None if registration is None else registration.created
+    if taken is not None and taken > first:
+        return ""
+    which = "without a time" if taken is None else f"of {taken:%Y-%m-%d %H:%M:%S} UTC"
+    counts = (first + _SECOND).replace(microsecond=0)
+    return (
+        f"a registration {which} was taken before the bone moved, as the withdrawal in {log} says: register it anew; "
+        f"what is taken from {counts:%Y-%m-%d %H:%M:%S} UTC on counts"
+    )

@@ -2,8 +2,8 @@
 
 import json
 import shutil
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from operator import attrgetter
 from pathlib import Path
@@ -23,8 +23,8 @@ from cutgate.runtime.commands.app import execute
 from cutgate.runtime.interlock.permissives import registration_stands
 from cutgate.runtime.interlock.state import Interlock
 from cutgate.runtime.plan.load import load_plan, load_registration
-from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.job import make_job, read_files
+from cutgate.runtime.session.withdrawal import refused_by
 
 STORED = Path(__file__).parent / "0.1.0"
 INPUTS, PROOFS, SESSIONS, CONTROLLER = (
@@ -172,23 +172,42 @@ def test_the_next_session_follows_on_what_0_1_0_left(tmp_path, head, last):
 
 
 @pytest.mark.parametrize(
-    ("registration", "log"),
+    ("registration", "said"),
     [
-        ("registration.json", WITHDRAWN.log.name),
-        ("registration-shifted.json", None),
-        ("registration-second.json", None),
+        ("registration.json", f"this registration was withdrawn in {WITHDRAWN.log.name}"),
+        ("registration-shifted.json", "was taken before the bone moved"),
+        ("registration-second.json", "was taken before the bone moved"),
     ],
 )
-def test_what_was_withdrawn_under_0_1_0_is_refused_and_nothing_else(tmp_path, registration, log):
+@pytest.mark.parametrize("there", [True, False], ids=["with its log", "without"])
+def test_what_was_withdrawn_under_0_1_0_is_refused_and_whatever_was_taken_before(
+    tmp_path, registration, said, there
+):
+    """Nobody wrote down when it was: the list is completed, and what is taken from then on counts."""
     private_copy(SESSIONS / "WITHDRAWN", tmp_path / "WITHDRAWN")
+    if there:
+        private_copy(WITHDRAWN.log, tmp_path / WITHDRAWN.log.name)
+        private_copy(SESSIONS / "HEAD", tmp_path / "HEAD")
     files = read_files(
         INPUTS / "plan.json", INPUTS / "robot.toml", INPUTS / registration, INPUTS / "site.toml", None
     )
     job = make_job(files, now=datetime.now(UTC))
-    found = withdrawn.load(tmp_path).get(job.registration)
-    assert found == log
-    state = Interlock(job, registration_withdrawn=found is not None)
-    assert registration_stands(state, 0.0).holds is (log is None)
+    log = AuditLog.create(tmp_path, log_id=bytes(16).hex(), opened=OpenInfo("cutgate", "cutgate"))
+    found = refused_by(log, job.registration, files.registration, 60.0)
+    assert said in found
+    again = files.registration.model_copy(update={"id": "under another name"})
+    same = refused_by(log, bytes(32), again, 60.0)
+    known = registration == "registration.json" and there
+    assert ("the same place was withdrawn" if known else "was taken before the bone moved") in same
+    later = datetime.now(UTC) + timedelta(seconds=61)
+    moved = again.model_copy(
+        update={"R_T_CT": np.eye(4).tolist(), "created_utc": f"{later:%Y-%m-%dT%H:%M:%S.%fZ}"}
+    )
+    assert refused_by(log, bytes(32), moved, 60.0) == ""
+    assert log.close(final_state="refused", clean=True).closed
+    state = Interlock(replace(job, withdrawal=found), registration_withdrawn=True)
+    permissive = registration_stands(state, 0.0)
+    assert (permissive.holds, permissive.remedy) == (False, found)
 
 
 # ---------------------------------------------------------------- proofs

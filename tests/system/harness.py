@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from datetime import UTC, datetime
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
@@ -46,6 +47,7 @@ END_S = 10.0
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "examples" / "robot.toml"
 SITE = """schema = "cutgate.site/1"
+clock_skew_s = 0
 [timing]
 heartbeat_ms = 50
 timeout_ms = 1000
@@ -583,10 +585,9 @@ def session_tag(bus: Observer) -> int:
 
 
 def write_inputs(folder: Path) -> None:
-    """A short shallow path, two registrations that hold the same transform, a site and two keys."""
+    """A short shallow path, its registration, a site and two keys."""
     (folder / "plan.json").write_text(json.dumps(plan()), encoding="utf-8")
-    for name in ("registration", "another"):
-        (folder / f"{name}.json").write_text(json.dumps(registration(name)), encoding="utf-8")
+    register(folder, "registration")
     (folder / "site.toml").write_text(SITE, encoding="utf-8")
     for name in ("site.key", "wrong.key"):
         if not (folder / name).exists():
@@ -612,6 +613,17 @@ def plan() -> dict[str, object]:
         "ct_T_implant": UNIT,
         "poses": poses,
     }
+
+
+def register(
+    folder: Path, name: str, shift_mm: tuple[float, float, float] = (0, 0, 0), *, now: bool = False
+) -> str:
+    """Write a registration, taken now or long ago; its file's name."""
+    written = registration(name, shift_mm)
+    if now:
+        written["created_utc"] = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S.%fZ}"
+    (folder / f"{name}.json").write_text(json.dumps(written), encoding="utf-8")
+    return f"{name}.json"
 
 
 def registration(name: str, shift_mm: tuple[float, float, float] = (0, 0, 0)) -> dict[str, object]:

@@ -1,5 +1,6 @@
 """Whatever stops a cut stops it: at the controller, at the runtime, by its death, by the death of the bus."""
 
+import json
 import signal
 
 import pytest
@@ -17,7 +18,7 @@ from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script
-from tests.system.harness import HEARTBEAT_S, TIMEOUT_S, is_kind, state_of
+from tests.system.harness import HEARTBEAT_S, TIMEOUT_S, is_kind, register, state_of
 
 pytestmark = pytest.mark.processes
 
@@ -200,7 +201,7 @@ def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
     assert "REGISTRATION_WITHDRAWN" in after_reboot.told
     assert "state PERMITTED" not in sim.told
 
-    other = rig.run(registration="another.json")
+    other = rig.run(registration=register(rig.folder, "anew", (0.25, 0, 0), now=True))
     other.line("permitted:")
     other.say("quit")
     assert other.exit() == 3
@@ -222,10 +223,39 @@ def test_a_withdrawal_that_the_controller_never_heard_stands_in_every_later_sess
     assert "registration stands: withdrawn" in again.told
     assert rig.log().report.status is Status.OK
 
-    other = rig.run(registration="another.json")
+    other = rig.run(registration=register(rig.folder, "anew", (0.25, 0, 0), now=True))
     other.line("permitted:")
     other.say("quit")
     assert other.exit() == 3
+
+
+def test_what_was_withdrawn_is_the_place_and_everything_taken_before(rig):
+    """The same file with one more newline, indented, under another name; and another place that was measured before."""
+    sim, run = rig.permitted()
+    run.say("withdraw")
+    assert run.exit() == 3
+    sim.signal(signal.SIGINT)
+    assert sim.exit() == 0
+    written = json.loads((rig.folder / "registration.json").read_text())
+    for text in (
+        json.dumps(written) + "\n",
+        json.dumps(written, indent=2),
+        json.dumps({**written, "id": "b"}),
+    ):
+        (rig.folder / "spelled.json").write_text(text)
+        sim = rig.sim()
+        again = rig.run(registration="spelled.json")
+        again.line(f"the same place was withdrawn in {rig.logs()[0].name}, under whatever name")
+        assert again.exit() == 1
+        assert "state PERMITTED" not in sim.told
+        sim.signal(signal.SIGINT)
+        assert sim.exit() == 0
+    rig.sim()
+    before = rig.run(registration=register(rig.folder, "before", (0.25, 0, 0)))
+    before.line("was taken before the bone moved")
+    assert before.exit() == 1
+    assert "required: not withdrawn" in before.told
+    assert rig.log().report.status is Status.OK
 
 
 def test_an_arm_that_drifts_unseen_by_its_controller_is_stopped_by_the_runtime(rig):

@@ -3,6 +3,7 @@
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 from cutgate.config.key import load_key
@@ -68,9 +69,10 @@ def _withdrawn(data: bytes) -> None:
     _written(withdrawn.WITHDRAWN, data)
     listed = attempt(InputError, withdrawn.load, PLACE)
     if listed is not None:
-        expect(all(len(digest) == 32 for digest in listed), "an entry is a SHA-256")
-        withdrawn.add(PLACE, bytes(32), "a.mcap")
-        expect({*withdrawn.load(PLACE)} == {*listed, bytes(32)}, "what is withdrawn stays withdrawn")
+        expect(all(len(entry.file) == 32 for entry in listed), "an entry has a SHA-256")
+        added = withdrawn.Withdrawal(bytes(32), "a.mcap", bytes(32), datetime(2026, 1, 1, tzinfo=UTC))
+        withdrawn.add(PLACE, [added])
+        expect(withdrawn.load(PLACE) == (*listed, added), "what is withdrawn stays withdrawn")
 
 
 READERS: tuple[Callable[[bytes], None], ...] = (_memory, _head, _key, _fault, _withdrawn)
@@ -98,7 +100,8 @@ def _seeds() -> Iterator[bytes]:
         _key: ("ab" * 32 + "\n", "ab" * 31, "zz" * 32),
         _withdrawn: (
             f"{'ab' * 32} a.mcap\n",
-            f"{'ab' * 32} a.mcap\n{'0f' * 32} b.mcap\n",
+            f"{'ab' * 32} a.mcap\n{'0f' * 32} b.mcap {'cd' * 32} 2026-11-27T10:00:00.250000Z\n",
+            f"{'ab' * 32} a.mcap - 2026-02-31T10:00:00.250000Z\n",
             f"{'ab' * 32}",
             f"{'ab' * 31} a.mcap",
             f"{'ab ' * 32}\t a.mcap\n",

@@ -39,6 +39,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
     "runtime/session/pauses.py": ("tests/runtime/session/test_pauses.py",),
     "runtime/session/verifying.py": ("tests/runtime/session/test_verifying.py",),
+    "runtime/session/withdrawn.py": ("tests/runtime/session/test_withdrawn.py",),
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",

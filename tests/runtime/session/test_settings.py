@@ -27,7 +27,7 @@ from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock.state import Announced, Interlock, Phase, Tick
 from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from cutgate.runtime.session import conduct, new_log, withdrawal
+from cutgate.runtime.session import conduct, new_log
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.job import InputFiles, make_job, read_files
 from cutgate.runtime.verification.steps import finished
@@ -107,12 +107,12 @@ class Trial:
             "Session": session,
             "Journal": lambda *_: SimpleNamespace(close=lambda *_, **__: None, frame=None),
             "Worker": SimpleNamespace(start=lambda _: SimpleNamespace(close=lambda: None)),
-            "withdrawn": SimpleNamespace(load=lambda _: {}),
+            "refused_by": lambda _log, _file, _said, skew_s: setattr(made, "skew_s", skew_s) or "",
             "typed": lambda _: None,
         }
         with self.monkeypatch.context() as patched:
             for name, stub in stubs.items():
-                for module in (command, conduct, withdrawal):
+                for module in (command, conduct):
                     patched.setattr(module, name, stub, raising=False)
             patched.setattr(new_log.AuditLog, "create", log)
             key = [] if self.setting == "key_file" else ["--key", str(self.folder / "site.key")]
@@ -242,6 +242,7 @@ ROWS: dict[str, tuple[tuple[str, Any], tuple[str, Any], Look]] = {
     "key_file": (('"a.key"', "a.key"), ('"b.key"', "b.key"), lambda t: t.run().key),
     "registration_max_age_s": (("60", False), ("31_536_000", True), holds(p.registration_age)),
     "registration_max_residual_mm": (("0.1", False), ("1", True), holds(p.registration_residual)),
+    "clock_skew_s": (("0", 0.0), ("90.5", 90.5), lambda t: t.run().skew_s),
 }  # fmt: skip
 
 

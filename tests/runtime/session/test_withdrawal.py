@@ -1,15 +1,27 @@
 """What a session does about withdrawn registrations: a list that is asked first, and added to whatever the disk does."""
 
+import errno
+import os
 import threading
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
 
 import pytest
 
 from cutgate.config.load import InputError
+from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import WITHDRAWN
 from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.session import withdrawal, withdrawn
-from cutgate.runtime.session.withdrawal import list_withdrawal, withdrawn_in
+from cutgate.runtime.session.withdrawal import attached_registration, list_withdrawal, refused_by
+from cutgate.runtime.session.withdrawn import Withdrawal
 from tests.runtime.audit.build import PATIENCE_S, open_log
+from tests.runtime.session.test_withdrawn import ELSEWHERE, PLACED, registration
+
+FILE = bytes(32)
+DATA = PLACED.model_dump_json(by_alias=True).encode()
+OTHER = registration(R_T_CT=ELSEWHERE)
 
 
 @pytest.fixture
@@ -18,10 +30,32 @@ def log(tmp_path):
         yield made
 
 
-def test_a_registration_that_was_withdrawn_here_is_known(log):
-    assert withdrawn_in(log, bytes(32)) is None
-    withdrawn.add(log.path.parent, bytes(32), "a.mcap")
-    assert withdrawn_in(log, bytes(32)) == "a.mcap"
+def closed_log(directory, data=DATA):
+    """A log of before, which holds a registration."""
+    opened = OpenInfo("cutgate", "cutgate")
+    made = AuditLog.create(directory, log_id=os.urandom(16).hex(), opened=opened)
+    made.attach(f"{names.REGISTRATION}.json", "application/json", data)
+    assert made.close(final_state="stopped", clean=True, timeout_s=PATIENCE_S).closed
+    return made.path
+
+
+def asked(log, file, said, skew_s=0.0):
+    return refused_by(log, file, said, skew_s)
+
+
+def test_what_was_withdrawn_here_is_known_by_file_place_and_time(log):
+    assert asked(log, FILE, PLACED) == ""
+    withdrawn.add(log.path.parent, [Withdrawal(FILE, "a.mcap", PLACED.place, datetime.now(UTC))])
+    assert "this registration was withdrawn in a.mcap" in asked(log, FILE, PLACED)
+    assert "the same place was withdrawn in a.mcap" in asked(log, bytes([1]) * 32, PLACED)
+    assert "was taken before the bone moved" in asked(log, bytes([1]) * 32, OTHER)
+
+
+def test_the_sites_skew_is_what_is_waited_for(log):
+    at = OTHER.created - timedelta(seconds=100)
+    withdrawn.add(log.path.parent, [Withdrawal(FILE, "a.mcap", PLACED.place, at)])
+    assert asked(log, bytes([1]) * 32, OTHER, 99.0) == ""
+    assert "was taken before" in asked(log, bytes([1]) * 32, OTHER, 100.0)
 
 
 def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
@@ -29,7 +63,7 @@ def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
         file.write("no entry\n")
     (log.path.parent / WITHDRAWN).chmod(0o600)
     with pytest.raises(InputError, match="line 1"):
-        withdrawn_in(log, bytes(32))
+        asked(log, FILE, PLACED)
     found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")
@@ -37,13 +71,70 @@ def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
     assert "line 1" in closed["outcome"]
 
 
-def test_a_withdrawal_is_listed_and_is_in_the_next_head(log):
-    notes = []
-    list_withdrawal(log, bytes(32), notes.append)
+# ---------------------------------------------------------------- lines of 0.1.0
+
+
+def test_lines_of_0_1_0_stay_in_force_and_are_completed_on_the_disk(tmp_path):
+    before = closed_log(tmp_path)
+    file = sha256(DATA).digest()
+    withdrawn.add(tmp_path, [Withdrawal(file, before.name), Withdrawal(bytes([2]) * 32, "gone.mcap")])
+    began = datetime.now(UTC)
+    with open_log(tmp_path) as log:
+        assert f"this registration was withdrawn in {before.name}" in asked(log, file, PLACED)
+        assert f"the same place was withdrawn in {before.name}" in asked(log, FILE, PLACED)
+        assert "was taken before the bone moved" in asked(log, FILE, OTHER)
+        assert log.listed.lines == 4
+    *old, known, unknown = withdrawn.load(tmp_path)
+    assert [one.known for one in old] == [None, None]
+    assert (known.file, known.log, known.place) == (file, before.name, PLACED.place)
+    assert (unknown.file, unknown.log, unknown.place) == (bytes([2]) * 32, "gone.mcap", None)
+    assert began <= known.known == unknown.known <= datetime.now(UTC)
+
+
+def test_a_list_that_cannot_be_completed_ends_the_session(tmp_path, monkeypatch):
+    withdrawn.add(tmp_path, [Withdrawal(FILE, "gone.mcap")])
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with open_log(tmp_path) as log:
+        monkeypatch.setattr(withdrawn, "add", full)
+        with pytest.raises(InputError, match="No space left on device"):
+            asked(log, bytes([1]) * 32, PLACED)
+
+
+@pytest.mark.parametrize("case", ["another file", "no registration", "too large", "none", "no log"])
+def test_only_the_registration_with_this_digest_is_believed(tmp_path, case):
+    data = {"no registration": b"{}", "too large": DATA + b" " * 100_000}.get(case, DATA)
+    path = closed_log(tmp_path, data)
+    file = sha256(data).digest()
+    match case:
+        case "another file":
+            assert attached_registration(path, bytes(32)) is None
+        case "none":
+            (tmp_path / "x.mcap").write_bytes(b"no log")
+            assert attached_registration(tmp_path / "x.mcap", file) is None
+        case "no log":
+            assert attached_registration(tmp_path / "gone.mcap", file) is None
+        case _:
+            assert attached_registration(path, file) is None
+    whole = closed_log(tmp_path)
+    assert attached_registration(whole, sha256(DATA).digest()).place == PLACED.place
+
+
+# ---------------------------------------------------------------- a withdrawal of this session
+
+
+@pytest.mark.parametrize("said", [PLACED, None])
+def test_a_withdrawal_is_listed_and_is_in_the_next_head(log, said):
+    notes, began = [], datetime.now(UTC)
+    list_withdrawal(log, FILE, said, notes.append)
     assert not notes
     assert log.listed.lines == 1
     log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
-    assert withdrawn.load(log.path.parent) == {bytes(32): log.path.name}
+    (entry,) = withdrawn.load(log.path.parent)
+    assert (entry.file, entry.log, entry.place) == (FILE, log.path.name, None if said is None else said.place)
+    assert began <= entry.known <= datetime.now(UTC)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +146,7 @@ def test_a_withdrawal_that_cannot_be_listed_is_told(log, monkeypatch, error):
 
     notes = []
     monkeypatch.setattr(withdrawn, "add", fail)
-    list_withdrawal(log, bytes(32), notes.append)
+    list_withdrawal(log, FILE, PLACED, notes.append)
     assert str(error) in notes[0]
     assert "never use this registration again" in notes[0]
     assert log.listed.lines == 0
@@ -65,6 +156,6 @@ def test_a_disk_that_never_answers_holds_up_no_withdrawal(log, monkeypatch):
     notes, never = [], threading.Event()
     monkeypatch.setattr(withdrawn, "add", lambda *_: never.wait(PATIENCE_S))
     monkeypatch.setattr(withdrawal, "WITHDRAW_S", 0.01)
-    list_withdrawal(log, bytes(32), notes.append)
+    list_withdrawal(log, FILE, PLACED, notes.append)
     never.set()
     assert "the disk did not answer within 0.01 s" in notes[0]

@@ -152,8 +152,7 @@ def refusal(
     if taken is not None and taken > first:
         return ""
     which = "without a time" if taken is None else f"of {taken:%Y-%m-%d %H:%M:%S} UTC"
-    counts = (first + _SECOND).replace(microsecond=0)
     return (
         f"a registration {which} was taken before the bone moved, as the withdrawal in {log} says: register it anew; "
-        f"what is taken from {counts:%Y-%m-%d %H:%M:%S} UTC on counts"
+        f"what is taken from {first + _SECOND:%Y-%m-%d %H:%M:%S} UTC on counts"
     )

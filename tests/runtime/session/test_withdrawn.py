@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -136,6 +136,11 @@ def test_a_list_that_others_can_write_stops(tmp_path):
         load(tmp_path)
     with pytest.raises(InputError, match="mode is 0666"):
         withdrawn.add(tmp_path, [WITHDRAWN])
+
+
+def test_a_line_is_not_changed_afterwards():
+    with pytest.raises(FrozenInstanceError):
+        WITHDRAWN.place = None
 
 
 # ---------------------------------------------------------------- what is refused

@@ -153,6 +153,6 @@ def refusal(
         return ""
     which = "without a time" if taken is None else f"of {taken:%Y-%m-%d %H:%M:%S} UTC"
     return (
-        f"a registration {which} was taken before the bone moved, as the withdrawal in {log} says: register it anew; "
-        f"what is taken from {first + _SECOND:%Y-%m-%d %H:%M:%S} UTC on counts"
+        f"a registration {which} is not surely later than the withdrawal in {log} of {known:%Y-%m-%d %H:%M:%S} UTC "
+        f"(clock_skew_s {skew_s:g} s): register the bone anew; what is taken from {first + _SECOND:%Y-%m-%d %H:%M:%S} UTC on counts"
     )

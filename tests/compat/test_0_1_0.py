@@ -175,8 +175,8 @@ def test_the_next_session_follows_on_what_0_1_0_left(tmp_path, head, last):
     ("registration", "said"),
     [
         ("registration.json", f"this registration was withdrawn in {WITHDRAWN.log.name}"),
-        ("registration-shifted.json", "was taken before the bone moved"),
-        ("registration-second.json", "was taken before the bone moved"),
+        ("registration-shifted.json", "is not surely later than the withdrawal"),
+        ("registration-second.json", "is not surely later than the withdrawal"),
     ],
 )
 @pytest.mark.parametrize("there", [True, False], ids=["with its log", "without"])
@@ -198,7 +198,7 @@ def test_what_was_withdrawn_under_0_1_0_is_refused_and_whatever_was_taken_before
     again = files.registration.model_copy(update={"id": "under another name"})
     same = refused_by(log, bytes(32), again, 60.0)
     known = registration == "registration.json" and there
-    assert ("the same place was withdrawn" if known else "was taken before the bone moved") in same
+    assert ("the same place was withdrawn" if known else "is not surely later than the withdrawal") in same
     later = datetime.now(UTC) + timedelta(seconds=61)
     moved = again.model_copy(
         update={"R_T_CT": np.eye(4).tolist(), "created_utc": f"{later:%Y-%m-%dT%H:%M:%S.%fZ}"}

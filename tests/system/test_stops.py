@@ -252,7 +252,7 @@ def test_what_was_withdrawn_is_the_place_and_everything_taken_before(rig):
         assert sim.exit() == 0
     rig.sim()
     before = rig.run(registration=register(rig.folder, "before", (0.25, 0, 0)))
-    before.line("was taken before the bone moved")
+    before.line("is not surely later than the withdrawal")
     assert before.exit() == 1
     assert "required: not withdrawn" in before.told
     assert rig.log().report.status is Status.OK

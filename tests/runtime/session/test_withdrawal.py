@@ -48,14 +48,14 @@ def test_what_was_withdrawn_here_is_known_by_file_place_and_time(log):
     withdrawn.add(log.path.parent, [Withdrawal(FILE, "a.mcap", PLACED.place, datetime.now(UTC))])
     assert "this registration was withdrawn in a.mcap" in asked(log, FILE, PLACED)
     assert "the same place was withdrawn in a.mcap" in asked(log, bytes([1]) * 32, PLACED)
-    assert "was taken before the bone moved" in asked(log, bytes([1]) * 32, OTHER)
+    assert "is not surely later than the withdrawal" in asked(log, bytes([1]) * 32, OTHER)
 
 
 def test_the_sites_skew_is_what_is_waited_for(log):
     at = OTHER.created - timedelta(seconds=100)
     withdrawn.add(log.path.parent, [Withdrawal(FILE, "a.mcap", PLACED.place, at)])
     assert asked(log, bytes([1]) * 32, OTHER, 99.0) == ""
-    assert "was taken before" in asked(log, bytes([1]) * 32, OTHER, 100.0)
+    assert "is not surely later" in asked(log, bytes([1]) * 32, OTHER, 100.0)
 
 
 def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
@@ -82,7 +82,7 @@ def test_lines_of_0_1_0_stay_in_force_and_are_completed_on_the_disk(tmp_path):
     with open_log(tmp_path) as log:
         assert f"this registration was withdrawn in {before.name}" in asked(log, file, PLACED)
         assert f"the same place was withdrawn in {before.name}" in asked(log, FILE, PLACED)
-        assert "was taken before the bone moved" in asked(log, FILE, OTHER)
+        assert "is not surely later than the withdrawal" in asked(log, FILE, OTHER)
         assert log.listed.lines == 4
     *old, known, unknown = withdrawn.load(tmp_path)
     assert [one.known for one in old] == [None, None]

@@ -61,8 +61,8 @@ TABLE: Final[tuple[Constant, ...]] = (
     Constant("transfer_timeout_s", "s", 20, 1, 120, False, "one whole bulk transfer (limits, calibration, tool, path)"),
     Constant("reply_timeout_ms", "ms", 2000, 200, 10_000, False, "the controller's answer to one control request"),
     Constant("announce_wait_s", "s", 30, 1, 600, False, "how long the runtime waits for a controller to announce itself"),
-    Constant("verify_timeout_s", "s", 60, 1, 3600, False, "one verification in the worker process"),
-    Constant("operator_wait_s", "s", 300, 1, 3600, False, "how long the runtime waits for the operator's next word"),
+    Constant("verify_timeout_s", "s", 60, 1, 3600, False, "one verification in the verification process"),
+    Constant("operator_wait_s", "s", 300, 1, 3600, False, "how long the runtime waits for the operator's next command"),
     Constant("stop_confirm_ms", "ms", 1000, 100, 5000, False, "a stop's confirmation by the controller"),
     Constant("commit_deadline_ms", "ms", 1000, 100, 5000, False, "durable record of an enabling decision; later is an audit failure"),
     Constant(

@@ -38,7 +38,7 @@ HELLO_S: Final = 1.0
 """Within this time a connection says HELLO or is dropped; a client says it at once."""
 MAX_SOCKET_PATH_BYTES: Final = 107
 
-_READS_A_TURN: Final = 64  # a busy client waits for its next turn after so many frames
+_READS_A_CYCLE: Final = 64  # a busy client waits for its next cycle after so many frames
 _READ: Final = select.POLLIN
 _READ_WRITE: Final = select.POLLIN | select.POLLOUT
 _GONE: Final = select.POLLHUP | select.POLLERR | select.POLLNVAL
@@ -194,7 +194,7 @@ class Hub:
             self._refuse(self._silent.popleft(), "too many connections without a HELLO")
 
     def _read(self, client: _Client) -> None:
-        for _ in range(_READS_A_TURN):
+        for _ in range(_READS_A_CYCLE):
             try:
                 raw = client.sock.recv(wire.MAX_RECORD + 1)
             except BlockingIOError:

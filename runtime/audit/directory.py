@@ -28,7 +28,7 @@ WITHDRAWN: Final = "WITHDRAWN"
 HEAD_MAX: Final = 4096
 """Bytes of HEAD, and what is reserved for the next one."""
 LIST_MAX: Final = 10_000_000
-"""Bytes of the list, 100 to an entry."""
+"""Bytes of the list, some 200 to an entry."""
 _FREE: Final = "free it, or name another with --log-dir"
 _RESTORE: Final = (
     "restore HEAD and WITHDRAWN from a backup; or name another folder with --log-dir, "

@@ -87,7 +87,7 @@ def run(
 ) -> None:
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
 
-    Words on the terminal or standard input: start, stop, acknowledge, reset, withdraw, confirm CODE, quit. Ctrl-C, Ctrl-Z
+    Commands on the terminal or standard input: start, stop, acknowledge, reset, withdraw, confirm CODE, quit. Ctrl-C, Ctrl-Z
     and a terminal that hangs up stop as well; a screen that nobody reads does not.
     Exit code: 0 cut completed, 1 not admitted, 2 refused input, 3 stopped, fault, or a log that could not be closed;
     141 --json without a reader.
@@ -112,10 +112,11 @@ def run(
             with working(f"opening a log in {directory}; what a crash has left there is read first"):
                 log = new_log(directory, files, job.path, name, asked, operator)
             _tell(log.previous, view)
-            refusal = refused_by(log, job.registration, files.registration, files.settings.clock_skew_s)
+            with working("reading the list of withdrawn registrations"):
+                refusal = refused_by(log, job.registration, files.registration, files.settings.clock_skew_s)
             if refusal:
                 view.note(refusal)
-            state = Interlock(replace(job, withdrawal=refusal), registration_withdrawn=bool(refusal))
+            state = Interlock(replace(job, withdrawal=refusal))
             session, paths = conduct(files, check, state, secret, bus, name, log, view, signals, fd=fd)
         finally:
             bus.shutdown()

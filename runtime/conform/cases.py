@@ -200,7 +200,7 @@ def cyclic(bench: Bench) -> str:
         if isinstance(after.frame, Joints01) and after.counter != before.counter:
             raise DeviationError(
                 f"joints with the counter {after.counter} follow the heartbeat {before.counter}: a sample carries the "
-                "counter of its turn's heartbeat, by which its age is told"
+                "counter of its cycle's heartbeat, by which its age is told"
             )
     return f"{len(times[ControllerHeartbeat])} heartbeats in {WATCHED_PERIODS} periods, no counter missing"
 

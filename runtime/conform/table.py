@@ -78,7 +78,7 @@ def _opening() -> tuple[Case, ...]:
 def _frames() -> tuple[Case, ...]:
     page = "Single frames"
     return (
-        Case("cyclic frames", page, "heartbeats, for 50 periods", "heartbeat and joints each period within 20 %, counters up by one, one counter a turn", c.cyclic),
+        Case("cyclic frames", page, "heartbeats, for 50 periods", "heartbeat and joints each period within 20 %, counters up by one, one counter a cycle", c.cyclic),
         Case("heartbeats: silence in OPEN", f"{page}, Age", "nothing", "HEARTBEAT_LOST within time-out and 2 periods; new epoch", c.silence(permitted=False)),
         Case("heartbeats: silence in PERMITTED", f"{page}, Age", "a right permit, then nothing", "HEARTBEAT_LOST within time-out and 2 periods; new epoch", c.silence(permitted=True)),
         Case("heartbeats: a stale burst", f"{page}, Age", f"{c.STALE_BURST} at once and more after, counters right, echo older than the time-out", "HEARTBEAT_LOST as if nothing had come", c.stale_heartbeats),

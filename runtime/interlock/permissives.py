@@ -258,12 +258,13 @@ def registration_residual(state: Interlock, _now_s: float) -> Permissive:
 
 
 def registration_stands(state: Interlock, _now_s: float) -> Permissive:
+    withdrawn = "withdrawn" if state.registration_withdrawn else ""
     return _fact(
         "registration stands",
-        not state.registration_withdrawn,
-        "withdrawn" if state.registration_withdrawn else "not withdrawn",
-        "not withdrawn",
-        state.job.withdrawal or "the bone may have moved: register it again",
+        not (state.registration_withdrawn or state.job.withdrawal),
+        state.job.withdrawal or withdrawn or "not withdrawn",
+        "not withdrawn, and later than every withdrawal",
+        "the bone may have moved: register it again",
     )
 
 

@@ -247,7 +247,7 @@ class Interlock:
     """Holds the arm against the verified path from the start on, as long as it may move."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
-    """In this session, or in one before."""
+    """In this session; what an earlier one withdrew stands in the job."""
     acknowledged: StopCause = StopCause.NONE
     """The controller's cause that the operator acknowledged in this session; what a reset names."""
     cause: StopCause = StopCause.NONE

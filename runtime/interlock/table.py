@@ -193,7 +193,7 @@ def command_given(state: Interlock, event: CommandGiven, now_s: float) -> Outcom
 
 
 def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:
-    """Leave, by the operator's word or a signal. While the arm may move this is a stop; otherwise the session ends in order."""
+    """Leave, on the operator's command or a signal. While the arm may move this is a stop; otherwise the session ends in order."""
     reason = f"{signal} ended the program" if signal else "the operator quit"
     if state.phase in MOVING:
         return stop(state, StopCause.OPERATOR_QUIT, reason, now_s)
@@ -540,7 +540,7 @@ def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
 
 
 def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
-    """The word ``start`` counts only after the device was pressed: released again, it must be said again."""
+    """The command ``start`` counts only after the device was pressed: released again, it must be said again."""
     seen, effects = heartbeat(state, event, now_s)
     if seen.phase is not state.phase or event.view.device_pressed:
         return seen, effects

@@ -81,9 +81,11 @@ def conduct(
         clean = True
         session.guidance(signals.wake)
     finally:
-        worker.close()
-        if session.state.registration_withdrawn and not state.registration_withdrawn:
-            list_withdrawal(log, state.job.registration, files.registration, view.note)
+        try:
+            if session.state.registration_withdrawn:
+                list_withdrawal(log, state.job.registration, files.registration, view.note)
+        finally:
+            worker.close()
         verdict = session.answer.document["verdict"] if session.answer else None
         paths = journal.close(session.state, verdict, endpoint.link.statistics, clean=clean)
     return session, paths

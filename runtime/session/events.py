@@ -1,4 +1,4 @@
-"""What arrives, as events of the interlock: records and heartbeats of the controller, words of the operator. Pure."""
+"""What arrives, as events of the interlock: records and heartbeats of the controller, commands of the operator. Pure."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -61,7 +61,7 @@ def view_of(beat: ControllerHeartbeat) -> ControllerView:
 
 
 def of_operator(text: OperatorCommand | str) -> CommandGiven | None:
-    """What the operator said; only a confirmation names something besides, and None is no word here."""
+    """The command that was given; only a confirmation names something besides, and None is no command here."""
     if isinstance(text, OperatorCommand):
         return CommandGiven(text)
     command, *what = text.split(maxsplit=1)

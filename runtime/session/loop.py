@@ -144,7 +144,7 @@ class Session:
     # ------------------------------------------------------------ the loop
 
     def interrupt(self, signal: str = "") -> None:
-        """Quit at the next turn. Safe in a signal handler.
+        """Quit at the next cycle. Safe in a signal handler.
 
         Args:
             signal: its name, for the log; empty for Ctrl-C, which is the operator's own.
@@ -152,7 +152,7 @@ class Session:
         self._interrupted = signal
 
     def run(self, wake: int) -> Interlock:
-        """Turn until the session has ended; its final state.
+        """Run cycles until the session has ended; its final state.
 
         Args:
             wake: descriptor that becomes readable when a signal has arrived.
@@ -166,7 +166,7 @@ class Session:
         return self.state
 
     def begin(self, wake: int) -> None:
-        """Before the first turn: what to wait for, space for the log, and the one look at the whole path."""
+        """Before the first cycle: what to wait for, space for the log, and the one look at the whole path."""
         for descriptor in (wake, self._port.bus.fileno(), self._journal.log.fileno(), self._worker.fileno()):
             self._poller.register(descriptor, select.POLLIN)
         if self._commands is not None and self._commands.descriptor is not None:
@@ -177,7 +177,7 @@ class Session:
         _ = self.state.job.path_digest
 
     def _waited(self, wake: int) -> set[int]:
-        """What can be read once something can, or the next turn is due; an error in it is one of a turn."""
+        """What can be read once something can, or the next cycle is due; an error in it is one of a cycle."""
         try:
             return self._wait(wake)
         except BaseException as error:
@@ -195,7 +195,7 @@ class Session:
         return ready
 
     def run_cycle(self, ready: set[int]) -> None:
-        """One turn. Whatever goes wrong in it stops the session; what cannot be mended is raised after the stop.
+        """One cycle. Whatever goes wrong in it stops the session; what cannot be mended is raised after the stop.
 
         Args:
             ready: descriptors that can be read.
@@ -450,11 +450,11 @@ class Session:
         self._port.endpoint.stop_sending()
 
     def _leave_now(self) -> None:
-        """A bus that fails here stops this turn, after the step that ordered it is recorded."""
+        """A bus that fails here stops this cycle, after the step that ordered it is recorded."""
         self._bus_error = self._port.leave_now() or self._bus_error
 
     def _leave_last(self) -> None:
-        """No turn follows: a stop or end that waits for room on the bus is tried for a bounded time."""
+        """No cycle follows: a stop or end that waits for room on the bus is tried for a bounded time."""
         with suppress(can.CanError):  # the controller finds out by the missing heartbeat
             self._port.flush_last()
 
@@ -480,7 +480,7 @@ class Session:
         self._verifying.begin(wanted, held)
 
     def _heartbeat(self) -> None:
-        """What leaves was made in this turn."""
+        """What leaves was made in this cycle."""
         endpoint, state = self._port.endpoint, self.state
         if self._cycle.heartbeat_due() and endpoint.link.is_open:
             beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.cause)

@@ -198,7 +198,7 @@ class Claim(_Plain):
 
 
 class ToldMove(_Plain):
-    """As in `guidance.Move`."""
+    """As in `advice.Move`."""
 
     boundary: Annotated[Text, StringConstraints(max_length=40)]
     kind: Literal["move", "turn"]
@@ -208,7 +208,7 @@ class ToldMove(_Plain):
 
 
 class ToldGuidance(_Plain):
-    """As `guidance.Guidance`: for people, who see whether it holds when the bone is verified where it stands then."""
+    """As `advice.Guidance`: for people, who see whether it holds when the bone is verified where it stands then."""
 
     translation_mm: Vector | None
     yaw_deg: float

@@ -43,9 +43,9 @@ class Space:
 
 
 def estimated_s(job: Job) -> float:
-    """About how long the arm moves: the cut at its feed, the ways in and out, and the joint lines at their speed.
+    """About how long the arm moves: the cut at its feed, the straight lines of approach and retract, and the joint lines at their speed.
 
-    The joint lines from limit to limit, at most a turn; the ways in and out through the path's whole extent.
+    The joint lines from limit to limit, at most a revolution; the straight lines through the path's whole extent.
     """
     path, limits = records.PathCodes.parse(job.path), records.Limits.parse(job.limits)
     tips, axes = path.decoded(0, len(path))

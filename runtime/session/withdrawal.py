@@ -44,10 +44,10 @@ def refused_by(log: AuditLog, file: bytes, registration: Registration | None, sk
         older = withdrawn.incomplete(listed)
         if older:
             listed += _completed(log, older)
+        return withdrawn.refusal(listed, file, registration, skew_s)
     except InputError as error:
         log.close(final_state=Phase.REFUSED, outcome=plain(str(error)), clean=True)
         raise
-    return withdrawn.refusal(listed, file, registration, skew_s)
 
 
 def _completed(log: AuditLog, older: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
@@ -93,8 +93,7 @@ def list_withdrawal(
         note: told where it could not be listed.
     """
     answers: SimpleQueue[Listed | Exception] = SimpleQueue()
-    place = None if registration is None else registration.place
-    entry = Withdrawal(file, log.path.name, place, datetime.now(UTC))
+    entry = withdrawn.of_now(file, log.path.name, registration, datetime.now(UTC))
 
     def add() -> None:
         try:
@@ -111,4 +110,7 @@ def list_withdrawal(
                 return
             case error:
                 trouble = error
-    note(f"the withdrawal could not be listed ({trouble}): never use this registration again")
+    note(
+        f"the withdrawal could not be listed ({trouble}): never use this registration again, nor any that was taken "
+        f"before {entry.known:%Y-%m-%d %H:%M:%S} UTC"
+    )

@@ -24,6 +24,8 @@ _ENTRY: Final = re.compile(
     r"(?P<file>[0-9a-f]{64}) (?P<log>\S+)"
     r"(?: (?P<place>[0-9a-f]{64}|-) (?P<known>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z))?"
 )
+YEAR_MAX: Final = 2999
+"""Nobody withdraws later; and no sum of times is too large."""
 _TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
 _SECOND: Final = timedelta(seconds=1)
 
@@ -78,6 +80,8 @@ def _entry(file: Path, number: int, line: str) -> Withdrawal:
         at = None if known is None else datetime.fromisoformat(known)
     except ValueError:  # the 31st of February
         raise _no_entry(file, number, line) from None
+    if at is not None and not at.year <= YEAR_MAX:
+        raise _no_entry(file, number, line)
     where = bytes.fromhex(place) if place not in {None, "-"} else None
     return Withdrawal(bytes.fromhex(digest), found["log"], where, at)
 
@@ -127,6 +131,13 @@ def complete(
     )
 
 
+def of_now(file: bytes, log: str, registration: Registration | None, now: datetime) -> Withdrawal:
+    """What is to be listed: known now, and never before the registration itself, whatever became of the clock."""
+    if registration is None:
+        return Withdrawal(file, log, None, now)
+    return Withdrawal(file, log, registration.place, max(now, registration.created))
+
+
 def refusal(
     listed: Sequence[Withdrawal], file: bytes, registration: Registration | None, skew_s: float
 ) -> str:
@@ -153,6 +164,6 @@ def refusal(
         return ""
     which = "without a time" if taken is None else f"of {taken:%Y-%m-%d %H:%M:%S} UTC"
     return (
-        f"a registration {which} is not surely later than the withdrawal in {log} of {known:%Y-%m-%d %H:%M:%S} UTC "
+        f"a registration {which} is not surely later than the withdrawal in {log}, known here since {known:%Y-%m-%d %H:%M:%S} UTC "
         f"(clock_skew_s {skew_s:g} s): register the bone anew; what is taken from {first + _SECOND:%Y-%m-%d %H:%M:%S} UTC on counts"
     )

@@ -205,9 +205,8 @@ def test_what_was_withdrawn_under_0_1_0_is_refused_and_whatever_was_taken_before
     )
     assert refused_by(log, bytes(32), moved, 60.0) == ""
     assert log.close(final_state="refused", clean=True).closed
-    state = Interlock(replace(job, withdrawal=found), registration_withdrawn=True)
-    permissive = registration_stands(state, 0.0)
-    assert (permissive.holds, permissive.remedy) == (False, found)
+    permissive = registration_stands(Interlock(replace(job, withdrawal=found)), 0.0)
+    assert (permissive.holds, permissive.text) == (False, found)
 
 
 # ---------------------------------------------------------------- proofs

@@ -53,7 +53,7 @@ class Bound:
     seconds: float
 
 
-AT_ONCE = Bound("one turn each way", BOTH_WAYS_S)
+AT_ONCE = Bound("one cycle each way", BOTH_WAYS_S)
 BY_LEVEL = Bound("the next heartbeat", HEARTBEAT_S + BOTH_WAYS_S)
 BY_GAP = Bound("four heartbeats", 4 * HEARTBEAT_S + BOTH_WAYS_S)
 BY_SILENCE = Bound("time-out and a heartbeat", TIMEOUT_S + HEARTBEAT_S + BOTH_WAYS_S)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from cutgate.firmware_sim.console import ConsoleCommand as ControllerWord
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS
 from cutgate.protocol.records import Side
 from cutgate.runtime.interlock.state import OperatorCommand
@@ -164,7 +164,7 @@ def _operator(injection: Injection) -> None:
 
 
 def _person(injection: Injection) -> None:
-    word = injection.draw.choice([*ControllerWord])
+    word = injection.draw.choice([*ConsoleCommand])
     injection.note(f"controller: {word}")
     injection.pair.controller_terminal.type(word)
 

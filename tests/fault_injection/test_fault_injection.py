@@ -13,7 +13,7 @@ import can
 import pytest
 
 from cutgate.firmware_sim import table as controller
-from cutgate.firmware_sim.console import ConsoleCommand as ControllerWord
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock import table as interlock
@@ -104,8 +104,8 @@ class Play:
         if pair.controller.holdings.limits != self.job.limits:
             reboot(self.injection)
         if not pair.controller.inputs.emergency_stop_clear:
-            pair.controller_terminal.type(ControllerWord.ESTOP)
-        pair.controller_terminal.type(ControllerWord.RELEASE)
+            pair.controller_terminal.type(ConsoleCommand.ESTOP)
+        pair.controller_terminal.type(ConsoleCommand.RELEASE)
         for _ in range(round(1.0 / pair.cycle_s)):
             self.run_cycle()
         if self.job.registration in pair.controller.memory.withdrawn:

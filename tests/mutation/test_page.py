@@ -27,6 +27,12 @@ def test_the_page_is_of_what_is_recorded_for_every_module():
     assert [module for module in OWN_TESTS if f"| `{module}` |" not in written] == []
 
 
+def test_the_front_page_says_how_many_modules_they_are():
+    assert f"in one of {len(OWN_TESTS)} modules that decide" in (ROOT / "README.md").read_text(
+        encoding="utf-8"
+    )
+
+
 def test_the_page_counts():
     assert summary(ENDED) == "2 mutants, 1 killed (1 failed, 1 alive)"
     written = page({MODULE: RESULT}, {(MODULE, "f: 1 -> 2"): "because | it is"})

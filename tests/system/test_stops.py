@@ -220,7 +220,7 @@ def test_a_withdrawal_that_the_controller_never_heard_stands_in_every_later_sess
     again = rig.run()
     again.line(f"this registration was withdrawn in {rig.logs()[0].name}: register the bone anew")
     assert again.exit() == 1
-    assert "registration stands: withdrawn" in again.told
+    assert "registration stands: this registration was withdrawn in" in again.told
     assert rig.log().report.status is Status.OK
 
     other = rig.run(registration=register(rig.folder, "anew", (0.25, 0, 0), now=True))
@@ -254,8 +254,24 @@ def test_what_was_withdrawn_is_the_place_and_everything_taken_before(rig):
     before = rig.run(registration=register(rig.folder, "before", (0.25, 0, 0)))
     before.line("is not surely later than the withdrawal")
     assert before.exit() == 1
-    assert "required: not withdrawn" in before.told
+    assert "required: not withdrawn, and later than every withdrawal" in before.told
     assert rig.log().report.status is Status.OK
+
+
+def test_a_bone_that_moves_again_while_a_session_is_refused_is_listed_again(rig):
+    """The barrier goes with the last of them, whether or not the registration of that session was any good."""
+    sim, run = rig.permitted()
+    run.say("withdraw")
+    assert run.exit() == 3
+    sim.signal(signal.SIGSTOP)
+    rig.until(lambda: sim.stopped)
+    again = rig.run()
+    again.line("this registration was withdrawn")
+    again.say("withdraw")
+    assert again.exit() == 3
+    first, second = (rig.logs()[0].parent / "WITHDRAWN").read_text().splitlines()
+    assert first.split()[0] == second.split()[0]
+    assert first.split()[3] < second.split()[3]
 
 
 def test_an_arm_that_drifts_unseen_by_its_controller_is_stopped_by_the_runtime(rig):

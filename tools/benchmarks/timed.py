@@ -18,19 +18,19 @@ PROGRAMS = {"runtime": (Session, execute), "controller": (Process, controller_si
 
 
 def timed(loop: type[Any], told: dict[str, Any]) -> None:
-    """From now on every turn of this loop is timed."""
-    turn = loop.turn
+    """From now on every cycle of this loop is timed."""
+    run_cycle = loop.run_cycle
 
     def longer(self: Any, *arguments: Any) -> None:
         port = self.port if isinstance(self, Process) else self._port
         in_session, began_s, cpu_s = port.endpoint.link.is_open, time.perf_counter(), time.thread_time()
-        turn(self, *arguments)
+        run_cycle(self, *arguments)
         if in_session:
             told["turns"] += 1
             told["longest_s"] = max(told["longest_s"], time.perf_counter() - began_s)
             told["cpu_s"] = max(told["cpu_s"], time.thread_time() - cpu_s)
 
-    loop.turn = longer
+    loop.run_cycle = longer
 
 
 def main(side: str, file: str, *arguments: str) -> int:

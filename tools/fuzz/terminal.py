@@ -4,11 +4,11 @@ import os
 from collections.abc import Iterator
 
 from cutgate.config.terminal import LINE_BYTES_MAX, READ_BYTES, CommandReader
-from cutgate.firmware_sim.console import ConsoleCommand as ControllerWord
+from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.runtime.interlock.state import OperatorCommand
 from tools.fuzz.harness import Family, expect
 
-VOCABULARIES = (OperatorCommand, ControllerWord)
+VOCABULARIES = (OperatorCommand, ConsoleCommand)
 
 
 def check(data: bytes) -> None:
@@ -30,7 +30,7 @@ def check(data: bytes) -> None:
     _compare(words, typed, heard)
 
 
-def _compare(words: type[OperatorCommand] | type[ControllerWord], typed: bytes, heard: list[str]) -> None:
+def _compare(words: type[OperatorCommand] | type[ConsoleCommand], typed: bytes, heard: list[str]) -> None:
     """A line that is too long may be refused for its blanks; any other is a word or is not."""
     *lines, _ = typed.split(b"\n")
     texts = [(line.decode("ascii", "replace").strip().lower(), len(line)) for line in lines]

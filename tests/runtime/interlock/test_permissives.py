@@ -14,6 +14,8 @@ from cutgate.runtime.interlock.state import DeviceCycle
 from tests.altering import altered
 from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
 
+STANDS = "not withdrawn, and later than every withdrawal"
+
 
 def _off(joint: int, by: int) -> tuple[int, ...]:
     return tuple(count + by * (index == joint) for index, count in enumerate(START_JOINTS))
@@ -64,7 +66,14 @@ ALONE = [
         "waits for CUT_TINY, LIMITS_IN_RADIANS",
         "each one that asks for it",
     ),
-    ("registration_withdrawn", True, p.registration_stands, "withdrawn", "not withdrawn"),
+    ("registration_withdrawn", True, p.registration_stands, "withdrawn", STANDS),
+    (
+        "job.withdrawal",
+        "the same place was withdrawn",
+        p.registration_stands,
+        "the same place was withdrawn",
+        STANDS,
+    ),
     ("log.writable", False, p.log_writable, "failed", "writable"),
     ("log.reserved_bytes", 1999, p.log_space, 1999.0, ">= 2000 bytes"),
     ("log.reserved_bytes", 0, p.log_space, 0.0, ">= 2000 bytes"),

@@ -148,7 +148,7 @@ def test_a_withdrawal_that_cannot_be_listed_is_told(log, monkeypatch, error):
     monkeypatch.setattr(withdrawn, "add", fail)
     list_withdrawal(log, FILE, PLACED, notes.append)
     assert str(error) in notes[0]
-    assert "never use this registration again" in notes[0]
+    assert "never use this registration again, nor any that was taken before 20" in notes[0]
     assert log.listed.lines == 0
 
 

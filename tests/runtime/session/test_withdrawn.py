@@ -14,7 +14,7 @@ from cutgate.config.load import InputError
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.session import withdrawn
-from cutgate.runtime.session.withdrawn import Withdrawal, complete, incomplete, load, refusal
+from cutgate.runtime.session.withdrawn import Withdrawal, complete, incomplete, load, of_now, refusal
 from tests.runtime.audit.build import LOG_ID, small_log
 
 DIGESTS = st.binary(min_size=32, max_size=32)
@@ -76,6 +76,7 @@ def test_nothing_is_listed_where_nothing_was_withdrawn(tmp_path, directory):
         "ab" * 32 + " a.mcap cd 2026-11-27T10:00:00.250000Z",
         "ab" * 32 + " a.mcap - 2026-02-31T10:00:00.250000Z",
         "ab" * 32 + " a.mcap - 2026-11-27T10:00:00Z",
+        "ab" * 32 + " a.mcap - 3000-01-01T00:00:00.000000Z",
         "ab" * 32 + " a.mcap - 2026-11-27T10:00:00.250000Z more",
     ],
 )
@@ -196,7 +197,9 @@ def test_only_what_was_taken_after_the_withdrawal_counts(seconds, counts):
     said = refusal([WITHDRAWN], bytes(32), later(seconds), SKEW_S)
     assert (said == "") is counts
     if not counts:
-        assert "the withdrawal in a.mcap of 2026-11-27 10:00:00 UTC (clock_skew_s 60 s)" in said
+        assert (
+            "the withdrawal in a.mcap, known here since 2026-11-27 10:00:00 UTC (clock_skew_s 60 s)" in said
+        )
         assert "what is taken from 2026-11-27 10:01:01 UTC on counts" in said, (
             "the first whole second after it"
         )
@@ -226,6 +229,18 @@ def test_after_a_withdrawal_a_path_without_a_registration_is_refused():
     assert "a registration without a time is not surely later" in refusal(
         [WITHDRAWN], bytes(32), None, SKEW_S
     )
+
+
+def test_the_latest_year_of_a_list_overflows_nothing():
+    last = replace(WITHDRAWN, known=datetime(withdrawn.YEAR_MAX, 12, 31, 23, 59, 59, tzinfo=UTC))
+    assert "3000-01-01 01:00:00 UTC on counts" in refusal([last], bytes(32), PLACED_BEFORE, 3600.0)
+
+
+@pytest.mark.parametrize(("back_s", "known"), [(0.0, KNOWN), (7200.0, PLACED.created)])
+def test_a_clock_that_was_set_back_lowers_no_barrier(back_s, known):
+    now = KNOWN - timedelta(seconds=back_s)
+    assert of_now(FILE, "a.mcap", PLACED, now) == replace(WITHDRAWN, known=known)
+    assert of_now(FILE, "a.mcap", None, now) == Withdrawal(FILE, "a.mcap", None, now)
 
 
 # ---------------------------------------------------------------- lines of 0.1.0

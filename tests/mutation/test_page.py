@@ -1,7 +1,7 @@
 """The page says what is recorded, what is run today, and what lives."""
 
 from tools.mutation.forked import Verdict
-from tools.mutation.modules import OWN_TESTS
+from tools.mutation.modules import OWN_TESTS, ROOT
 from tools.mutation.mutants import OPERATORS, mutants
 from tools.mutation.page import about, page
 from tools.mutation.results import Result, changed, digest_of, load, store

@@ -622,3 +622,8 @@ def test_what_was_seen_and_said_stays_as_it_was():
         with pytest.raises(FrozenInstanceError):
             setattr(thing, field, getattr(thing, field))
     assert deviation == monitor.finished(0.0)
+
+
+def test_a_sites_tolerance_is_not_changed_afterwards():
+    with pytest.raises(FrozenInstanceError):
+        TRACKING.wrist_mm = 5.0

@@ -1,9 +1,11 @@
-"""The hash chain over every message of a log, in file order.
+"""What is covered of each message of a log, and the hash chain over it, in file order.
 
-    h_n = SHA-256(h_{n-1} | topic | encoding | schema name | SHA-256(schema) | times | sequence | data)
+    covered = topic | encoding | schema name | SHA-256(schema) | times | sequence | data
+    h_n = SHA-256(h_{n-1} | covered)
 
 Texts and data are preceded by their length (64 bit, little endian), so that no two different messages give the
-same bytes. ``/audit/`` records carry h_{n-1} inside their data, and so are bound to everything before them.
+same bytes. ``/audit/`` records carry h_{n-1} inside their data, and so are bound to everything before them. The tree
+(``tree.py``) has the same bytes as its leaves: they are made by ``covered_in`` and nowhere else.
 """
 
 import struct
@@ -21,7 +23,7 @@ _STAMPS: Final = struct.Struct("<QQIQ")
 
 @dataclass(frozen=True, slots=True)
 class ChainLink:
-    """What the chain covers of one message. Times in nanoseconds."""
+    """What is covered of one message. Times in nanoseconds."""
 
     topic: str
     encoding: str
@@ -35,23 +37,29 @@ class ChainLink:
 
 def advance(head: bytes, link: ChainLink) -> bytes:
     """The head after this message, 32 bytes."""
+    return follow(head, covered(link))
+
+
+def follow(head: bytes, covered: bytes) -> bytes:
+    """As ``advance``, for a message of which these bytes are covered."""
+    return sha256(head + covered).digest()
+
+
+def covered(link: ChainLink) -> bytes:
+    """The bytes that chain and tree cover of a message."""
     channel = of_channel(link.topic, link.encoding, link.schema_name, link.schema)
-    return advance_in(channel, head, link.log_time, link.publish_time, link.sequence, link.data)
+    return covered_in(channel, link.log_time, link.publish_time, link.sequence, link.data)
 
 
 def of_channel(topic: str, encoding: str, schema_name: str, schema: bytes) -> bytes:
-    """What the chain covers of a message beside the message itself: the same for all of one channel."""
+    """What is covered of a message beside the message itself: the same for all of one channel."""
     texts = (topic.encode(), encoding.encode(), schema_name.encode())
     return b"".join((*map(_counted, texts), sha256(schema).digest()))
 
 
-def advance_in(
-    channel: bytes, head: bytes, log_time: int, publish_time: int, sequence: int, data: bytes
-) -> bytes:
-    """As ``advance``, for a message of the channel that ``of_channel`` gave."""
-    return sha256(
-        b"".join((head, channel, _STAMPS.pack(log_time, publish_time, sequence, len(data)), data))
-    ).digest()
+def covered_in(channel: bytes, log_time: int, publish_time: int, sequence: int, data: bytes) -> bytes:
+    """As ``covered``, for a message of the channel that ``of_channel`` gave."""
+    return b"".join((channel, _STAMPS.pack(log_time, publish_time, sequence, len(data)), data))
 
 
 def _counted(data: bytes) -> bytes:

@@ -13,19 +13,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
+from typing import Final
 
 from cutgate.config.durable import Replacement
 from cutgate.runtime.audit.directory import HEAD_MAX
 from cutgate.runtime.audit.disk import Disk, Reservation
+from cutgate.runtime.audit.tree import EMPTY
 from cutgate.runtime.audit.written import LostError, Written, identify
 
 
 @dataclass(frozen=True, slots=True)
 class Durable:
-    """Everything up to ``offset`` of the log is on the disk, and with it the record named by ``token``."""
+    """Everything up to ``offset`` of the log is on the disk, and with it the record named by ``token``.
+
+    Attributes:
+        token: of the commit; None where it has no name.
+        offset: bytes of the log.
+        size, root: of the tree of all records up to the commit's last one; of the empty tree where it has no name.
+    """
 
     token: int | None
     offset: int
+    size: int
+    root: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +63,20 @@ Event = Durable | LogFailed | Reserved | Closed
 
 @dataclass(frozen=True, slots=True)
 class Append:
-    """Bytes for the log and for the file of raw frames; ``durable`` asks for a sync and a report."""
+    """Bytes for the log and for the file of raw frames.
+
+    A ``token`` asks for a sync and a report, which repeats size and root of the tree that these bytes complete.
+    """
 
     log: bytes
     frames: bytes
     token: int | None = None
+    size: int = 0
+    root: bytes = EMPTY
+
+
+UNNAMED: Final = Append(b"", b"")
+"""Whose report it is where no commit has a name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,15 +198,15 @@ class Committer:
 
     def _append(self, jobs: Sequence[Append | Finish]) -> None:
         data = b"".join(job.log for job in jobs)
-        tokens = [job.token for job in jobs if isinstance(job, Append) and job.token is not None]
+        named = [job for job in jobs if isinstance(job, Append) and job.token is not None]
         self._check(enabling=False)
         if data:
             self._log.append(data)
-        if data or tokens:
+        if data or named:
             self._log.sync()
-            self._check(enabling=bool(tokens))
-            for token in tokens or (None,):
-                self._report(Durable(token, self._log.size))
+            self._check(enabling=bool(named))
+            for job in named or (UNNAMED,):
+                self._report(Durable(job.token, self._log.size, job.size, job.root))
         # Raw frames come second: no enabling record waits for them.
         self._frames.append(b"".join(job.frames for job in jobs))
 

@@ -12,7 +12,7 @@ import platform
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
@@ -248,7 +248,8 @@ class AuditLog:
         """Hand over everything written so far; ``events`` says when it is durable.
 
         Args:
-            token: names the commit in its ``Durable`` event; None asks for no name.
+            token: names the commit in its ``Durable`` event, which then has size and root of the tree of everything
+                written so far; None asks for no name.
         """
         if self._stopped:
             return
@@ -383,7 +384,11 @@ class AuditLog:
 
     def _hand_over(self, token: int | None) -> None:
         data = self._writer.take()
-        self._committer.submit(Append(data, b"".join(self._frames), token))
+        job = Append(data, b"".join(self._frames))
+        if token is not None:
+            tree = self._writer.tree
+            job = replace(job, token=token, size=tree.size, root=tree.root)
+        self._committer.submit(job)
         self._frames.clear()
         self._waiting_since_s = None
         if data:

@@ -10,9 +10,10 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from mcap.writer import Writer as McapWriter
 
-from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance
+from cutgate.runtime.audit.chain import GENESIS, ChainLink, covered, follow
 from cutgate.runtime.audit.records import AuditRecord, LogRecord, Time, title_of
 from cutgate.runtime.audit.schema import schema_bytes
+from cutgate.runtime.audit.tree import Tree
 
 PROFILE: Final = "cutgate.audit/1"
 METADATA: Final = "cutgate"
@@ -50,13 +51,13 @@ class LogWriter:
 
     Attributes:
         head: the chain's head over all messages so far, 32 bytes.
-        count: messages so far; the next message's sequence.
+        tree: the tree of all messages so far.
         unwritten: messages that stand in the open chunk.
     """
 
     def __init__(self, log_id: str, metadata: dict[str, str]) -> None:
         self.head = GENESIS
-        self.count = 0
+        self.tree = Tree()
         self.unwritten = 0
         self._buffer = _Buffer()
         self._channels: dict[str, int] = {}
@@ -68,6 +69,11 @@ class LogWriter:
         )
         self._mcap.start(PROFILE, LIBRARY_IDENTIFIER)
         self._mcap.add_metadata(METADATA, {"log_id": log_id, **metadata})
+
+    @property
+    def count(self) -> int:
+        """Messages so far; the next message's sequence."""
+        return self.tree.size
 
     def add(self, record: LogRecord, *, log_time_ns: int, monotonic_ns: int) -> None:
         """Add a message to the open chunk; an ``/audit/`` record gets its link and its times here.
@@ -107,8 +113,9 @@ class LogWriter:
             sequence=self.count,
             data=data,
         )
-        self.head = advance(self.head, link)
-        self.count += 1
+        body = covered(link)
+        self.head = follow(self.head, body)
+        self.tree.append(body)
         self.unwritten += 1
 
     def attach(self, name: str, media_type: str, data: bytes, *, log_time_ns: int) -> None:

@@ -77,6 +77,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/verification/approach/report.py": ("tests/runtime/verification/approach/test_report.py",),
     # The audit log: what could make a forged or broken log pass as whole.
     "runtime/audit/chain.py": ("tests/runtime/audit/test_chain.py",),
+    "runtime/audit/tree.py": ("tests/runtime/audit/test_tree.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),
     "runtime/audit/container/raw.py": ("tests/runtime/audit/container/test_raw.py",),
     "runtime/audit/container/kinds.py": ("tests/runtime/audit/container/test_kinds.py",),

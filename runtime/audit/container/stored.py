@@ -5,7 +5,7 @@ from typing import BinaryIO
 
 from mcap.records import Header, Metadata
 
-from cutgate.runtime.audit.chain import ChainLink, advance_in
+from cutgate.runtime.audit.chain import ChainLink, covered_in, follow
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class ChannelInfo:
     schema_name: str
     schema: bytes
     covered: bytes
-    """What the chain covers of all this."""
+    """What chain and tree cover of all this."""
 
 
 @dataclass(slots=True)
@@ -39,17 +39,22 @@ class Stored:
 
     @property
     def link(self) -> ChainLink:
-        """What the chain covers of it."""
+        """What is covered of it, part by part."""
         channel = self.channel
         return ChainLink(
             channel.topic, channel.encoding, channel.schema_name, channel.schema,
             self.log_time, self.publish_time, self.sequence, self.data,
         )  # fmt: skip
 
+    @property
+    def covered(self) -> bytes:
+        """The bytes that chain and tree cover of it."""
+        stamps = (self.log_time, self.publish_time, self.sequence)
+        return covered_in(self.channel.covered, *stamps, self.data)
+
     def advance(self, head: bytes) -> bytes:
         """The chain's head after this message."""
-        stamps = (self.log_time, self.publish_time, self.sequence)
-        return advance_in(self.channel.covered, head, *stamps, self.data)
+        return follow(head, self.covered)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance
+from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance, covered, covered_in, follow, of_channel
 
 TIMES = st.integers(0, 2**64 - 1)
 LINKS = st.builds(
@@ -68,3 +68,17 @@ def test_every_field_counts(link, name, other):
 @given(LINKS, st.binary(min_size=32, max_size=32))
 def test_everything_before_counts(link, head):
     assert (advance(head, link) == advance(GENESIS, link)) == (head == GENESIS)
+
+
+@given(LINKS, st.binary(min_size=32, max_size=32))
+def test_chain_and_tree_cover_the_same_bytes(link, head):
+    """What the formula puts behind the head, and what a reader makes of a message whose channel is known."""
+    body = covered(link)
+    assert hashlib.sha256(head + body).digest() == independent(head, link) == follow(head, body)
+    channel = of_channel(link.topic, link.encoding, link.schema_name, link.schema)
+    assert covered_in(channel, link.log_time, link.publish_time, link.sequence, link.data) == body
+
+
+@given(LINKS, LINKS)
+def test_different_messages_give_different_leaves(one, other):
+    assert (covered(one) == covered(other)) == (one == other)

@@ -21,8 +21,11 @@ from cutgate.runtime.audit.commit import (
 )
 from cutgate.runtime.audit.directory import HEAD_MAX, LOCK, lock
 from cutgate.runtime.audit.disk import Reservation, SystemDisk, write_all
+from cutgate.runtime.audit.tree import EMPTY
 from cutgate.runtime.audit.written import Written
 from tests.runtime.audit.build import PATIENCE_S, WatchedDisk, hanging
+
+ROOT = bytes(range(32))
 
 
 class Thread:
@@ -68,8 +71,8 @@ def failing(operation, code, after=0):
 def test_a_token_is_durable_only_after_the_sync(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
-    thread.committer.submit(Append(b"abc", b"frame\n", token=7))
-    assert thread.wait(Durable) == Durable(7, 3)
+    thread.committer.submit(Append(b"abc", b"frame\n", 7, 2, ROOT))
+    assert thread.wait(Durable) == Durable(7, 3, 2, ROOT)
     assert disk.synced[thread.files.log[0]] == 3
     assert thread.log_path.read_bytes() == b"abc"
     assert thread.finish() == [Closed()]
@@ -81,8 +84,15 @@ def test_a_commit_without_new_bytes_is_synced_and_answered(tmp_path):
     disk = WatchedDisk()
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"", b"", token=1))
-    assert thread.wait(Durable) == Durable(1, 0)
+    assert thread.wait(Durable) == Durable(1, 0, 0, EMPTY)
     assert disk.counts["sync"] == 1
+    thread.finish()
+
+
+def test_a_commit_without_a_name_names_no_tree(tmp_path):
+    thread = Thread(tmp_path, WatchedDisk())
+    thread.committer.submit(Append(b"abc", b""))
+    assert thread.wait(Durable) == Durable(None, 3, 0, EMPTY)
     thread.finish()
 
 
@@ -233,10 +243,13 @@ def test_waiting_jobs_share_one_sync(tmp_path):
         thread.committer.submit(ReserveSpace(4096, 0))
         assert disk.entered.wait(PATIENCE_S)
         for token in range(5):
-            thread.committer.submit(Append(b"x", b"", token))
+            thread.committer.submit(Append(b"x", b"", token, 10 + token, bytes([token])))
+            thread.committer.submit(Append(b"y", b""))
     events = thread.finish()
     durable = [event for event in events if isinstance(event, Durable)]
-    assert durable == [Durable(token, 5) for token in range(5)]
+    assert durable == [Durable(token, 10, 10 + token, bytes([token])) for token in range(5)], (
+        "each its own tree"
+    )
     assert disk.counts["sync"] <= 1 + 2  # and two at the end, for the log and the raw frames
 
 

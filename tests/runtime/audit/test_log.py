@@ -11,9 +11,11 @@ import pytest
 from cutgate.config.load import InputError
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.commit import Append, Closed, Durable, LogFailed, Reserved
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
 from cutgate.runtime.audit.log import AuditLog, Clock
+from cutgate.runtime.audit.tree import EMPTY, Tree
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -77,6 +79,39 @@ def test_no_commit_is_durable_before_the_disk_has_synced_it(tmp_path):
         assert not any(map(durable(2), log.events()))
     assert wait_for(log, failed).reason
     assert not log.writable
+
+
+def test_a_durable_record_comes_with_the_tree_up_to_it(tmp_path):
+    """Up to and including the last record before the commit, whatever is written before it is durable."""
+    disk = WatchedDisk()
+    log = make(tmp_path, disk)
+    named = []
+    for token in (1, 2):
+        log.write(permit_record(500.0, "permit", "authorised", token=token))
+        log.write(decision(token, disposition="authorised", token=token))
+        log.commit(token)
+        log.write(records.AuditOperator(word="stop", accepted=True))
+        log.commit(None)
+        event = wait_for(log, durable(token))
+        named.append((token, event.size, event.root))
+    stored = scan(close(log).log.read_bytes()).messages
+    tree, trees = Tree(), {}
+    for message in stored:
+        tree.append(message.covered)
+        trees[tree.size] = tree.root
+    authorising = [
+        number for number, message in enumerate(stored) if b'"disposition":"authorised"' in message.data
+    ]
+    assert named == [
+        (token, number + 1, trees[number + 1]) for token, number in zip((1, 2), authorising, strict=True)
+    ]
+
+
+def test_a_commit_without_a_name_brings_no_tree(tmp_path):
+    log = make(tmp_path)
+    event = wait_for(log, durable(None))
+    assert (event.size, event.root) == (0, EMPTY)
+    close(log)
 
 
 def test_a_decision_is_handed_over_at_once(tmp_path):

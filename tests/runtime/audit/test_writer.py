@@ -7,8 +7,9 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
 from cutgate.runtime.audit import records
-from cutgate.runtime.audit.chain import GENESIS
+from cutgate.runtime.audit.chain import GENESIS, follow
 from cutgate.runtime.audit.container.scan import scan
+from cutgate.runtime.audit.tree import Tree
 from cutgate.runtime.audit.writer import METADATA, LogWriter
 from tests.runtime.audit.build import decision, small_log
 
@@ -88,3 +89,17 @@ def test_other_records_are_chained_without_carrying_the_head():
     writer.add(frame, log_time_ns=5_000, monotonic_ns=0)
     assert writer.head != before
     assert "prev" not in records.CanFrame.model_fields
+
+
+def test_the_tree_stands_beside_the_chain():
+    """Both over the same bytes of every message, frames too."""
+    writer, data = written(2)
+    frame = records.CanFrame(stamp=records.ZERO, direction="sent", id=0x80, dlc=1, data="00")
+    writer.add(frame, log_time_ns=5_000, monotonic_ns=0)
+    writer.finish()
+    head, tree = GENESIS, Tree()
+    for message in scan(data + writer.take()).messages:
+        head = follow(head, message.covered)
+        tree.append(message.covered)
+    assert (writer.head, writer.count) == (head, 3)
+    assert (writer.tree.size, writer.tree.root) == (tree.size, tree.root)

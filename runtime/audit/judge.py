@@ -8,6 +8,7 @@
 Record 0 opens the log and nothing follows its one close record, which counts all of them. Each record is a JSON object
 whose sequence is its number, and each ``/audit/`` record carries the chain's head before it. Every record of an
 attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0.
+A permit or start that names the log's tree names it as it was (``roots.py``).
 """
 
 import json
@@ -15,9 +16,10 @@ from collections.abc import Iterator
 from hashlib import sha256
 from typing import Any, Final
 
-from cutgate.runtime.audit.chain import GENESIS, LINKED
+from cutgate.runtime.audit.chain import GENESIS, LINKED, follow
 from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.records import AuditAttachment, AuditClose, AuditOpen, CanFrame
+from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.writer import ENCODING, METADATA
 
@@ -35,6 +37,7 @@ class Judge:
         first, last: parsed record 0 and the last one; None where it is no JSON object, or none.
         places: topic, offset and size of each record that is no frame.
         problems: the first record whose place in the chain is wrong.
+        roots: the tree of all records so far, and the first record that names another.
     """
 
     def __init__(self) -> None:
@@ -46,6 +49,7 @@ class Judge:
         self.last_topic = ""
         self.places: list[tuple[str, int, int]] = []
         self.problems: list[str] = []
+        self.roots = Roots()
         self._first_topic: str | None = None
         self._opens = 0
         self._closes = 0
@@ -61,7 +65,9 @@ class Judge:
         record = parse_object(message.data)
         if not self.problems:
             self._follows(number, message, record)
-        self.head = message.advance(self.head)
+        covered = message.covered
+        self.head = follow(self.head, covered)
+        self.roots.take(topic, covered, message.data)
         self.count += 1
         add_message(self.read, topic, message.sequence, message.data)
         if number == 0:
@@ -113,6 +119,8 @@ class Judge:
                 yield f"record {number} ({topic}) stands after the close record"
             elif count != self.count:
                 yield f"the close record counts {count} messages, the file holds {self.count}"
+        if self.roots.wrong:
+            yield self.roots.wrong
         if self._too_many:
             yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
         yield from self._attachments(found)

@@ -388,8 +388,28 @@ class AuditPermit(AuditRecord):
     configuration_sha256: str | None = None
     record: str | None = None
     """The canonical record that is authenticated, in hex."""
+    log_size: int | None = None
+    log_root: str | None = None
+    """What was sent names the log's tree of so many records, with this root in hex; here from version 4 on."""
+    code: str | None = None
+    """The authentication code that was sent, in hex."""
     reply: str | None = None
     reason: str | None = None
+
+
+class AuditWitness(AuditRecord):
+    """The tree that the last start named which the controller accepted, as it tells it; and whether it is found here."""
+
+    TOPIC: ClassVar[str] = "/audit/witness"
+
+    log_id: str
+    log_size: int
+    log_root: str
+    found: bool
+    log: str | None = None
+    """Name of the log in which it is found."""
+    reason: str | None = None
+    """Why it is not; or what is missing behind it."""
 
 
 class AuditController(AuditRecord):
@@ -512,7 +532,7 @@ class CanTransfer(LogRecord):
 
 
 MODELS: Final[tuple[type[LogRecord], ...]] = (
-    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
+    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

@@ -78,6 +78,8 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # The audit log: what could make a forged or broken log pass as whole.
     "runtime/audit/chain.py": ("tests/runtime/audit/test_chain.py",),
     "runtime/audit/tree.py": ("tests/runtime/audit/test_tree.py",),
+    "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
+    "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),
     "runtime/audit/container/raw.py": ("tests/runtime/audit/container/test_raw.py",),
     "runtime/audit/container/kinds.py": ("tests/runtime/audit/container/test_kinds.py",),

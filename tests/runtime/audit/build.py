@@ -20,6 +20,7 @@ from cutgate.config.records import calibration_record, limits_record, tool_recor
 from cutgate.protocol import candump
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import names, records
+from cutgate.runtime.audit.commit import Durable
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.disk import Reservation, SystemDisk
 from cutgate.runtime.audit.inspect import read_log
@@ -373,6 +374,21 @@ def _enable(log: AuditLog, given: float, site: bytes | None) -> None:
         log.write(permit_record(given, kind, "sent", site=site))
         log.write(decision(2 * token + 1, event="RecordDurable", disposition="sent", permissives=(stands,)))
         log.write(permit_record(given, kind, "acknowledged", site=site))
+
+
+def enable(log: AuditLog, *kinds: str, **changes: Any) -> list[Durable]:
+    """Each kind authorised, and sent with the tree of its authorising record, as a session does; those trees."""
+    trees = []
+    for token, kind in enumerate(kinds, start=1):
+        log.write(records.AuditPermit(kind=kind, stage="authorised", token=token))
+        log.write(decision(token, disposition="authorised", token=token))
+        log.commit(token)
+        tree = wait_for(log, lambda event, token=token: isinstance(event, Durable) and event.token == token)
+        named = {"log_size": tree.size, "log_root": tree.root.hex()} | changes
+        log.write(records.AuditPermit(kind=kind, stage="sent", token=token, **named))
+        log.write(decision(token, event="RecordDurable", disposition="sent"))
+        trees.append(tree)
+    return trees
 
 
 Edit = Callable[[records.LogRecord], "records.Record | None"]

@@ -34,8 +34,18 @@ from cutgate.runtime.audit.container.raw import MAGIC
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
+from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.writer import LogWriter
-from tests.runtime.audit.build import decision, forge, small_log
+from tests.runtime.audit.build import (
+    LOG_ID,
+    OPENED,
+    PATIENCE_S,
+    Ticking,
+    decision,
+    enable,
+    forge,
+    small_log,
+)
 
 FRAMES = 3 * candump.line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8))).encode()
 """What ``small_log`` writes beside the log."""
@@ -845,3 +855,49 @@ def test_scanning_keeps_what_stands_before_the_damage(data):
     assert not found.finished
     assert found.attachment("environment.json")
     assert found.attachment("nothing") is None
+
+
+# ---------------------------------------------------------------- the tree
+
+
+@pytest.fixture
+def enabled(tmp_path):
+    """A log in which permit and start left, each naming the tree of the record that authorised it."""
+    log = AuditLog.create(tmp_path, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
+    enable(log, "permit", "start")
+    return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S).log.read_bytes()
+
+
+def test_a_log_whose_permit_and_start_name_its_tree_is_ok(enabled):
+    assert verify_log(enabled, b"").status is Status.OK
+    named = [entry for entry in read_log(enabled).of("/audit/permit") if entry["stage"] == "sent"]
+    assert [entry["kind"] for entry in named] == ["permit", "start"]
+    assert all(entry["log_size"] > 2 and len(entry["log_root"]) == 64 for entry in named)
+
+
+def test_a_log_rewritten_before_its_start_is_tampered_although_its_chain_fits(enabled):
+    """Whoever chains a changed record anew must change what permit and start name, too; the controller has kept it."""
+
+    def edit(record):
+        return (
+            record.model_copy(update={"operator": "x"}) if isinstance(record, records.AuditOpen) else record
+        )
+
+    report = verify_log(forge(enabled, edit), b"")
+    assert report.status is Status.TAMPERED
+    assert report.reasons[0].startswith("record 4 (/audit/permit): it names the root "), report
+    assert verify_log(forge(enabled), b"").status is Status.OK
+
+
+def test_a_crashed_log_that_names_another_tree_is_tampered_not_incomplete(enabled):
+    def edit(record):
+        return None if isinstance(record, records.AuditClose) else record
+
+    def other(record):
+        sent = isinstance(record, records.AuditPermit) and (record.kind, record.stage) == ("start", "sent")
+        return record.model_copy(update={"log_size": 3}) if sent else edit(record)
+
+    assert verify_log(forge(enabled, edit), b"").status is Status.INCOMPLETE
+    report = verify_log(forge(enabled, other), b"")
+    assert report.status is Status.TAMPERED
+    assert "it names a tree of size 3, must be 7 to 8" in report.reasons[0], report

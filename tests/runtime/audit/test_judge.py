@@ -11,6 +11,7 @@ from cutgate.runtime.audit.chain import GENESIS, of_channel
 from cutgate.runtime.audit.container.stored import ChannelInfo, Scan, Stored, StoredAttachment
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
 from cutgate.runtime.audit.second_reading import add_message
+from cutgate.runtime.audit.tree import Tree
 
 LOG_ID = "ab" * 16
 ATTACHED = {"name": "plan.csv", "media_type": "text/csv", "sha256": "cd", "size": 3}
@@ -35,6 +36,7 @@ class Records:
 
     def __init__(self):
         self.judge = Judge()
+        self.messages = []
         self.head = GENESIS
         self.number = 0
 
@@ -53,6 +55,7 @@ class Records:
             1000,
         )
         message.offset += self.number
+        self.messages.append(message)
         self.judge.take(message)
         self.head = message.advance(self.head)
         self.number += 1
@@ -148,6 +151,29 @@ def test_a_frame_is_a_json_object_with_its_sequence_too():
     assert Records().opened().add("/can/frame", data=b"7").judge.problems
     assert Records().opened().add("/can/frame", sequence=5).judge.problems
     assert Records().opened().add("/can/frame", encoding="x").judge.problems
+
+
+# ---------------------------------------------------------------- the tree
+
+
+def test_the_tree_covers_every_record_as_the_chain_does():
+    log, tree = Records().opened().add("/can/frame", {"id": 1}).closed(), Tree()
+    for message in log.messages:
+        tree.append(message.covered)
+    assert (log.judge.roots.tree.size, log.judge.roots.tree.root) == (3, tree.root)
+
+
+def test_a_permit_that_names_another_tree_is_named():
+    permit = {"kind": "permit", "token": 1}
+    for root, told in (
+        ("right", []),
+        ("ab" * 32, ["record 2 (/audit/permit): it names the root abababababa"]),
+    ):
+        log = Records().opened().add("/audit/permit", permit | {"stage": "authorised"})
+        named = log.judge.roots.tree.root.hex() if root == "right" else root
+        log.add("/audit/permit", permit | {"stage": "sent", "log_size": 2, "log_root": named}).closed()
+        assert [problem[:55] for problem in log.problems()] == told
+        assert log.judge.problems == []
 
 
 # ---------------------------------------------------------------- open and close

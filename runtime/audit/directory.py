@@ -1,8 +1,9 @@
 """The log directory: one session at a time, the head of the last one, and what must not get lost beside the logs.
 
 ``LOCK`` is held while a session runs. ``HEAD`` says what came last: ``open`` while a log is being written, so that
-the next session sees a crash, and ``closed`` with the chain's head afterwards; and how the list of withdrawn
-registrations stood, which is nothing that may get shorter unnoticed. ``WITHDRAWN`` is that list. All of them decide,
+the next session sees a crash, and ``closed`` with the chain's head afterwards; the latest time at which a session was
+closed, which no clock may be behind; and how the list of withdrawn registrations stood, which is nothing that may get
+shorter unnoticed. ``WITHDRAWN`` is that list. All of them decide,
 and are believed only if they are ours.
 """
 
@@ -13,6 +14,7 @@ import os
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -29,6 +31,12 @@ HEAD_MAX: Final = 4096
 """Bytes of HEAD, and what is reserved for the next one."""
 LIST_MAX: Final = 10_000_000
 """Bytes of the list, some 200 to an entry."""
+TIME_MAX: Final = (1 << 63) - 1
+"""Nanoseconds since 1970, to the year 2262."""
+_SET_CLOCK: Final = (
+    "set the clock; or, if it was wrong when that session was closed, name another folder with --log-dir, "
+    "once it is certain that no registration that was withdrawn here is used again"
+)
 _FREE: Final = "free it, or name another with --log-dir"
 _RESTORE: Final = (
     "restore HEAD and WITHDRAWN from a backup; or name another folder with --log-dir, "
@@ -63,12 +71,15 @@ class Head:
         head: the chain's head at its end; while it is open, that of the session before.
         closed: it was closed in order.
         listed: the list of withdrawn registrations; None in a HEAD of 0.1.0, which did not say.
+        time_ns: UTC nanoseconds of the last record of the session that was closed last; while a log is open, that of
+            a session before. None where none was ever named, as until 0.1.
     """
 
     log: str
     head: str | None
     closed: bool
     listed: Listed | None = None
+    time_ns: int | None = None
 
     def encode(self) -> bytes:
         """The file's content."""
@@ -80,6 +91,8 @@ class Head:
         }
         if self.listed is not None:
             content["withdrawn"] = {"lines": self.listed.lines, "sha256": self.listed.sha256}
+        if self.time_ns is not None:
+            content["time_ns"] = self.time_ns
         return json.dumps(content).encode() + b"\n"
 
     @classmethod
@@ -88,7 +101,7 @@ class Head:
         try:
             content = json.loads(data)
             log, head, state = content["log"], content["head"], content["state"]
-            listed = content.get("withdrawn")
+            listed, time_ns = content.get("withdrawn"), content.get("time_ns")
             listed = None if listed is None else Listed(listed["lines"], listed["sha256"])
         except (KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
@@ -96,19 +109,21 @@ class Head:
             isinstance(log, str) and Path(log).name == log not in ("", "..") and isinstance(head, str | None)
         )
         counted = listed is None or (isinstance(listed.lines, int) and isinstance(listed.sha256, str))
-        if not (named and counted):
+        timed = time_ns is None or (isinstance(time_ns, int) and 0 <= time_ns <= TIME_MAX)
+        if not (named and counted and timed):
             raise ValueError("not a head")
-        return cls(log, head, state == "closed", listed)
+        return cls(log, head, state == "closed", listed, time_ns)
 
 
 @dataclass(frozen=True, slots=True)
 class Previous:
-    """What the directory says of the session before."""
+    """What the directory says of the session before; ``time_ns`` as in ``Head``."""
 
     log: str | None = None
     head: str | None = None
     crashed: bool = False
     note: str | None = None
+    time_ns: int | None = None
 
 
 # ---------------------------------------------------------------- one session at a time
@@ -168,8 +183,34 @@ def previous_session(directory: Path) -> Previous:
         return Previous()
     except ValueError as error:
         return Previous(crashed=True, note=f"HEAD could not be read: {error}")
-    if not head.closed:
-        return _crashed(directory, head)
+    found = _closed(directory, head) if head.closed else _crashed(directory, head)
+    return replace(found, time_ns=head.time_ns)
+
+
+def clock_behind(directory: Path, previous: Previous, now_ns: int) -> str:
+    """Why no session may run with this clock: its times would lie before those of records that are there.
+
+    Args:
+        directory: the log directory.
+        previous: what it says of the session before.
+        now_ns: the clock, UTC nanoseconds.
+
+    Returns:
+        The refusal; empty where the clock is not behind, or nothing says what it could be behind.
+    """
+    then_ns = previous.time_ns
+    if then_ns is None or now_ns >= then_ns:
+        return ""
+    bound = f"at least {_utc(then_ns)}, when a session was closed here"
+    return str(InputError(directory / HEAD, "this computer's clock", _utc(now_ns), bound, _SET_CLOCK))
+
+
+def _utc(time_ns: int) -> str:
+    second, rest = divmod(time_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(second, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+
+
+def _closed(directory: Path, head: Head) -> Previous:
     try:
         with _log(directory, head) as file:
             found = closing_head(file)

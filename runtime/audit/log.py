@@ -351,6 +351,7 @@ class AuditLog:
         *,
         clean: bool,
     ) -> None:
+        now_ns = self._clock.utc_ns()
         self.write(
             records.AuditClose(
                 final_state=final_state,
@@ -361,10 +362,17 @@ class AuditLog:
                 candump_sha256=self._frames_hash.hexdigest(),
                 candump_bytes=self._frames_bytes,
                 bus=bus,
-            )
+            ),
+            log_time_ns=now_ns,
         )
         self._writer.finish()
-        head = Head(self.path.name, self._writer.head.hex(), closed=True, listed=self.listed)
+        head = Head(
+            self.path.name,
+            self._writer.head.hex(),
+            closed=True,
+            listed=self.listed,
+            time_ns=max(now_ns, self.previous.time_ns or 0),
+        )
         self._finished = True
         self._committer.submit(Finish(self._writer.take(), b"".join(self._frames), head.encode()))
 
@@ -418,7 +426,7 @@ def _create_files(
     made: list[int] = []
     try:
         made.extend(disk.create(file) for file in (path, candump))
-        opened = Head(path.name, previous.head, closed=False, listed=listed)
+        opened = Head(path.name, previous.head, closed=False, listed=listed, time_ns=previous.time_ns)
         disk.replace(disk.prepare(directory / HEAD), opened.encode())
         head = disk.prepare(directory / HEAD)
         disk.sync_directory(directory)

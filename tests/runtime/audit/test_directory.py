@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import shutil
+from dataclasses import replace
 from hashlib import sha256
 from io import BytesIO
 
@@ -20,6 +21,8 @@ from cutgate.runtime.audit.directory import (
     WITHDRAWN,
     Head,
     Listed,
+    Previous,
+    clock_behind,
     extend_list,
     lock,
     previous_session,
@@ -76,6 +79,7 @@ HEADS = st.builds(
     head=st.none() | st.just(HEX),
     closed=st.booleans(),
     listed=st.none() | st.builds(Listed, st.integers(0, 10**6), st.just(HEX)),
+    time_ns=st.none() | st.integers(0, 2**63 - 1),
 )
 
 
@@ -85,9 +89,9 @@ def test_a_head_is_read_as_it_was_written(head):
     assert len(head.encode()) <= directory.HEAD_MAX
 
 
-def test_a_head_of_0_1_0_says_nothing_of_the_list():
+def test_a_head_of_0_1_0_says_nothing_of_the_list_and_no_time():
     old = {"schema": "cutgate.head/1", "log": "a.mcap", "state": "closed", "head": HEX}
-    assert Head.parse(json.dumps(old).encode()) == Head("a.mcap", HEX, closed=True, listed=None)
+    assert Head.parse(json.dumps(old).encode()) == Head("a.mcap", HEX, closed=True, listed=None, time_ns=None)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +99,7 @@ def test_a_head_of_0_1_0_says_nothing_of_the_list():
     [
         {"log": "../a.mcap"}, {"log": ".."}, {"log": ""}, {"log": 7}, {"head": 7}, {"withdrawn": []}, {"withdrawn": [1]},
         {"withdrawn": {"lines": 1}}, {"withdrawn": {"lines": "1", "sha256": HEX}}, {"withdrawn": 7},
-        {"withdrawn": {"lines": 1, "sha256": 7}},
+        {"withdrawn": {"lines": 1, "sha256": 7}}, {"time_ns": "1"}, {"time_ns": 1.5}, {"time_ns": -1}, {"time_ns": 1 << 63},
     ],
 )  # fmt: skip
 def test_what_is_no_head_is_none(change):
@@ -171,7 +175,7 @@ def test_a_log_that_is_not_what_head_says_is_noted_in_record_0(logs, act):
 def crash(logs):
     """The session died with its process: HEAD says open, the log has no end."""
     head, log = head_of(logs), log_of(logs)
-    (logs / HEAD).write_bytes(Head(head.log, None, closed=False, listed=head.listed).encode())
+    (logs / HEAD).write_bytes(replace(head, head=None, closed=False).encode())
     os.truncate(log, log.stat().st_size - 1000)
     return log
 
@@ -413,9 +417,11 @@ def test_what_is_withdrawn_in_a_session_is_in_its_last_head(withdrawn):
     log = AuditLog.create(withdrawn, log_id=LOG_ID, opened=OPENED, clock=Later().clock())
     assert head_of(withdrawn).listed == Listed.of(b"".join(LINES))
     log.listed = extend_list(withdrawn, b"a fourth\n")
-    assert head_of(withdrawn) == Head(
-        log.path.name, head_of(withdrawn).head, closed=False, listed=log.listed
+    before = head_of(withdrawn)
+    assert before == Head(
+        log.path.name, before.head, closed=False, listed=log.listed, time_ns=before.time_ns
     ), "already before the session ends"
+    assert before.time_ns is not None
     log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
     assert head_of(withdrawn).closed
     assert head_of(withdrawn).listed == Listed.of(b"".join(LINES) + b"a fourth\n")
@@ -526,3 +532,67 @@ def test_a_directory_in_which_others_may_delete_is_refused(tmp_path, mode, holds
     logs.chmod(mode)
     with contextlib.nullcontext() if holds else pytest.raises(InputError, match=f"mode {mode:04o}"):
         os.close(lock(logs))
+
+
+# ---------------------------------------------------------------- the clock
+
+
+def test_head_has_the_time_of_the_last_record(logs):
+    (close,) = read_log(log_of(logs).read_bytes()).of("/audit/close")
+    assert head_of(logs).time_ns == records.Time(**close["utc"]).nanoseconds > 1_790_000_000_000_000_000
+
+
+def test_while_a_log_is_open_the_time_is_that_of_the_session_before(logs):
+    before = head_of(logs).time_ns
+    log = AuditLog.create(logs, log_id=LOG_ID, opened=OPENED, clock=Later().clock())
+    assert (head_of(logs).closed, head_of(logs).time_ns, log.previous.time_ns) == (False, before, before)
+    log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
+    assert head_of(logs).time_ns > before + 50_000_000_000
+
+
+def test_the_time_never_goes_back(logs):
+    late = replace(head_of(logs), time_ns=1_900_000_000_000_000_000)
+    (logs / HEAD).write_bytes(late.encode())
+    next_session(logs)
+    assert head_of(logs).time_ns == late.time_ns
+
+
+@pytest.mark.parametrize(
+    "act", [crash, lambda logs: gone(log_of(logs)), head_of], ids=["crash", "gone", "whole"]
+)
+def test_whatever_became_of_the_log_its_time_counts(logs, act):
+    before = head_of(logs).time_ns
+    act(logs)
+    assert previous_session(logs).time_ns == before
+
+
+def test_a_folder_of_0_1_0_has_a_time_from_the_next_session_on(logs):
+    (logs / HEAD).write_bytes(replace(head_of(logs), time_ns=None).encode())
+    assert "time_ns" not in json.loads((logs / HEAD).read_bytes())
+    assert previous_session(logs).time_ns is None
+    next_session(logs)
+    assert head_of(logs).time_ns > 1_790_000_000_000_000_000
+
+
+def test_a_clock_behind_that_time_is_refused(tmp_path):
+    previous = Previous("a.mcap", HEX, time_ns=1_790_000_000_000_000_005)
+    told = clock_behind(tmp_path, previous, 1_790_000_000_000_000_004)
+    assert told.startswith(f"{tmp_path / HEAD}: this computer's clock")
+    assert "2026-09-21T14:13:20.000000004Z" in told
+    assert "at least 2026-09-21T14:13:20.000000005Z, when a session was closed here" in told
+    assert "set the clock" in told
+    assert "--log-dir" in told
+
+
+@pytest.mark.parametrize(
+    ("then_ns", "now_ns"),
+    [(None, 0), (5, 5), (5, 6), (0, 0), (1_790_000_000_000_000_000, 1_900_000_000_000_000_000)],
+)
+def test_a_clock_that_is_not_behind_is_not_refused(tmp_path, then_ns, now_ns):
+    assert clock_behind(tmp_path, Previous(time_ns=then_ns), now_ns) == ""
+
+
+@given(st.integers(0, directory.TIME_MAX), st.integers(0, directory.TIME_MAX))
+def test_every_time_that_a_head_can_hold_can_be_told(then_ns, now_ns):
+    told = clock_behind(directory.Path("logs"), Previous(time_ns=then_ns), now_ns)
+    assert bool(told) == (now_ns < then_ns)

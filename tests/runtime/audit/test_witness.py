@@ -5,6 +5,7 @@ import shutil
 import struct
 import threading
 import tracemalloc
+from dataclasses import FrozenInstanceError
 
 import pytest
 from mcap.opcode import Opcode
@@ -15,6 +16,7 @@ from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.tree import EMPTY, Tree
 from cutgate.runtime.audit.witness import CUT_OFF, WitnessFound, look_up
+from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -233,6 +235,14 @@ def test_a_start_authorised_behind_the_size_is_another_one(asked, data, start):
     assert asked(cut(data, start.size), size=tree.size, root=tree.root).log is None
 
 
+def test_a_crashed_log_without_a_permit_is_not_cut_off(asked, data):
+    tree = Tree()
+    for message in scan(data).messages[:2]:
+        tree.append(message.covered)
+    told = f"{NAME}: it holds no start that was sent with its tree of size 2"
+    assert asked(cut(data, 2), size=2, root=tree.root) == WitnessFound(None, told)
+
+
 def test_damage_is_told_with_what_it_hides(asked, data, start):
     begin = next(b for b in chunks(data) if len(scan(data[: b + 12]).messages) == start.size)
     broken = bytearray(data)
@@ -269,6 +279,17 @@ def test_an_empty_tree_was_never_seen(asked, data):
     assert asked(cut(data, scan(data).messages[-1].sequence), size=0, root=EMPTY).log is None
 
 
+def test_the_smallest_tree_is_that_of_record_0(asked, data):
+    tree = Tree()
+    tree.append(scan(data).messages[0].covered)
+
+    def edit(record):
+        named = {"log_size": 1, "log_root": tree.root.hex()}
+        return record.model_copy(update=named) if record.stage == "sent" else record
+
+    assert asked(forge(data, changed(edit)), size=1, root=tree.root) == WitnessFound(NAME, "")
+
+
 def test_the_first_of_several_reasons_is_that_of_the_sessions_own_file(asked, data):
     asked(cut(data, 1 + 1), "20260921T141321Z-01234567.recovered.mcap")
     asked(cut(data, 1 + 1), "a.mcap")
@@ -295,6 +316,44 @@ def test_a_log_whose_record_0_does_not_open_it_has_no_id(asked, data, topic, tmp
         return records.AuditOperator(word=LOG_ID, accepted=True) if topic is records.AuditOperator else None
 
     assert asked(forge(data, edit)) == WitnessFound(None, f"no log {LOG_ID} is in {tmp_path}")
+
+
+class NoObject(records.LogRecord):
+    """A record that is JSON and no object."""
+
+    def encode(self):
+        return b"7"
+
+
+def written(*written_records):
+    writer = LogWriter(LOG_ID, {})
+    for record in written_records:
+        writer.add(record, log_time_ns=1, monotonic_ns=1)
+    writer.finish()
+    return writer.take()
+
+
+class NoOpen(NoObject):
+    TOPIC = "/audit/open"
+
+
+class NoPermit(NoObject):
+    TOPIC = "/audit/permit"
+
+
+def test_records_that_are_no_objects_name_nothing(asked, data, tmp_path):
+    assert asked(written(NoOpen())) == WitnessFound(None, f"no log {LOG_ID} is in {tmp_path}")
+    opened = records.AuditOpen.model_validate_json(scan(data).messages[0].data)
+    found = asked(written(opened, NoPermit(), NoPermit()), size=5)
+    assert found.log is None
+    assert found.reason.startswith(f"{NAME}: it has 3 records, the controller saw 5")
+
+
+def test_what_was_found_is_not_changed():
+    found = WitnessFound("a.mcap", "")
+    with pytest.raises(FrozenInstanceError):
+        found.log = None
+    assert not hasattr(found, "__dict__")
 
 
 def test_a_file_that_cannot_be_read_is_told_where_its_name_is_the_one(asked, data, tmp_path):

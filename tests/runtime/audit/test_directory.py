@@ -94,6 +94,12 @@ def test_a_head_of_0_1_0_says_nothing_of_the_list_and_no_time():
     assert Head.parse(json.dumps(old).encode()) == Head("a.mcap", HEX, closed=True, listed=None, time_ns=None)
 
 
+@pytest.mark.parametrize("time_ns", [0, 2**63 - 1])
+def test_the_times_that_a_head_can_hold(time_ns):
+    head = Head("a.mcap", HEX, closed=True, time_ns=time_ns)
+    assert Head.parse(head.encode()) == head
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -187,22 +187,21 @@ def previous_session(directory: Path) -> Previous:
     return replace(found, time_ns=head.time_ns)
 
 
-def clock_behind(directory: Path, previous: Previous, now_ns: int) -> str:
-    """Why no session may run with this clock: its times would lie before those of records that are there.
+def check_clock(directory: Path, previous: Previous, now_ns: int) -> None:
+    """No session runs with a clock that is behind: its times would lie before those of records that are there.
 
     Args:
         directory: the log directory.
         previous: what it says of the session before.
         now_ns: the clock, UTC nanoseconds.
 
-    Returns:
-        The refusal; empty where the clock is not behind, or nothing says what it could be behind.
+    Raises:
+        InputError: the clock is behind. Nothing is raised where nothing says what it could be behind.
     """
     then_ns = previous.time_ns
-    if then_ns is None or now_ns >= then_ns:
-        return ""
-    bound = f"at least {_utc(then_ns)}, when a session was closed here"
-    return str(InputError(directory / HEAD, "this computer's clock", _utc(now_ns), bound, _SET_CLOCK))
+    if then_ns is not None and not now_ns >= then_ns:
+        bound = f"at least {_utc(then_ns)}, when a session was closed here"
+        raise InputError(directory / HEAD, "this computer's clock", _utc(now_ns), bound, _SET_CLOCK)
 
 
 def _utc(time_ns: int) -> str:

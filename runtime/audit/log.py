@@ -40,6 +40,7 @@ from cutgate.runtime.audit.directory import (
     Head,
     Listed,
     Previous,
+    check_clock,
     lock,
     previous_session,
     remove_left_over,
@@ -165,8 +166,8 @@ class AuditLog:
             chunk_period_s: the longest time a record waits in memory.
 
         Raises:
-            InputError: the directory cannot be used, another session holds it, or what decides in it is not ours or
-                not whole.
+            InputError: the directory cannot be used, another session holds it, what decides in it is not ours or not
+                whole, or the clock is behind the time at which a session was closed there.
         """
         disk = disk or SystemDisk()
         clock = clock or Clock()
@@ -175,6 +176,7 @@ class AuditLog:
             remove_left_over(directory)
             listed = Listed.of(withdrawn_list(directory))
             previous = previous_session(directory)
+            check_clock(directory, previous, clock.utc_ns())
             files = _create_files(disk, directory, log_id, clock.utc_ns(), previous, listed, locked)
         except InputError:
             os.close(locked)

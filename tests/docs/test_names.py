@@ -33,7 +33,6 @@ GIVEN_UP = {
     "watch": "tracking monitor",
     "ways": "approach and retract",
     "weather": "randomised fault injection",
-    "witness": "oracle",
     "word": "operator command",
     "wound": "winding",
 }

@@ -22,7 +22,7 @@ from cutgate.runtime.audit.directory import (
     Head,
     Listed,
     Previous,
-    clock_behind,
+    check_clock,
     extend_list,
     lock,
     previous_session,
@@ -557,10 +557,13 @@ def test_while_a_log_is_open_the_time_is_that_of_the_session_before(logs):
 
 
 def test_the_time_never_goes_back(logs):
-    late = replace(head_of(logs), time_ns=1_900_000_000_000_000_000)
-    (logs / HEAD).write_bytes(late.encode())
-    next_session(logs)
-    assert head_of(logs).time_ns == late.time_ns
+    """The clock is set back while a session runs: it ends before the one before it did."""
+    before, clock = head_of(logs).time_ns, Later()
+    log = AuditLog.create(logs, log_id=LOG_ID, opened=OPENED, clock=clock.clock())
+    clock.now_ns = 0
+    assert clock.utc_ns() < before
+    assert log.close(final_state="done", clean=True, timeout_s=PATIENCE_S).closed
+    assert head_of(logs).time_ns == before
 
 
 @pytest.mark.parametrize(
@@ -582,7 +585,9 @@ def test_a_folder_of_0_1_0_has_a_time_from_the_next_session_on(logs):
 
 def test_a_clock_behind_that_time_is_refused(tmp_path):
     previous = Previous("a.mcap", HEX, time_ns=1_790_000_000_000_000_005)
-    told = clock_behind(tmp_path, previous, 1_790_000_000_000_000_004)
+    with pytest.raises(InputError) as refused:
+        check_clock(tmp_path, previous, 1_790_000_000_000_000_004)
+    told = str(refused.value)
     assert told.startswith(f"{tmp_path / HEAD}: this computer's clock")
     assert "2026-09-21T14:13:20.000000004Z" in told
     assert "at least 2026-09-21T14:13:20.000000005Z, when a session was closed here" in told
@@ -595,10 +600,15 @@ def test_a_clock_behind_that_time_is_refused(tmp_path):
     [(None, 0), (5, 5), (5, 6), (0, 0), (1_790_000_000_000_000_000, 1_900_000_000_000_000_000)],
 )
 def test_a_clock_that_is_not_behind_is_not_refused(tmp_path, then_ns, now_ns):
-    assert clock_behind(tmp_path, Previous(time_ns=then_ns), now_ns) == ""
+    check_clock(tmp_path, Previous(time_ns=then_ns), now_ns)
 
 
 @given(st.integers(0, directory.TIME_MAX), st.integers(0, directory.TIME_MAX))
 def test_every_time_that_a_head_can_hold_can_be_told(then_ns, now_ns):
-    told = clock_behind(directory.Path("logs"), Previous(time_ns=then_ns), now_ns)
-    assert bool(told) == (now_ns < then_ns)
+    try:
+        check_clock(directory.Path("logs"), Previous(time_ns=then_ns), now_ns)
+    except InputError as error:
+        assert now_ns < then_ns
+        assert "this computer's clock" in str(error)
+    else:
+        assert now_ns >= then_ns

@@ -337,6 +337,16 @@ class Later(Ticking):
         self.now_ns += 60_000_000_000
 
 
+def test_a_session_whose_clock_is_behind_the_last_ones_end_is_refused_and_the_lock_given_back(tmp_path):
+    close(make(tmp_path, clock=Later().clock()))
+    with pytest.raises(InputError, match=r"HEAD: this computer's clock .* when a session was closed here"):
+        make(tmp_path)
+    assert len(list(tmp_path.glob("*.mcap"))) == 1, "nothing was written"
+    later = Later()
+    later.now_ns += 60_000_000_000
+    close(make(tmp_path, clock=later.clock()))
+
+
 def crash(directory):
     """A session whose process dies: its files stay, HEAD says open, the lock is free."""
     disk = WatchedDisk()

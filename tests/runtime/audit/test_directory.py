@@ -605,6 +605,10 @@ def test_a_clock_that_is_not_behind_is_not_refused(tmp_path, then_ns, now_ns):
 
 @given(st.integers(0, directory.TIME_MAX), st.integers(0, directory.TIME_MAX))
 def test_every_time_that_a_head_can_hold_can_be_told(then_ns, now_ns):
-    late = pytest.raises(InputError, match="this computer's clock") if now_ns < then_ns else contextlib.nullcontext()
+    late = (
+        pytest.raises(InputError, match="this computer's clock")
+        if now_ns < then_ns
+        else contextlib.nullcontext()
+    )
     with late:
         check_clock(directory.Path("logs"), Previous(time_ns=then_ns), now_ns)

@@ -12,15 +12,16 @@ from cutgate.config.load import InputError
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import WITHDRAWN
 from cutgate.runtime.audit.inspect import Status, read_log
-from cutgate.runtime.audit.log import AuditLog, OpenInfo
+from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo
 from cutgate.runtime.session import withdrawal, withdrawn
 from cutgate.runtime.session.withdrawal import attached_registration, list_withdrawal, refused_by
 from cutgate.runtime.session.withdrawn import Withdrawal
-from tests.runtime.audit.build import PATIENCE_S, open_log
+from tests.runtime.audit.build import PATIENCE_S, Ticking, open_log
 from tests.runtime.session.test_withdrawn import ELSEWHERE, PLACED, registration
 
 FILE = bytes(32)
 DATA = PLACED.model_dump_json(by_alias=True).encode()
+MINUTE_NS = 60_000_000_000
 OTHER = registration(R_T_CT=ELSEWHERE)
 
 
@@ -30,10 +31,11 @@ def log(tmp_path):
         yield made
 
 
-def closed_log(directory, data=DATA):
+def closed_log(directory, data=DATA, minutes_ago=2):
     """A log of before, which holds a registration."""
-    opened = OpenInfo("cutgate", "cutgate")
-    made = AuditLog.create(directory, log_id=os.urandom(16).hex(), opened=opened)
+    opened, ticking = OpenInfo("cutgate", "cutgate"), Ticking()
+    before = Clock(lambda: ticking.utc_ns() - minutes_ago * MINUTE_NS, ticking.monotonic_ns)
+    made = AuditLog.create(directory, log_id=os.urandom(16).hex(), opened=opened, clock=before)
     made.attach(f"{names.REGISTRATION}.json", "application/json", data)
     assert made.close(final_state="stopped", clean=True, timeout_s=PATIENCE_S).closed
     return made.path
@@ -118,7 +120,7 @@ def test_only_the_registration_with_this_digest_is_believed(tmp_path, case):
             assert attached_registration(tmp_path / "gone.mcap", file) is None
         case _:
             assert attached_registration(path, file) is None
-    whole = closed_log(tmp_path)
+    whole = closed_log(tmp_path, minutes_ago=1)
     assert attached_registration(whole, sha256(DATA).digest()).place == PLACED.place
 
 

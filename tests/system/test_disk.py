@@ -95,6 +95,7 @@ def test_no_start_leaves_once_the_log_is_lost(rig, act):
     sim, run = rig.permitted()
     lose(live(rig))
     sim.say("hold")
+    run.line("enabling device is held|STOP sent")  # said before, start would be refused for the device
     run.say("start")
     assert run.exit() == 3
     assert told in run.told

@@ -32,10 +32,10 @@ class Constant:
         return f"{_number(self.low)} to {_number(self.high)} {self.unit}".rstrip()
 
 
-TIMEOUT_HEARTBEATS: Final = 3
-"""The heartbeat time-out is at least this many heartbeat periods: the protocol's rule, each controller's."""
-SITE_TIMEOUT_HEARTBEATS: Final = 4
-"""And a site's: of three, the two that may be lost (docs/protocol.md) would be as many as the time-out waits for."""
+TIMEOUT_HEARTBEATS: Final = 4
+"""The heartbeat time-out is at least this many heartbeat periods: it runs from the sending of what is echoed."""
+EARLIER_TIMEOUT_HEARTBEATS: Final = 3
+"""What it was in version 0.1.0: sites of recorded logs are read."""
 
 REGISTRATIONS_MAX: Final = 1000
 """So many registrations a controller remembers, named and withdrawn together; it refuses one more."""

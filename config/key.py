@@ -6,7 +6,7 @@ from typing import Final
 from cutgate.config.durable import create_durably
 from cutgate.config.load import InputError
 from cutgate.config.ours import read_ours
-from cutgate.protocol.permit import KEY_BYTES
+from cutgate.protocol.codes import KEY_BYTES
 
 FILE_BYTES_MAX: Final = 2 * KEY_BYTES + 2
 """The digits and one line end."""

@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from cutgate.config.constants import CONSTANTS, SITE_TIMEOUT_HEARTBEATS, TIMEOUT_HEARTBEATS
+from cutgate.config.constants import CONSTANTS, EARLIER_TIMEOUT_HEARTBEATS, TIMEOUT_HEARTBEATS
 from cutgate.protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
 
 FOLD_DEG: Final = 180.0
@@ -250,7 +250,7 @@ class TimingSettings(Strictly):
     @model_validator(mode="after")
     def _enough_heartbeats(self, info: ValidationInfo) -> Self:
         """A site that a log of an older version holds had to keep the protocol's rule alone."""
-        least = TIMEOUT_HEARTBEATS if info.context == RECORDED else SITE_TIMEOUT_HEARTBEATS
+        least = EARLIER_TIMEOUT_HEARTBEATS if info.context == RECORDED else TIMEOUT_HEARTBEATS
         if not (self.timeout_ms >= least * self.heartbeat_ms):
             raise broken(
                 f">= {least} heartbeats of {self.heartbeat_ms} ms",

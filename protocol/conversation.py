@@ -3,7 +3,7 @@
 A sound session, in its order (``>`` from the runtime, ``<`` from the controller; heartbeats go on beside it)::
 
     <  Announce                                outside a session, again and again
-    >  Open                                    <  Opened, with the tag of the session; or Reply, which says why not
+    >  Open, signed                            <  Opened, signed, with the tag of the session; or Reply: why not
     >  Collect                                 <  Limits, Calibration, Tool
     >  PathBlock, one after the other          <  BlockStored for each, then PathStored with the digest
     >  NonceRequest(PERMIT)                    <  Nonce, with the epoch
@@ -11,40 +11,47 @@ A sound session, in its order (``>`` from the runtime, ``<`` from the controller
     >  NonceRequest(START)                     <  Nonce
     >  Start, signed                           <  Reply
 
-A request is answered by one Reply that names its type and sequence. ``Acknowledge`` says that the operator has seen the
-cause that stands; ``Reset``, signed under a nonce of its own, leaves a latched fault. A stop voids every nonce and permit
-and starts a new epoch, so that the next request begins with its NonceRequest again.
+A request is answered by one Reply that names its type and sequence. ``Acknowledge``, signed, says that the operator has
+seen the cause that stands; ``Reset``, signed under a nonce of its own, leaves a latched fault; ``Withdraw``, signed, makes
+a registration one that may never be permitted again. A stop voids every nonce and permit and starts a new epoch, so that
+the next request begins with its NonceRequest again.
+
+What is signed carries a code that only a holder of the key can make (``codes``); everything else may be anybody's. So a
+Reply, a receipt and a Nonce enable nothing: that a permit, a start or a reset was accepted is believed by the heartbeat.
 
 Every record checks itself when it is made, so one that exists can be sent, and ``parse`` gives it back or raises
-:class:`RecordError`; ``permit.sign`` fills in the code of a signed one::
+:class:`RecordError`; the endpoint fills in the code of a signed one::
 
     >>> from cutgate.protocol.states import Purpose
     >>> request = NonceRequest(Purpose.START)
     >>> request.body().hex(), NonceRequest.parse(request.body()) == request
     ('02', True)
-    >>> Acknowledge(cause=99)
+    >>> Acknowledge(epoch=0, cause=99)
     Traceback (most recent call last):
     cutgate.protocol.wire.RecordError: ...
-    >>> boot_nonce, runtime_nonce = bytes(range(16)), bytes(16)
-    >>> nonce_serves(boot_nonce, runtime_nonce), hex(session_tag(boot_nonce, runtime_nonce))
-    (True, '0xdd8ade9a')
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Final, Self
 
 from cutgate.protocol.path import TURNS_MAX, ElbowCode
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.protocol.wire import (
     I16,
+    I64,
     U8,
     U16,
     U32,
+    U64,
     Ascii16,
     Block,
     CauseCode,
     Channel,
     Counts5,
     Digest32,
+    Epoch,
+    Flag,
+    LogId16,
     Mac16,
     Nested,
     Nonce16,
@@ -57,12 +64,28 @@ from cutgate.protocol.wire import (
     digest,
 )
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 
 PLANT_SPEED_PERMILLE_MAX = 1_000_000
 
 NO_MAC = bytes(16)
 """Stands in a record that is not signed yet."""
+NO_TIME: Final = 0
+"""Stands for the time of a registration that has none."""
+AGE_UNKNOWN: Final = 0xFFFF_FFFF
+"""Nobody knows how long ago it was."""
+
+
+@dataclass(frozen=True)
+class OtherVersion(Record):
+    """An Announce or Open of another protocol version, of which nothing but the version was read."""
+
+    TYPE: ClassVar[int] = 0
+    SENDER: ClassVar[Side] = Side.CONTROLLER
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+
+    request_type: U8
+    protocol_version: U16
 
 
 @dataclass(frozen=True)
@@ -78,11 +101,23 @@ class Announce(Record):
     protocol_version: U16
     firmware_version: Ascii16
     serial: Ascii16
-    boot_nonce: Nonce16
+    announce_nonce: Nonce16
+    """New at power-up and with every session that was opened: an OPEN that names it opens once."""
     plant_speed_permille: U32
     """Seconds of the plant in 1000 of the clock: 1000 on a real controller, anything else only in simulation."""
     state: StateCode
     cause: CauseCode
+
+    @property
+    def identity_digest(self) -> bytes:
+        """What never changes while the controller is powered, for OPEN to name, since this record carries no code.
+
+        SHA-256 of the body with nonce, state and cause as after a first power-up, 32 bytes.
+        """
+        lasting = replace(
+            self, announce_nonce=bytes(16), state=ControllerState.INHIBITED, cause=StopCause.NONE
+        )
+        return digest(b"cutgate/identity/1" + lasting.body())
 
     @property
     def time_scale(self) -> float:
@@ -146,35 +181,94 @@ class Timing(Block):
 
 
 @dataclass(frozen=True)
-class Open(Record):
-    """The runtime asks for a session."""
+class SignedRecord(Record):
+    """A record whose last field is its message authentication code."""
+
+    DOMAIN: ClassVar[bytes]
+
+    def canonical(self, session_digest: bytes = b"", sequence: int | None = None) -> bytes:
+        """What is signed: the domain's name, a zero byte, session and sequence, and the body without its code.
+
+        Args:
+            session_digest: 32 bytes; empty for OPEN, which has no session yet.
+            sequence: with which it is sent; None for OPEN.
+        """
+        counted = b"" if sequence is None else sequence.to_bytes(4, "little")
+        return self.DOMAIN + b"\0" + session_digest + counted + self.body()[: -len(NO_MAC)]
+
+    @property
+    def code(self) -> bytes:
+        """The message authentication code, 16 bytes."""
+        return self.body()[-len(NO_MAC) :]
+
+    def with_mac(self, mac: bytes) -> Self:
+        """The same record with this code."""
+        return replace(self, mac=mac)  # type: ignore[call-arg]
+
+
+@dataclass(frozen=True)
+class TreeHead(Block):
+    """How far an audit log was, by its hash tree (RFC 6962): what the controller keeps of it as its witness."""
+
+    log_id: LogId16
+    size: U64
+    """Records of the log; 0 where there is none."""
+    root: Digest32
+
+
+NO_TREE_HEAD: Final = TreeHead(bytes(16), 0, bytes(32))
+"""Stands where no log is named."""
+
+
+@dataclass(frozen=True)
+class Open(SignedRecord):
+    """The runtime asks for a session, and names all that it holds for. It opens once, for the announce nonce is used up."""
 
     TYPE: ClassVar[int] = 0x02
     SENDER: ClassVar[Side] = Side.RUNTIME
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
     OUTSIDE_SESSION: ClassVar[bool] = True
     INSIDE_SESSION: ClassVar[bool] = False
+    DOMAIN: ClassVar[bytes] = b"cutgate/open/1"
 
     protocol_version: U16
-    boot_nonce: Nonce16
+    announce_nonce: Nonce16
     runtime_nonce: Nonce16
+    identity_digest: Digest32
     registration_digest: Digest32
+    place_digest: Digest32
+    """Of the registration's transform alone: another id or time does not bring back what was withdrawn."""
+    registration_time_us: I64
+    """Since 1970, UTC; NO_TIME for a registration without one."""
     configuration_digest: Digest32
     verifier_version: Ascii16
     timing: Annotated[Timing, Nested(Timing)]
+    mac: Mac16 = NO_MAC
 
 
 @dataclass(frozen=True)
-class Opened(Record):
-    """The session is open; sent with its tag. A refusal is a Reply."""
+class Opened(SignedRecord):
+    """The session is open; sent with its tag. A refusal is a Reply.
+
+    `log` is that of the last start that was accepted. `withdrawal_due` says that the bone moved, or that a registration
+    was withdrawn, and that no Withdraw has told the barrier yet; `motion_age_s`, whole seconds, how long ago that was.
+    `registration` is what the controller's own list says of the registration that OPEN names, `barrier_us` its barrier.
+    """
 
     TYPE: ClassVar[int] = 0x03
     SENDER: ClassVar[Side] = Side.CONTROLLER
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/opened/1"
 
-    epoch: U8
+    epoch: Epoch
     state: StateCode
     cause: CauseCode
+    log: Annotated[TreeHead, Nested(TreeHead)] = NO_TREE_HEAD
+    withdrawal_due: Flag = 0
+    motion_age_s: U32 = AGE_UNKNOWN
+    registration: RefusalCode = Refusal.ACCEPTED
+    barrier_us: I64 = NO_TIME
+    mac: Mac16 = NO_MAC
 
 
 @dataclass(frozen=True)
@@ -231,27 +325,7 @@ class Nonce(Record):
 
     purpose: PurposeCode
     nonce: Nonce16
-    epoch: U8
-
-
-@dataclass(frozen=True)
-class SignedRecord(Record):
-    """A record whose last field is its message authentication code."""
-
-    DOMAIN: ClassVar[bytes]
-
-    def canonical(self) -> bytes:
-        """What is signed: the domain's name, a zero byte, and the body without its code."""
-        return self.DOMAIN + b"\0" + self.body()[: -len(NO_MAC)]
-
-    @property
-    def code(self) -> bytes:
-        """The message authentication code, 16 bytes."""
-        return self.body()[-len(NO_MAC) :]
-
-    def with_mac(self, mac: bytes) -> Self:
-        """The same record with this code."""
-        return replace(self, mac=mac)  # type: ignore[call-arg]
+    epoch: Epoch
 
 
 @dataclass(frozen=True)
@@ -305,11 +379,11 @@ class Permit(SignedRecord):
     DOMAIN: ClassVar[bytes] = b"cutgate/permit/1"
 
     nonce: Nonce16
-    boot_nonce: Nonce16
+    announce_nonce: Nonce16
     session_digest: Digest32
     serial: Ascii16
     protocol_version: U16
-    epoch: U8
+    epoch: Epoch
     limits_digest: Digest32
     calibration_digest: Digest32
     tool_digest: Digest32
@@ -321,11 +395,13 @@ class Permit(SignedRecord):
     branch: Annotated[Branch, Nested(Branch)]
     approach: Annotated[Approach, Nested(Approach)]
     lifetime_s: U16
+    log: Annotated[TreeHead, Nested(TreeHead)] = NO_TREE_HEAD
+    """Up to the record that authorised this permit."""
     mac: Mac16 = NO_MAC
 
     @property
     def digest(self) -> bytes:
-        """SHA-256 of what is signed: what a Start names. The code follows from it and the key."""
+        """SHA-256 of domain and body without its code: what a Start names."""
         return digest(self.canonical())
 
 
@@ -339,10 +415,12 @@ class Start(SignedRecord):
     DOMAIN: ClassVar[bytes] = b"cutgate/start/1"
 
     nonce: Nonce16
-    epoch: U8
+    epoch: Epoch
     session_digest: Digest32
     permit_digest: Digest32
     start_joints_u: Counts5
+    log: Annotated[TreeHead, Nested(TreeHead)] = NO_TREE_HEAD
+    """Up to the record that authorised this start: the permit's log, further on. The controller is its witness."""
     mac: Mac16 = NO_MAC
 
 
@@ -356,21 +434,47 @@ class Reset(SignedRecord):
     DOMAIN: ClassVar[bytes] = b"cutgate/reset/1"
 
     nonce: Nonce16
-    epoch: U8
+    epoch: Epoch
     session_digest: Digest32
     cause: CauseCode
     mac: Mac16 = NO_MAC
 
 
 @dataclass(frozen=True)
-class Acknowledge(Record):
-    """The operator has seen this cause."""
+class Acknowledge(SignedRecord):
+    """The operator has seen this cause, which stands since this epoch."""
 
     TYPE: ClassVar[int] = 0x0A
     SENDER: ClassVar[Side] = Side.RUNTIME
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/acknowledge/1"
 
+    epoch: Epoch
     cause: CauseCode
+    mac: Mac16 = NO_MAC
+
+
+@dataclass(frozen=True)
+class Withdraw(SignedRecord):
+    """The session's registration was withdrawn, or the bone has moved: only a registration later than the barrier counts.
+
+    `place_digest` is that of the withdrawn place, zeros where none in particular is meant. Answered also in a session that
+    a stop has voided.
+    """
+
+    TYPE: ClassVar[int] = 0x0B
+    SENDER: ClassVar[Side] = Side.RUNTIME
+    CHANNEL: ClassVar[Channel] = Channel.CONTROL
+    DOMAIN: ClassVar[bytes] = b"cutgate/withdraw/1"
+
+    place_digest: Digest32
+    barrier_us: I64
+    """Since 1970, UTC: when the runtime learned of it, and as much later as clocks may differ."""
+    mac: Mac16 = NO_MAC
+
+
+NO_PLACE: Final = bytes(32)
+"""Stands for no place in particular."""
 
 
 @dataclass(frozen=True)
@@ -389,19 +493,20 @@ class Reply(Record):
     detail: U32
 
 
-def session_digest(boot_nonce: bytes, runtime_nonce: bytes) -> bytes:
-    """What names a session: SHA-256 over its domain and both sides' nonces, 32 bytes."""
-    for name, nonce in (("boot_nonce", boot_nonce), ("runtime_nonce", runtime_nonce)):
-        if len(nonce) != 16:
-            raise RecordError(f"{name} is {len(nonce)} bytes, must be 16")
-    return digest(b"cutgate/session/1" + boot_nonce + runtime_nonce)
+def session_digest(request: Open) -> bytes:
+    """What names a session: SHA-256 over its domain and the body of its OPEN without the code, 32 bytes.
+
+    The code follows from the body and the key, and an OPEN with another one opens nothing: covering it as well would
+    tell no two sessions apart that this does not.
+    """
+    return digest(b"cutgate/session/2" + request.body()[: -len(NO_MAC)])
 
 
-def session_tag(boot_nonce: bytes, runtime_nonce: bytes) -> int:
+def session_tag(named: bytes) -> int:
     """The first four bytes of the session's digest, little endian: virtual bytes of every single frame."""
-    return int.from_bytes(session_digest(boot_nonce, runtime_nonce)[:4], "little")
+    return int.from_bytes(named[:4], "little")
 
 
-def nonce_serves(boot_nonce: bytes, runtime_nonce: bytes) -> bool:
-    """Whether these nonces may open a session: tag 0 means "no session", so the runtime draws again."""
-    return session_tag(boot_nonce, runtime_nonce) != 0
+def opens(request: Open) -> bool:
+    """Whether this OPEN may open a session: tag 0 means "no session", so the runtime draws another nonce."""
+    return session_tag(session_digest(request)) != 0

@@ -10,10 +10,12 @@ before anything else::
     >>> from cutgate.protocol.endpoint import Endpoint
     >>> from cutgate.protocol.wire import Side
     >>> bus = can.Bus(channel="cycle", interface="virtual")
-    >>> port = Port(bus, Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0))
+    >>> endpoint = Endpoint(Side.CONTROLLER, bytes(32), heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+    >>> port = Port(bus, endpoint)
     >>> times_s = iter([0.0, 0.02, 0.02, 0.32])
     >>> cycle = Cycle(port, clock=lambda: next(times_s))
-    >>> port.endpoint.link.open(7, cycle.now_s)
+    >>> endpoint.use_session(bytes(range(32)))
+    >>> endpoint.open_link(cycle.now_s)
     >>> cycle.begin()
     >>> list(cycle.late()), cycle.read(), cycle.heartbeat_due()
     ([], [], True)

@@ -1,6 +1,8 @@
 """One side of the conversation, without bus and without clock: bytes in, checked frames and records out.
 
-Joins the single frames (``link``) with the two ISO-TP channels (``transfer``) and their envelopes (``records``).
+Joins the single frames (``link``) with the two ISO-TP channels (``transfer``), their envelopes (``records``) and the codes
+that only a holder of the key can make (``codes``): what is to be signed is signed here, on its way out, and of what comes
+in it says whether its code fits. What that means is decided by the tables of either side.
 What is to be sent waits here until the bus has taken it: stop and fault first, then the heartbeat, joints and progress,
 then control, then bulk records. So a stop overtakes what waits, and what it voids never leaves.
 
@@ -11,9 +13,9 @@ How an :class:`Endpoint` is used:
 - :meth:`Endpoint.send_frame` and :meth:`Endpoint.send_record` queue; nothing leaves by itself. At the end of a cycle
   whoever owns the bus flushes, with :meth:`Endpoint.hand_out`: also where nothing was queued, for a transfer that
   comes in is answered there. ``port.Port`` does so.
-- A session: both sides agree on its tag in records outside one (Open and Opened). Then :meth:`Endpoint.use_timing`
-  where the timing was agreed as well, :meth:`Endpoint.use_session`, and ``link.open``; the link is closed by
-  ``use_timing``. :meth:`Endpoint.end_session` at its end.
+- A session: its OPEN names it. Then :meth:`Endpoint.use_timing` where the timing was agreed as well,
+  :meth:`Endpoint.use_session`, and :meth:`Endpoint.open_link`; the link is closed by ``use_timing``.
+  :meth:`Endpoint.end_session` at its end.
 - Whatever stops motion queues its stop or fault frame and then calls :meth:`Endpoint.abort`: what was under way never
   leaves, the stop does.
 
@@ -21,11 +23,11 @@ A request and its answer, carried by hand until nothing waits any longer::
 
     >>> from cutgate.protocol.states import Purpose
     >>> runtime, controller = (
-    ...     Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0) for side in Side
+    ...     Endpoint(side, bytes(32), heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0) for side in Side
     ... )
     >>> for one in (runtime, controller):
-    ...     one.use_session(7)
-    ...     one.link.open(7, now_s=0.0)
+    ...     one.use_session(bytes(range(32)))
+    ...     one.open_link(now_s=0.0)
     >>> def carried(sender: Endpoint, receiver: Endpoint) -> list[Item]:
     ...     items: list[Item] = []
     ...     while frames := sender.outgoing():
@@ -33,9 +35,9 @@ A request and its answer, carried by hand until nothing waits any longer::
     ...         for frame in receiver.outgoing():  # flow control
     ...             sender.receive(*frame, now_s=0.01)
     ...     return items
-    >>> sequence, _envelope = runtime.send_record(records.NonceRequest(Purpose.PERMIT), now_s=0.01)
+    >>> sent = runtime.send_record(records.NonceRequest(Purpose.PERMIT), now_s=0.01)
     >>> for item in carried(runtime, controller):
-    ...     print(item.record, item.sequence == sequence)
+    ...     print(item.record, item.sequence == sent.sequence)
     NonceRequest(purpose=<Purpose.PERMIT: 1>) True
     >>> _ = controller.send_record(records.Nonce(Purpose.PERMIT, bytes(16), epoch=3), now_s=0.01)
     >>> [item.record.epoch for item in carried(controller, runtime)]
@@ -57,6 +59,7 @@ from dataclasses import dataclass
 from itertools import dropwhile
 
 from cutgate.protocol import records
+from cutgate.protocol.codes import PresharedKey, SessionCodes
 from cutgate.protocol.frames import (
     BULK_IDS,
     TRANSFER_IDS,
@@ -71,7 +74,7 @@ from cutgate.protocol.frames import (
     RuntimeStop,
 )
 from cutgate.protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
-from cutgate.protocol.records import Channel, Record, RecordError, Side
+from cutgate.protocol.records import Channel, Open, Record, RecordError, Side, SignedRecord
 from cutgate.protocol.states import StopCause
 from cutgate.protocol.transfer import Transfer, TransferError
 
@@ -90,6 +93,7 @@ class RecordReceived:
         sequence: the sender's running number, which a reply names.
         size: bytes of the envelope.
         digest: SHA-256 of the envelope.
+        authentic: False for a record whose code no holder of the key made; of one that carries none it says nothing.
     """
 
     record: Record
@@ -98,6 +102,22 @@ class RecordReceived:
     sequence: int
     size: int
     digest: bytes
+    authentic: bool = True
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A record that was queued.
+
+    Attributes:
+        record: as it leaves, with its code.
+        sequence: with which; a reply names it.
+        payload: the envelope's bytes.
+    """
+
+    record: Record
+    sequence: int
+    payload: bytes
 
 
 @dataclass(frozen=True)
@@ -138,6 +158,7 @@ class Endpoint:
 
     Args:
         side: which end this is.
+        key: the pre-shared key, 32 bytes.
         heartbeat_s: period of heartbeats, s.
         timeout_s: without a fresh heartbeat for this long the peer is lost, s.
         transfer_timeout_s: how long one record may take on the bus, s.
@@ -145,11 +166,19 @@ class Endpoint:
     """
 
     def __init__(
-        self, side: Side, *, heartbeat_s: float, timeout_s: float, transfer_timeout_s: float, fd: bool = False
+        self,
+        side: Side,
+        key: bytes,
+        *,
+        heartbeat_s: float,
+        timeout_s: float,
+        transfer_timeout_s: float,
+        fd: bool = False,
     ) -> None:
         self.side = side
         self.link = Link(side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=fd)
-        self.session = NO_SESSION
+        self._key = PresharedKey(key)
+        self._codes: SessionCodes | None = None
         self._transfers = {
             channel: Transfer(
                 TRANSFER_IDS[side][channel],
@@ -167,30 +196,45 @@ class Endpoint:
 
     # ------------------------------------------------------------ sessions
 
-    def use_session(self, tag: int) -> None:
-        """Records carry this tag from now on; sequences begin anew. What waits of another session never leaves in one.
+    def use_session(self, session_digest: bytes | None) -> None:
+        """Records carry this session's tag and codes from now on; None for outside one. Sequences begin anew.
 
-        Then open the link with the same tag: records and single frames are two things. Transfers in progress go on;
-        :meth:`stop_sending` or :meth:`abort` first where they must not.
+        What waits of another session never leaves in this one. Then open the link: records and single frames are two
+        things. Transfers in progress go on; :meth:`stop_sending` or :meth:`abort` first where they must not.
         """
-        self.session = tag
-        if tag != NO_SESSION:
+        self._codes = None if session_digest is None else self._key.session(session_digest)
+        if self._codes is not None:
             self._waiting.clear()
         self._sent = dict.fromkeys(Channel, 0)
         self._seen = dict.fromkeys(Channel, 0)
+
+    @property
+    def session(self) -> int:
+        """The tag that records carry, 0 outside a session."""
+        return NO_SESSION if self._codes is None else self._codes.tag
+
+    def open_link(self, now_s: float) -> None:
+        """Single frames of the session in use are made and accepted from now on, and the peer's time-out runs.
+
+        Raises:
+            ValueError: no session is in use, or its tag is 0.
+        """
+        if self._codes is None:
+            raise ValueError("no session is in use: use_session first")
+        self.link.open(self._codes, now_s)
 
     def use_timing(self, *, heartbeat_s: float, timeout_s: float) -> None:
         """Take over what OPEN agreed on; the link is closed by it, and to be opened after it.
 
         Raises:
-            ValueError: the time-out is not 3 to 255 heartbeats.
+            ValueError: the time-out is not 4 to 254 heartbeats.
         """
         self.link = Link(self.side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=self.link.fd)
 
     def end_session(self) -> None:
         """Close the link; records travel outside a session."""
         self.link.close()
-        self.use_session(NO_SESSION)
+        self.use_session(None)
         self.abort()
 
     @property
@@ -295,8 +339,18 @@ class Endpoint:
                 envelope.sequence,
                 len(payload),
                 records.digest(payload),
+                self._authentic(envelope.record, envelope.sequence),
             )
         ]
+
+    def _authentic(self, record: Record, sequence: int) -> bool:
+        """Whether the record's code fits, where it carries one."""
+        match record:
+            case Open():
+                return self._key.open_authentic(record)
+            case SignedRecord():
+                return self._codes is not None and self._codes.authentic(record, sequence)
+        return True
 
     def expire(self, now_s: float) -> list[Violation]:
         """What time alone has brought about: a lost peer, a transfer that did not end. To be called in every cycle.
@@ -369,25 +423,34 @@ class Endpoint:
         self._waiting = [waiting for waiting in self._waiting if not obsolete(waiting)]
         return dropped
 
-    def send_record(self, record: Record, now_s: float, *, session: int | None = None) -> tuple[int, bytes]:
+    def send_record(self, record: Record, now_s: float, *, session: int | None = None) -> Sent:
         """Queue a record on its channel; it leaves with the next flushes, behind those queued before it.
+
+        What is to be signed gets its code here, and nowhere else.
 
         Args:
             record: what to send.
             now_s: when; it must not stand still on the bus for longer than the time-out of transfers.
             session: the tag it carries; the endpoint's own where not given.
 
-        Returns:
-            The sequence it goes out with, which a reply names, and the envelope's bytes.
-
         Raises:
             RecordError: the record does not belong in such a session, or outside one.
         """
         channel = record.CHANNEL
         self._sent[channel] += 1
-        payload = records.pack(record, self.session if session is None else session, self._sent[channel])
+        sequence = self._sent[channel]
+        signed = self._signed(record, sequence)
+        payload = records.pack(signed, self.session if session is None else session, sequence)
         self._transfers[channel].send(payload, now_s)
-        return self._sent[channel], payload
+        return Sent(signed, sequence, payload)
+
+    def _signed(self, record: Record, sequence: int) -> Record:
+        match record:
+            case Open():
+                return self._key.sign_open(record)
+            case SignedRecord() if self._codes is not None:
+                return self._codes.sign(record, sequence)
+        return record
 
     def is_fd(self, can_id: int) -> bool:
         """Whether frames with this identifier leave as CAN FD."""

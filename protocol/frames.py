@@ -97,7 +97,7 @@ class RuntimeStop(Frame):
 
 @dataclass(frozen=True)
 class RuntimeHeartbeat(Frame):
-    """What the runtime asks for, as a level. The link fills in the echo."""
+    """What the runtime asks for, as a level. The link fills in echo and tag."""
 
     SENDER: ClassVar[Side] = Side.RUNTIME
 
@@ -105,11 +105,12 @@ class RuntimeHeartbeat(Frame):
     epoch: int
     cause: StopCause = StopCause.NONE
     echo: int = ECHO_NONE
+    tag: int = 0
 
 
 @dataclass(frozen=True)
 class ControllerHeartbeat(Frame):
-    """The controller's state and inputs. The link fills in the echo."""
+    """The controller's state and inputs. The link fills in echo and tag."""
 
     SENDER: ClassVar[Side] = Side.CONTROLLER
 
@@ -120,6 +121,7 @@ class ControllerHeartbeat(Frame):
     emergency_stop_ok: bool
     cutting_mode: bool
     echo: int = ECHO_NONE
+    tag: int = 0
 
 
 @dataclass(frozen=True)
@@ -144,11 +146,12 @@ class Joints23(Frame):
 
 @dataclass(frozen=True)
 class Joint4(Frame):
-    """Joint 4 in counts of 0.005 deg."""
+    """Joint 4 in counts of 0.005 deg. The link fills in the tag of the whole sample."""
 
     SENDER: ClassVar[Side] = Side.CONTROLLER
 
     q4: int
+    tag: int = 0
 
 
 @dataclass(frozen=True)
@@ -212,13 +215,18 @@ def _kinds(kind: type[Frame]) -> tuple[tuple[str, type[int]], ...]:
     return _KINDS[kind]
 
 
-def encode_frame(frame: Frame, counter: int, tag: int) -> tuple[int, bytes]:
-    """Identifier and eight protected bytes of a frame, for this counter and session tag."""
+def payload_of(frame: Frame) -> bytes:
+    """The five bytes that a frame says, before they are protected."""
     message = message_of(type(frame))
     signals: dict[str, Any] = {signal.name: 0 for signal in message.signals}
     signals |= {name: int(getattr(frame, name)) for name, _ in _kinds(type(frame))}
-    plain = message.encode(signals, scaling=False)
-    return message.frame_id, protect(bytes(plain[3:]), counter, DATA_IDS[message.frame_id], tag)
+    return bytes(message.encode(signals, scaling=False)[3:])
+
+
+def encode_frame(frame: Frame, counter: int, tag: int) -> tuple[int, bytes]:
+    """Identifier and eight protected bytes of a frame, for this counter and session tag."""
+    can_id = IDS[type(frame)]
+    return can_id, protect(payload_of(frame), counter, DATA_IDS[can_id], tag)
 
 
 def decode_frame(can_id: int, data: bytes) -> Frame:

@@ -1,25 +1,28 @@
 """One side's view of the single frames: counters, age, and the other node that must not be there.
 
 Pure: the caller brings each frame and the time. What is accepted has passed identifier, CRC (with data ID and
-session tag), counter and content; what is not says why, and whether motion must stop for it.
+session tag), counter and content, a heartbeat and a joint sample also the tag that only a holder of the key can make;
+what is not says why, and whether motion must stop for it.
 
 How a :class:`Link` is used, one on either side:
 
-- :meth:`Link.open` with the session's tag, once both sides have agreed on it; :meth:`Link.close` at its end.
+- :meth:`Link.open` with the session's codes, once both sides have agreed on it; :meth:`Link.close` at its end.
 - Every frame from the bus goes through :meth:`Link.receive`, which raises nothing and returns one of five outcomes:
   :class:`Accepted` may be acted on, a :class:`Violation` stops motion, :class:`Discarded` and :class:`Unlisted`
   change nothing, and what is :class:`ForTransfer` belongs to that channel's transfer.
-- Before a frame leaves, :meth:`Link.encode` gives it counter, echo and CRC. It sends nothing; whoever finds out that
-  the frame never left says so with :meth:`Link.take_back` before the next one of its identifier is made.
+- Before a frame leaves, :meth:`Link.encode` gives it counter, echo, tag and CRC. It sends nothing; whoever finds out
+  that the frame never left says so with :meth:`Link.take_back` before the next one of its identifier is made.
 - Once a cycle, before anything is acted on, look at the clock with :meth:`Link.expire`.
 
 ``endpoint.Endpoint`` does all of this. A peer is fresh once it answers: its first heartbeat answers nothing, enables
 nothing, and the second does::
 
+    >>> from cutgate.protocol.codes import PresharedKey
     >>> from cutgate.protocol.states import ControllerState, RuntimeCode
+    >>> codes = PresharedKey(bytes(32)).session(bytes(range(32)))
     >>> runtime, controller = (Link(side, timeout_s=0.1, heartbeat_s=0.02) for side in Side)
     >>> for link in (runtime, controller):
-    ...     link.open(tag=7, now_s=0.0)
+    ...     link.open(codes, now_s=0.0)
     >>> inhibit = RuntimeHeartbeat(RuntimeCode.INHIBIT, epoch=0)
     >>> first = controller.receive(*runtime.encode(inhibit, now_s=0.01), now_s=0.01)
     >>> first.frame.code.name, first.fresh
@@ -36,15 +39,20 @@ nothing, and the second does::
     True
     >>> controller.receive(*runtime.encode(inhibit, now_s=0.03), now_s=0.03).fresh
     True
-    >>> controller.expire(now_s=0.13), controller.expire(now_s=0.14).name
+
+The time-out runs from the sending of what was echoed last, at 0.02 s: whoever holds a frame back gains nothing::
+
+    >>> controller.expire(now_s=0.12), controller.expire(now_s=0.121).name
     (None, 'HEARTBEAT_LOST')
 """
 
+import hmac
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 
 from cutgate.protocol.arrays import Floats
+from cutgate.protocol.codes import NO_ECHO, SessionCodes
 from cutgate.protocol.e2e import COUNTER_MODULUS, CorruptionCount, Sequence, Step, intact
 from cutgate.protocol.frames import (
     DATA_IDS,
@@ -64,6 +72,7 @@ from cutgate.protocol.frames import (
     decode_frame,
     encode_frame,
     joint_values,
+    payload_of,
 )
 from cutgate.protocol.states import StopCause, StopCode
 from cutgate.protocol.wire import Channel, Side
@@ -72,16 +81,28 @@ NO_SESSION = 0
 """The tag of a closed link."""
 
 STOP_ID = IDS[RuntimeStop]
-PERIODS_MIN = 3
+_HEARTBEATS = (RuntimeHeartbeat, ControllerHeartbeat)
+_HEARTBEAT_IDS = frozenset(IDS[kind] for kind in _HEARTBEATS)
+_JOINTS = (Joints01, Joints23, Joint4)
+_JOINT_IDS = tuple(IDS[kind] for kind in _JOINTS)
+PERIODS_MIN = 4
+"""The time-out runs from the sending of what is echoed: two periods on the way there and back, and two may be lost."""
+PERIODS_MAX = COUNTER_MODULUS - 2
+"""An echo of 255 is none until one was heard: none of our first 255 heartbeats may be that old."""
+COVERED_BYTES = 2
+"""So many bytes at the end of a heartbeat are covered by its tag, beside counter and echo."""
+SAMPLE_TIMEOUTS = 2
+"""A joint sample that may be older than so many time-outs is none."""
 ROUNDED = 1.0 + 1e-9
-"""Three times 0.1 s are more than 0.3 s in binary."""
+"""Four times 0.1 s are more than 0.4 s in binary."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointSample:
-    """Measured joints of one counter value, (rad, rad, mm, rad, rad), and when the last part came.
+    """Measured joints of one cycle of the controller, (rad, rad, mm, rad, rad), and when the last part came.
 
     Attributes:
+        counter: of the cycle's heartbeat, extended to 32 bits.
         measured_s: the joints are no older than this, by the receiver's own clock: what the heartbeat of their counter
             echoes was sent then, so that the peer's cycle in which both were made came later. Where that heartbeat was
             lost or proved nothing, one before it says so; minus infinity where none does.
@@ -161,17 +182,20 @@ class Link:
     - A frame on an identifier that only this side sends on is a second node, also while the link is closed.
     - While the link is closed everything else is discarded.
     - Anything on the stop identifier that is not a sound stop or end is a stop.
-    - A heartbeat refreshes only if it echoes one of ours that was sent no longer than the time-out ago.
-    - A joint sample is as old as the heartbeat of its counter, whenever it arrives.
+    - A heartbeat and a joint sample whose tag does not fit stop: counter and echo of 8 bits are extended to 32 from what
+      was heard and sent before, never resynchronised, so that nothing fits twice.
+    - A heartbeat refreshes only if it echoes one of ours that was sent no longer than the time-out ago; the time-out then
+      runs from that sending.
+    - A joint sample is as old as the heartbeat of its counter, whenever it arrives; older than two time-outs it is none.
     - Never seen is stale.
     - An FD frame is unsound, but for the bulk channel where ``fd`` says so; there a classic one is.
     """
 
     def __init__(self, side: Side, timeout_s: float, heartbeat_s: float, *, fd: bool = False) -> None:
         enough = PERIODS_MIN * heartbeat_s <= timeout_s * ROUNDED
-        if not (enough and timeout_s < COUNTER_MODULUS * heartbeat_s):
+        if not (enough and timeout_s <= PERIODS_MAX * heartbeat_s * ROUNDED):
             raise ValueError(
-                f"time-out {timeout_s} s must be {PERIODS_MIN} to {COUNTER_MODULUS - 1} heartbeats of {heartbeat_s} s"
+                f"time-out {timeout_s} s must be {PERIODS_MIN} to {PERIODS_MAX} heartbeats of {heartbeat_s} s"
             )
         self.side = side
         self.timeout_s = timeout_s
@@ -180,36 +204,45 @@ class Link:
         self._clear()
 
     def _clear(self) -> None:
-        self.tag = NO_SESSION
+        self._codes: SessionCodes | None = None
         self.statistics = Statistics()
         self.sample: JointSample | None = None
         self._opened_s: float | None = None
         self._refreshed_s: float | None = None
+        self._made = -1
+        """Our last heartbeat's counter, extended to 32 bits; -1 before the first."""
+        self._echoing_from: int | None = None
+        """The first of our heartbeats that echoed one of the peer's."""
         self._sent_s: dict[int, float] = {}
-        self._echoing: set[int] = set()
         self._answered = False
-        self._peer_counter: int | None = None
         self._heard = False
+        """Whether the peer has echoed anything of ours."""
+        self._peer: int | None = None
+        """The last accepted heartbeat's counter, extended to 32 bits."""
         self._counters: dict[int, int] = {}
         self._sequences: dict[int, Sequence] = {}
         self._corruption = CorruptionCount()
         self._parts: dict[int, tuple[int, Frame]] = {}
-        self._cycles: dict[int, int] = {}
+        self._counts: list[int] = []
+        """The joints of the sample that is being encoded, in counts."""
         self._proved: deque[tuple[int, float]] = deque(maxlen=COUNTER_MODULUS)
 
-    def open(self, tag: int, now_s: float) -> None:
+    def open(self, codes: SessionCodes, now_s: float) -> None:
         """Begin a session: counters from 0, nothing seen, nothing fresh. From now on the peer's time-out runs.
 
         Raises:
-            ValueError: the tag is 0, which means no session, or is none.
+            ValueError: the session's tag is 0, which means no session.
         """
-        if not 0 < tag < 1 << 32:
-            raise ValueError(
-                f"session tag is {tag}, must be in 1..4294967295: the runtime draws another nonce"
-            )
+        if codes.tag == NO_SESSION:
+            raise ValueError("session tag is 0, which means no session: the runtime draws another nonce")
         self._clear()
-        self.tag = tag
+        self._codes = codes
         self._opened_s = now_s
+
+    @property
+    def tag(self) -> int:
+        """The session's tag, 0 while the link is closed."""
+        return NO_SESSION if self._codes is None else self._codes.tag
 
     def close(self) -> None:
         """End the session; nothing is accepted until the next one."""
@@ -229,42 +262,73 @@ class Link:
         return self._opened_s is not None
 
     def encode(self, frame: Frame, now_s: float) -> tuple[int, bytes]:
-        """Identifier and bytes to send now. Fills in the echo; the three joint frames share a counter.
+        """Identifier and bytes to send now. Fills in echo and tag; the joint frames take their heartbeat's counter.
 
-        Encode in the order in which the frames are to leave, the three joint frames in theirs. Without a session the
-        frame carries tag 0, which no open link accepts.
+        Encode in the order in which the frames are to leave: a cycle's heartbeat before its joints, the three joint frames
+        in theirs. Without a session the frame carries tag 0, which no open link accepts.
 
         Raises:
             FrameError: the frame is the other side's.
         """
         if frame.SENDER is not self.side:
             raise FrameError(f"{type(frame).__name__} is never sent by the {self.side.name.lower()}")
+        match frame:
+            case RuntimeHeartbeat() | ControllerHeartbeat():
+                return encode_frame(self._heartbeat(frame, now_s), self._made % COUNTER_MODULUS, self.tag)
+            case Joints01() | Joints23() | Joint4():
+                return encode_frame(self._joints(frame), self._made % COUNTER_MODULUS, self.tag)
+            case RuntimeStop():
+                frame = replace(frame, echo=self._echo % COUNTER_MODULUS)
         can_id = IDS[type(frame)]
-        counter = self._next_counter(frame, can_id)
-        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat | RuntimeStop):
-            echo = ECHO_NONE if self._peer_counter is None else self._peer_counter
-            frame = replace(frame, echo=echo)
-        if isinstance(frame, RuntimeHeartbeat | ControllerHeartbeat):
-            self._sent_s[counter] = now_s
-            if self._peer_counter is not None:
-                self._echoing.add(counter)
+        counter = (self._counters.get(can_id, COUNTER_MODULUS - 1) + 1) % COUNTER_MODULUS
+        self._counters[can_id] = counter
         return encode_frame(frame, counter, self.tag)
 
-    def _next_counter(self, frame: Frame, can_id: int) -> int:
-        """The counter this frame goes out with; the second and third part of a sample take the first one's."""
-        if isinstance(frame, Joints23 | Joint4):
-            counter = self._counters.get(IDS[Joints01], COUNTER_MODULUS - 1)
-        else:
-            counter = (self._counters.get(can_id, COUNTER_MODULUS - 1) + 1) % COUNTER_MODULUS
-        self._counters[can_id] = counter
-        return counter
+    @property
+    def _echo(self) -> int:
+        """What we echo, extended to 32 bits."""
+        return NO_ECHO if self._peer is None else self._peer
+
+    def _heartbeat(
+        self, frame: RuntimeHeartbeat | ControllerHeartbeat, now_s: float
+    ) -> RuntimeHeartbeat | ControllerHeartbeat:
+        """The next heartbeat, with echo and tag."""
+        self._made += 1
+        self._sent_s[self._made] = now_s
+        self._sent_s.pop(self._made - COUNTER_MODULUS, None)
+        if self._echoing_from is None and self._peer is not None:
+            self._echoing_from = self._made
+        echo = self._echo
+        frame = replace(frame, echo=echo % COUNTER_MODULUS)
+        if self._codes is None:
+            return frame
+        covered = payload_of(frame)[-COVERED_BYTES:]
+        return replace(frame, tag=self._codes.heartbeat_tag(self.side, self._made, echo, covered))
+
+    def _joints(self, frame: Joints01 | Joints23 | Joint4) -> Joints01 | Joints23 | Joint4:
+        """A part of the sample; the last one takes the tag of all."""
+        match frame:
+            case Joints01():
+                self._counts = [frame.q0, frame.q1]
+            case Joints23():
+                self._counts = [*self._counts[:2], frame.q2, frame.q3]
+            case Joint4() if self._codes is not None and self._made >= 0:
+                tag = self._codes.sample_tag(self._made, (*self._counts[:4], frame.q4))
+                return replace(frame, tag=tag)
+        return frame
 
     def take_back(self, can_id: int) -> None:
-        """The last frame made for this identifier never left: its counter is the next one's, and nobody echoes it."""
-        counter = self._counters.get(can_id, 0)
-        self._counters[can_id] = (counter - 1) % COUNTER_MODULUS
-        if can_id in (IDS[RuntimeHeartbeat], IDS[ControllerHeartbeat]):
-            self._sent_s.pop(counter, None)
+        """The last frame made for this identifier never left: its counter is the next one's, and nobody echoes it.
+
+        Joint frames have no counter of their own: they go with their heartbeat.
+        """
+        if can_id in _HEARTBEAT_IDS:
+            self._sent_s.pop(self._made, None)
+            self._made -= 1
+            if self._echoing_from is not None and self._echoing_from > self._made:
+                self._echoing_from = None
+        elif can_id not in _JOINT_IDS:
+            self._counters[can_id] = (self._counters.get(can_id, 0) - 1) % COUNTER_MODULUS
 
     def receive(
         self,
@@ -344,22 +408,46 @@ class Link:
             return Violation(
                 StopCause.SEQUENCE_ERROR, f"{can_id:#05x} counter {data[2]} after a gap of {lost}"
             )
+        if can_id in _HEARTBEAT_IDS:
+            return self._heard_heartbeat(can_id, data, lost, now_s)
         try:
             frame = decode_frame(can_id, data)
         except FrameError as error:
             return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
         self._count(accepted=1, losses=lost)
-        fresh, sample = True, None
-        match frame:
-            case RuntimeHeartbeat() | ControllerHeartbeat():
-                self._peer_counter = data[2]
-                cycle, fresh = self._cycle_of(can_id, data[2], lost), self._refresh(frame.echo, now_s)
-                if fresh:
-                    self._proved.append((cycle, self._sent_s.get(frame.echo, -math.inf)))
-            case Joints01() | Joints23() | Joint4():
-                self._parts[can_id] = (self._cycle_of(can_id, data[2], lost), frame)
-                sample = self._complete(now_s)
-        return Accepted(frame, data[2], lost, fresh, sample)
+        if not isinstance(frame, _JOINTS):
+            return Accepted(frame, data[2], lost)
+        if self._peer is None:  # a part of a cycle whose heartbeat we have not heard
+            return Accepted(frame, data[2], lost)
+        self._parts[can_id] = (_nearest(data[2], self._peer), frame)
+        return self._complete(Accepted(frame, data[2], lost), now_s)
+
+    def _heard_heartbeat(self, can_id: int, data: bytes, lost: int, now_s: float) -> Outcome:
+        """Accepted if its tag fits; then it may refresh."""
+        assert self._codes is not None  # noqa: S101 - the link is open
+        counter = data[2] if self._peer is None else self._peer + 1 + lost
+        echo = self._echoed(data[5])
+        if not 0 <= echo <= NO_ECHO or not _fits(
+            self._codes.heartbeat_tag(self.side.peer, counter, echo, data[-COVERED_BYTES:]),
+            int.from_bytes(data[3:5], "little"),
+        ):
+            return _no_fit(f"heartbeat {can_id:#05x}", counter)
+        try:
+            frame = decode_frame(can_id, data)
+        except FrameError as error:
+            return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
+        self._count(accepted=1, losses=lost)
+        self._peer = counter
+        fresh = self._refresh(echo, now_s)
+        if fresh:
+            self._proved.append((counter, self._sent_s[echo]))
+        return Accepted(frame, data[2], lost, fresh)
+
+    def _echoed(self, echo: int) -> int:
+        """The heartbeat of ours that is echoed, extended to 32 bits: the last one made that ends so, negative if none."""
+        if echo == ECHO_NONE and not self._heard:
+            return NO_ECHO
+        return self._made - (self._made - echo) % COUNTER_MODULUS
 
     def _corrupt(self, can_id: int, now_s: float) -> Outcome:
         self._count(crc_failures=1)
@@ -371,33 +459,34 @@ class Link:
 
     def _refresh(self, echo: int, now_s: float) -> bool:
         """Refresh only for an echo of a heartbeat that we sent no longer than the time-out ago."""
-        none_yet = echo == ECHO_NONE and not self._heard
-        sent_s = None if none_yet else self._sent_s.get(echo)
-        if sent_s is not None and 0.0 <= now_s - sent_s <= self.timeout_s:
-            self._heard = True
-            self._answered = self._answered or echo in self._echoing
-            self._refreshed_s = now_s
-            return True
-        self._count(stale_heartbeats=1)
-        return False
+        sent_s = self._sent_s.get(echo)
+        if sent_s is None or not 0.0 <= now_s - sent_s <= self.timeout_s:
+            self._count(stale_heartbeats=1)
+            return False
+        self._heard = True
+        self._answered = self._answered or (self._echoing_from is not None and echo >= self._echoing_from)
+        self._refreshed_s = sent_s if self._refreshed_s is None else max(self._refreshed_s, sent_s)
+        return True
 
-    def _cycle_of(self, can_id: int, counter: int, lost: int) -> int:
-        """The sender's cycle since the session was opened: its counter, counted on where that rolls over."""
-        before = self._cycles.get(can_id, counter - 1)
-        self._cycles[can_id] = before + 1 + lost
-        return self._cycles[can_id]
-
-    def _complete(self, now_s: float) -> JointSample | None:
-        """The sample, once all three parts of one cycle are here."""
-        parts = [self._parts.get(IDS[kind]) for kind in (Joints01, Joints23, Joint4)]
+    def _complete(self, accepted: Accepted, now_s: float) -> Outcome:
+        """The sample, once all three parts of one cycle are here, if its tag fits and it is young enough to be one."""
+        assert self._codes is not None  # noqa: S101 - the link is open
+        parts = [self._parts.get(can_id) for can_id in _JOINT_IDS]
         cycles, frames = {part[0] for part in parts if part}, [part[1] for part in parts if part]
         match frames:
             case [Joints01() as first, Joints23() as second, Joint4() as third] if len(cycles) == 1:
                 (cycle,) = cycles
-                joints, measured_s = joint_values(first, second, third), self._no_older_than(cycle)
-                self.sample = JointSample(joints, cycle % COUNTER_MODULUS, now_s, measured_s)
-                return self.sample
-        return None
+            case _:
+                return accepted
+        self._parts.clear()
+        counts = (first.q0, first.q1, second.q2, second.q3, third.q4)
+        if cycle < 0 or not _fits(self._codes.sample_tag(cycle, counts), third.tag):
+            return _no_fit("joint sample", cycle)
+        measured_s = self._no_older_than(cycle)
+        if not now_s - measured_s <= SAMPLE_TIMEOUTS * self.timeout_s:
+            return accepted
+        self.sample = JointSample(joint_values(first, second, third), cycle, now_s, measured_s)
+        return replace(accepted, sample=self.sample)
 
     def _no_older_than(self, cycle: int) -> float:
         """The last moment that is proved to lie before this cycle of the peer."""
@@ -430,3 +519,20 @@ class Link:
     def _since_s(self) -> float | None:
         """Since when the time-out runs; None while the link is closed."""
         return self._opened_s if self._refreshed_s is None else self._refreshed_s
+
+
+def _nearest(counter: int, heartbeat: int) -> int:
+    """A joint frame's counter of 8 bits, extended: the one nearest to the last heartbeat's, before or after it."""
+    half = COUNTER_MODULUS // 2
+    return heartbeat + (counter - heartbeat + half) % COUNTER_MODULUS - half
+
+
+def _fits(made: int, sent: int) -> bool:
+    """Whether two tags are equal, in constant time."""
+    return hmac.compare_digest(made.to_bytes(4, "little"), sent.to_bytes(4, "little"))
+
+
+def _no_fit(what: str, counter: int) -> Violation:
+    return Violation(
+        StopCause.AUTHENTICATION_FAILED, f"{what} {counter}: its tag is none that a holder of the key made"
+    )

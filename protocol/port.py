@@ -16,11 +16,12 @@ Two ports on one bus::
     >>> from cutgate.protocol.wire import Side
     >>> buses = [can.Bus(channel="port", interface="virtual") for _side in Side]
     >>> runtime, controller = (
-    ...     Port(bus, Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0))
+    ...     Port(bus, Endpoint(side, bytes(32), heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0))
     ...     for side, bus in zip(Side, buses, strict=True)
     ... )
     >>> for port in (runtime, controller):
-    ...     port.endpoint.link.open(7, now_s=0.0)
+    ...     port.endpoint.use_session(bytes(range(32)))
+    ...     port.endpoint.open_link(now_s=0.0)
     >>> runtime.endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP), now_s=0.01)
     >>> controller.read(now_s=0.01)  # queued is not sent
     []

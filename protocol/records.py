@@ -26,7 +26,11 @@ import zlib
 from dataclasses import dataclass
 
 from cutgate.protocol.conversation import (
+    AGE_UNKNOWN,
     NO_MAC,
+    NO_PLACE,
+    NO_TIME,
+    NO_TREE_HEAD,
     PLANT_SPEED_PERMILLE_MAX,
     PROTOCOL_VERSION,
     Acknowledge,
@@ -39,6 +43,7 @@ from cutgate.protocol.conversation import (
     NonceRequest,
     Open,
     Opened,
+    OtherVersion,
     PathStored,
     Permit,
     Reply,
@@ -46,7 +51,9 @@ from cutgate.protocol.conversation import (
     SignedRecord,
     Start,
     Timing,
-    nonce_serves,
+    TreeHead,
+    Withdraw,
+    opens,
     session_digest,
     session_tag,
 )
@@ -66,9 +73,13 @@ from cutgate.protocol.path import (
 from cutgate.protocol.wire import Channel, Record, RecordError, Side, digest
 
 __all__ = [
+    "AGE_UNKNOWN",
     "BLOCK_BYTES",
     "ENVELOPE_BYTES_MAX",
     "NO_MAC",
+    "NO_PLACE",
+    "NO_TIME",
+    "NO_TREE_HEAD",
     "PATH_BYTES_MAX",
     "PLANT_SPEED_PERMILLE_MAX",
     "POSES_MAX",
@@ -91,6 +102,7 @@ __all__ = [
     "NonceRequest",
     "Open",
     "Opened",
+    "OtherVersion",
     "Path",
     "PathBlock",
     "PathCodes",
@@ -105,11 +117,13 @@ __all__ = [
     "Start",
     "Timing",
     "Tool",
+    "TreeHead",
+    "Withdraw",
     "block_of_pose",
     "digest",
     "joints_to_counts",
     "joints_to_memory",
-    "nonce_serves",
+    "opens",
     "pack",
     "session_digest",
     "session_tag",
@@ -134,6 +148,7 @@ RECORDS: dict[int, type[Record]] = {
         Start,
         Reset,
         Acknowledge,
+        Withdraw,
         Reply,
         Limits,
         Calibration,
@@ -144,6 +159,8 @@ RECORDS: dict[int, type[Record]] = {
     )
 }
 """Every record by its type; any other type is refused."""
+_VERSIONED = (Announce, Open)
+"""Their first field is the protocol version; it is read before the rest, which another version may lay out otherwise."""
 
 
 @dataclass(frozen=True)
@@ -220,4 +237,11 @@ def unpack(data: bytes, *, sender: Side | None = None, channel: Channel | None =
     if channel is not None and kind.CHANNEL is not channel:
         raise RecordError(f"{kind.__name__} does not belong on the {channel.name.lower()} channel")
     _refuse_wrong_session(kind, session)
-    return Envelope(code, session, sequence, kind.parse(data[_HEAD.size : -_CRC.size]))
+    return Envelope(code, session, sequence, _parsed(kind, data[_HEAD.size : -_CRC.size]))
+
+
+def _parsed(kind: type[Record], body: bytes) -> Record:
+    version = int.from_bytes(body[:2], "little")
+    if kind in _VERSIONED and len(body) >= 2 and version != PROTOCOL_VERSION:
+        return OtherVersion(kind.TYPE, version)
+    return kind.parse(body)

@@ -1,39 +1,43 @@
 """The codes and enumerations both sides of the bus share.
 
-State and command codes are the code words of the first-order Reed-Muller code RM(1, 4): any two of them,
-and each of them and 0x0000 or 0xFFFF, differ in at least eight bits, so that no small corruption turns one
-order into another.
+The codes of stop and fault frames, which nothing but a CRC protects, are code words of the first-order Reed-Muller code
+RM(1, 4): any two of them, and each of them and 0x0000 or 0xFFFF, differ in at least eight bits, so that no small
+corruption turns one into another. What the heartbeats say is covered by their tag.
 """
 
 from enum import IntEnum, unique
+from typing import Final
+
+EPOCHS: Final = 32
+"""The epoch, which counts stops, is taken modulo this: five bits of every heartbeat."""
 
 
 @unique
 class RuntimeCode(IntEnum):
-    """What the runtime's heartbeat asks for. The controller moves only while the last fresh one says CUT."""
+    """What the runtime's heartbeat asks for, three bits. The controller moves only while the last fresh one says CUT."""
 
-    INHIBIT = 0x0F0F
-    READY = 0x3333
-    CUT = 0x5555
+    INHIBIT = 1
+    READY = 2
+    CUT = 4
 
 
 @unique
 class ControllerState(IntEnum):
-    """What the controller's heartbeat reports."""
+    """What the controller's heartbeat reports, three bits; 0 is never sent."""
 
-    INHIBITED = 0x3C3C
+    INHIBITED = 1
     """No session: power-up, or a stop ended it."""
-    OPEN = 0x00FF
+    OPEN = 2
     """A session is open; no path is stored."""
-    LOADED = 0x6666
+    LOADED = 3
     """A path is stored whole and has passed the controller's own checks."""
-    PERMITTED = 0x5A5A
+    PERMITTED = 4
     """Cutting mode: the cutter may spin up. No motion."""
-    CUTTING = 0x6969
+    CUTTING = 5
     """The arm moves along the stored path."""
-    DONE = 0x0FF0
+    DONE = 6
     """The path's end was reached; cutting mode is off."""
-    FAULT = 0x33CC
+    FAULT = 7
     """Latched; left only by an authenticated reset after the cause was acknowledged."""
 
 
@@ -102,7 +106,7 @@ LATCHING = frozenset(
 """Causes that latch: only acknowledge and then an authenticated reset leave them."""
 
 WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED})
-"""Causes after which the registration may never be permitted again, by whatever way they arrive."""
+"""Causes after which the registration may never be permitted again, where only a holder of the key can have said so."""
 
 
 @unique
@@ -122,7 +126,7 @@ class Refusal(IntEnum):
     PROTOCOL_VERSION = 1
     SESSION_IN_USE = 2
     TIMING_OUT_OF_BOUNDS = 3
-    WRONG_BOOT = 4
+    ANNOUNCE_NONCE = 4
     WRONG_SESSION = 5
     WRONG_SERIAL = 6
     NOT_IN_STATE = 7
@@ -161,3 +165,7 @@ class Refusal(IntEnum):
     WRONG_CAUSE = 40
     MEMORY_FULL = 41
     MEMORY_FAILED = 42
+    IDENTITY_DIGEST = 43
+    WITHDRAWAL_DUE = 44
+    REGISTRATION_TOO_EARLY = 45
+    LOG_NOT_CONTINUED = 46

@@ -54,15 +54,16 @@ class Codec(Protocol):
 
 @dataclass(frozen=True)
 class Integer:
-    """A little-endian integer of `size` bytes."""
+    """A little-endian integer of `size` bytes, of which the lowest `bits` are used; all of them if 0."""
 
     size: int
     signed: bool = False
+    bits: int = 0
 
     @property
     def bounds(self) -> tuple[int, int]:
         """Least and greatest value, both inside."""
-        bits = 8 * self.size
+        bits = self.bits or 8 * self.size
         return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.signed else (0, (1 << bits) - 1)
 
     def pack(self, value: Any) -> bytes:
@@ -75,7 +76,7 @@ class Integer:
         return int(value).to_bytes(self.size, "little", signed=self.signed)
 
     def parse(self, data: bytes) -> int:
-        """Every bit pattern is an integer."""
+        """Every bit pattern is an integer; one that is out of bounds, the record refuses."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
@@ -202,15 +203,19 @@ U8 = Annotated[int, Integer(1)]
 U16 = Annotated[int, Integer(2)]
 U32 = Annotated[int, Integer(4)]
 I16 = Annotated[int, Integer(2, signed=True)]
+U64 = Annotated[int, Integer(8)]
 I64 = Annotated[int, Integer(8, signed=True)]
+Epoch = Annotated[int, Integer(1, bits=5)]
+Flag = Annotated[int, Integer(1, bits=1)]
 Counts2 = Annotated[tuple[int, ...], Integers(2)]
 Counts5 = Annotated[tuple[int, ...], Integers(5)]
 Nonce16 = Annotated[bytes, Blob(16)]
+LogId16 = Annotated[bytes, Blob(16)]
 Mac16 = Annotated[bytes, Blob(16)]
 Digest32 = Annotated[bytes, Blob(32)]
 Ascii16 = Annotated[str, Ascii(16)]
 CauseCode = Annotated[StopCause, Enumeration(StopCause, 1)]
-StateCode = Annotated[ControllerState, Enumeration(ControllerState, 2)]
+StateCode = Annotated[ControllerState, Enumeration(ControllerState, 1)]
 PurposeCode = Annotated[Purpose, Enumeration(Purpose, 1)]
 RefusalCode = Annotated[Refusal, Enumeration(Refusal, 1)]
 

@@ -7,7 +7,7 @@ import pytest
 
 from cutgate.config.constants import (
     CONSTANTS,
-    SITE_TIMEOUT_HEARTBEATS,
+    EARLIER_TIMEOUT_HEARTBEATS,
     TABLE,
     TIMEOUT_HEARTBEATS,
     markdown,
@@ -43,8 +43,8 @@ def test_the_page_is_current():
 
 
 def test_the_default_time_out_spans_four_heartbeats_and_the_least_the_protocols_three():
-    assert CONSTANTS["timeout_ms"].default >= SITE_TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].default
-    assert CONSTANTS["timeout_ms"].low >= TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].low
+    assert CONSTANTS["timeout_ms"].default >= TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].default
+    assert CONSTANTS["timeout_ms"].low >= EARLIER_TIMEOUT_HEARTBEATS * CONSTANTS["heartbeat_ms"].low
 
 
 def test_exchanged_constants_are_those_of_the_open_record():

@@ -11,7 +11,7 @@ from cutgate import protocol
 MODULES = [
     import_module(f"cutgate.protocol.{found.name}") for found in pkgutil.iter_modules(protocol.__path__)
 ]
-SHOWN = {"conversation", "cycle", "differences", "endpoint", "link", "port", "records", "transfer"}
+SHOWN = {"codes", "conversation", "cycle", "differences", "endpoint", "link", "port", "records", "transfer"}
 """Those that have some."""
 
 

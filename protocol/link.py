@@ -410,17 +410,20 @@ class Link:
             )
         if can_id in _HEARTBEAT_IDS:
             return self._heard_heartbeat(can_id, data, lost, now_s)
+        return self._heard_other(can_id, data, lost, now_s)
+
+    def _heard_other(self, can_id: int, data: bytes, lost: int, now_s: float) -> Outcome:
+        """Accepted; a joint frame may complete a sample, unless nothing was heard yet that tells of which cycle it is."""
         try:
             frame = decode_frame(can_id, data)
         except FrameError as error:
             return Violation(StopCause.PROTOCOL_VIOLATION, str(error))
         self._count(accepted=1, losses=lost)
-        if not isinstance(frame, _JOINTS):
-            return Accepted(frame, data[2], lost)
-        if self._peer is None:  # a part of a cycle whose heartbeat we have not heard
-            return Accepted(frame, data[2], lost)
+        accepted = Accepted(frame, data[2], lost)
+        if not isinstance(frame, _JOINTS) or self._peer is None:
+            return accepted
         self._parts[can_id] = (_nearest(data[2], self._peer), frame)
-        return self._complete(Accepted(frame, data[2], lost), now_s)
+        return self._complete(accepted, now_s)
 
     def _heard_heartbeat(self, can_id: int, data: bytes, lost: int, now_s: float) -> Outcome:
         """Accepted if its tag fits; then it may refresh."""

@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from cutgate.protocol.path import BLOCK_BYTES, PathBlock
-from cutgate.protocol.records import RECORDS, Record
+from cutgate.protocol.records import PROTOCOL_VERSION, RECORDS, Announce, Open, Record
 from cutgate.protocol.wire import (
     Ascii,
     Blob,
@@ -54,6 +54,8 @@ def blocks(kind: type[Block]) -> st.SearchStrategy[Block]:
     fields = {
         name: st.integers(*bounds[name]) if name in bounds else values(codec) for name, codec in layout(kind)
     }
+    if kind in (Announce, Open):  # of another version nothing but the version is read
+        fields["protocol_version"] = st.just(PROTOCOL_VERSION)
     return st.builds(kind, **fields)
 
 

@@ -1,5 +1,6 @@
 """Records of the conversation: sessions, branches, what is signed."""
 
+import hashlib
 from dataclasses import replace
 
 import pytest
@@ -9,39 +10,55 @@ from hypothesis import strategies as st
 from cutgate.protocol import conversation
 from cutgate.protocol.conversation import (
     NO_MAC,
+    PROTOCOL_VERSION,
+    Acknowledge,
     Announce,
     Approach,
     Branch,
+    Open,
+    Opened,
     Permit,
     Reset,
     SignedRecord,
     Start,
-    nonce_serves,
+    Withdraw,
+    opens,
     session_digest,
     session_tag,
 )
 from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.protocol.wire import RecordError, digest
-from tests.protocol.strategies import blocks
+from cutgate.protocol.wire import RecordError, digest, layout
+from tests.protocol.strategies import blocks, values
 
 
-@given(st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
-def test_session_tag_depends_on_both_nonces(boot: bytes, runtime: bytes):
-    assert session_tag(boot, runtime) == int.from_bytes(session_digest(boot, runtime)[:4], "little")
-    assert session_digest(boot, runtime) != session_digest(boot, bytes([runtime[0] ^ 1]) + runtime[1:])
-    assert session_digest(boot, runtime) != session_digest(bytes([boot[0] ^ 1]) + boot[1:], runtime)
+@given(blocks(Open), st.data())
+def test_a_session_is_named_by_all_that_its_open_says_but_the_code(request: Open, data: st.DataObject):
+    named = session_digest(request)
+    assert named == hashlib.sha256(b"cutgate/session/2" + request.body()[:-16]).digest()
+    assert session_tag(named) == int.from_bytes(named[:4], "little")
+    assert session_digest(request.with_mac(b"m" * 16)) == named
+    name, codec = data.draw(st.sampled_from(layout(Open)[:-1]))
+    other = data.draw(values(codec).filter(lambda value: value != getattr(request, name)))
+    assert session_digest(replace(request, **{name: other})) != named
 
 
-@pytest.mark.parametrize("lengths", [(15, 16), (16, 17), (32, 0)])
-def test_nonces_of_another_length_are_refused(lengths: tuple[int, int]):
-    with pytest.raises(RecordError, match="must be 16"):
-        session_digest(bytes(lengths[0]), bytes(lengths[1]))
+@given(blocks(Open))
+def test_an_open_whose_tag_is_zero_opens_nothing(request: Open):
+    assert opens(request)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(conversation, "digest", lambda _data: bytes(4) + b"\x01" * 28)
+        assert not opens(request)
 
 
-def test_nonce_that_gives_tag_zero_does_not_serve(monkeypatch: pytest.MonkeyPatch):
-    assert nonce_serves(bytes(16), bytes(16))
-    monkeypatch.setattr(conversation, "digest", lambda _data: bytes(4) + b"\x01" * 28)
-    assert not nonce_serves(bytes(16), bytes(16))
+@given(blocks(Announce), st.data())
+def test_open_names_whatever_an_announcement_says_that_lasts(announce: Announce, data: st.DataObject):
+    """Else a node in between could tell of another controller, or of a plant that runs at another speed."""
+    lasting = {"protocol_version", "firmware_version", "serial", "plant_speed_permille"}
+    name, codec = data.draw(st.sampled_from(layout(Announce)))
+    drawn = st.integers(1, 1_000_000) if name == "plant_speed_permille" else values(codec)
+    other = data.draw(drawn.filter(lambda value: value != getattr(announce, name)))
+    changed = replace(announce, **{name: other}).identity_digest != announce.identity_digest
+    assert changed is (name in lasting)
 
 
 @pytest.mark.parametrize("turns", [(101, 0), (0, -101)])
@@ -51,7 +68,9 @@ def test_turns_no_joint_has_are_refused(turns: tuple[int, int]):
 
 
 def _announce(permille: int) -> Announce:
-    return Announce(3, "firmware", "CG-1", bytes(16), permille, ControllerState.INHIBITED, StopCause.NONE)
+    return Announce(
+        PROTOCOL_VERSION, "firmware", "CG-1", bytes(16), permille, ControllerState.INHIBITED, StopCause.NONE
+    )
 
 
 @pytest.mark.parametrize(("permille", "scale"), [(1, 0.001), (1000, 1.0), (1_000_000, 1000.0)])
@@ -71,18 +90,23 @@ def test_an_approach_faster_than_the_limits_or_not_at_all_is_refused(percent: in
         Approach(1, 1, (0, 0, 0, 0, 0), (0, 0, 0, 0, 0), percent)
 
 
-@pytest.mark.parametrize("kind", [Permit, Start, Reset])
+SIGNED = [Open, Opened, Permit, Start, Reset, Acknowledge, Withdraw]
+
+
+@pytest.mark.parametrize("kind", SIGNED)
 @given(data=st.data())
 def test_everything_but_the_code_is_signed(kind: type[SignedRecord], data: st.DataObject):
     record = data.draw(blocks(kind))
     assert isinstance(record, SignedRecord)
-    assert record.canonical() == kind.DOMAIN + b"\0" + record.with_mac(NO_MAC).body()[:-16]
+    body = record.with_mac(NO_MAC).body()[:-16]
+    assert record.canonical() == kind.DOMAIN + b"\0" + body
+    assert record.canonical(b"s" * 32, 258) == kind.DOMAIN + b"\0" + b"s" * 32 + b"\x02\x01\0\0" + body
     assert record.with_mac(b"m" * 16).code == b"m" * 16
     assert record.with_mac(b"m" * 16).canonical() == record.canonical()
 
 
 def test_domains_differ():
-    assert len({kind.DOMAIN for kind in (Permit, Start, Reset)}) == 3
+    assert len({kind.DOMAIN for kind in SIGNED}) == len(SIGNED)
 
 
 @given(blocks(Permit))

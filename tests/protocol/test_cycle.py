@@ -13,14 +13,13 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import (
     ControllerHeartbeat,
     RuntimeHeartbeat,
-    encode_frame,
 )
 from cutgate.protocol.link import Accepted, Violation
 from cutgate.protocol.port import RETRY_S, Port
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause
 from cutgate.protocol.wire import Side
+from tests.protocol.sessions import DIGEST, KEY, tagged
 
-TAG = 0xC0FFEE
 TIMEOUT_S, HEARTBEAT_S, TRANSFER_S = 0.125, 0.03125, 2.0  # exact, so that bounds are met exactly
 START_S = 50.0
 BEAT = RuntimeHeartbeat(RuntimeCode.CUT, 3)
@@ -66,16 +65,16 @@ class Loop:
         self.clock = Clock()
         self.bus = Bus(self.clock)
         self.endpoint = Endpoint(
-            Side.RUNTIME, heartbeat_s=HEARTBEAT_S, timeout_s=TIMEOUT_S, transfer_timeout_s=TRANSFER_S
+            Side.RUNTIME, KEY, heartbeat_s=HEARTBEAT_S, timeout_s=TIMEOUT_S, transfer_timeout_s=TRANSFER_S
         )
         if opened:
-            self.endpoint.use_session(TAG)
-            self.endpoint.link.open(TAG, START_S)
+            self.endpoint.use_session(DIGEST)
+            self.endpoint.open_link(START_S)
         self.port = Port(self.bus, self.endpoint)
         self.cycle = Cycle(self.port, self.clock)
 
     def arrives(self, counter=0):
-        can_id, data = encode_frame(ANSWER, counter, TAG)
+        can_id, data = tagged(ANSWER, counter, ANSWER.echo)
         self.bus.waiting.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def begin(self, after_s):

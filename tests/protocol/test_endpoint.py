@@ -12,37 +12,28 @@ from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, Runti
 from cutgate.protocol.link import Accepted, Discarded, Violation
 from cutgate.protocol.records import Channel, Side
 from cutgate.protocol.states import ControllerState, Purpose, RuntimeCode, StopCause
+from tests.protocol.sessions import CODES, DIGEST, KEY, OPEN, OTHER_DIGEST, TAG
 
-TAG = 0x12345678
 NOW = 100.0
 BEAT = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
 PERMIT_NONCE = records.Nonce(purpose=Purpose.PERMIT, nonce=bytes(16), epoch=0)
 COLLECT = records.Collect()
-OPEN = records.Open(
-    protocol_version=records.PROTOCOL_VERSION,
-    boot_nonce=bytes(16),
-    runtime_nonce=b"nonce".ljust(16),
-    registration_digest=bytes(32),
-    configuration_digest=bytes(32),
-    verifier_version="test",
-    timing=records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25),
-)
 ANNOUNCE = records.Announce(
     protocol_version=records.PROTOCOL_VERSION,
     firmware_version="test",
     plant_speed_permille=1000,
     serial="SIM-1",
-    boot_nonce=bytes(16),
+    announce_nonce=bytes(16),
     state=ControllerState.INHIBITED,
     cause=StopCause.NONE,
 )
 
 
-def endpoint(side, tag=TAG, *, fd=False):
-    made = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd)
-    if tag:
-        made.use_session(tag)
-        made.link.open(tag, NOW)
+def endpoint(side, named=DIGEST, *, fd=False, key=KEY):
+    made = Endpoint(side, key, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd)
+    if named:
+        made.use_session(named)
+        made.open_link(NOW)
     return made
 
 
@@ -81,11 +72,81 @@ def send_raw(transfer_id, payload, receiver):
     return receiver.receive(transfer_id, data.ljust(8, b"\xcc"), now_s=NOW)
 
 
+# ---------------------------------------------------------------- codes
+
+
+SIGNED = {
+    records.Acknowledge(3, StopCause.OPERATOR_STOP): Side.RUNTIME,
+    records.Withdraw(bytes(32), 5): Side.RUNTIME,
+    records.Opened(3, ControllerState.OPEN, StopCause.NONE): Side.CONTROLLER,
+}
+
+
+@pytest.mark.parametrize(("record", "side"), SIGNED.items(), ids=lambda value: type(value).__name__)
+def test_what_is_to_be_signed_is_signed_for_the_sequence_it_leaves_with(record, side):
+    sender, receiver = endpoint(side), endpoint(side.peer)
+    for sequence in (1, 2):
+        sent = sender.send_record(record, NOW)
+        assert sent.record == CODES.sign(record, sequence) != record
+        _, (item,) = carry(sender, receiver)
+        assert (item.record, item.authentic) == (sent.record, True)
+
+
+@pytest.mark.parametrize(("record", "side"), SIGNED.items(), ids=lambda value: type(value).__name__)
+def test_a_code_made_with_another_key_is_told(record, side):
+    sender, receiver = endpoint(side, key=bytes(32)), endpoint(side.peer)
+    sender.send_record(record, NOW)
+    _, (item,) = carry(sender, receiver)
+    assert not item.authentic
+
+
+def test_a_signed_record_said_again_under_a_later_sequence_is_told():
+    """Its envelope carries no more than a CRC: only the code covers the sequence."""
+    sender, receiver = endpoint(Side.RUNTIME), endpoint(Side.CONTROLLER)
+    sent = sender.send_record(records.Acknowledge(3, StopCause.OPERATOR_STOP), NOW)
+    carry(sender, receiver)
+    sender._transfers[Channel.CONTROL].send(records.pack(sent.record, TAG, 2), NOW)
+    _, (item,) = carry(sender, receiver)
+    assert (item.sequence, item.authentic) == (2, False)
+
+
+@pytest.mark.parametrize(("key", "authentic"), [(KEY, True), (bytes(32), False)])
+def test_an_open_is_signed_with_the_key_of_opens(key, authentic):
+    sender, receiver = endpoint(Side.RUNTIME, None, key=key), endpoint(Side.CONTROLLER, None)
+    sender.send_record(OPEN, NOW)
+    _, (item,) = carry(sender, receiver)
+    assert item.authentic is authentic
+
+
+def test_what_carries_no_code_is_not_called_false(runtime, controller):
+    controller.send_record(PERMIT_NONCE, NOW)
+    _, (item,) = carry(controller, runtime)
+    assert item.authentic
+
+
+def test_without_a_session_nothing_of_one_is_authentic_and_nothing_signed(runtime):
+    controller = endpoint(Side.CONTROLLER, None)
+    opened = records.Opened(3, ControllerState.OPEN, StopCause.NONE)
+    assert controller.send_record(opened, NOW, session=TAG).record == opened
+    assert not controller._authentic(CODES.sign(opened, 1), 1)
+
+
+def test_the_link_opens_with_the_session_in_use():
+    made = endpoint(Side.RUNTIME, None)
+    with pytest.raises(ValueError, match="no session is in use"):
+        made.open_link(NOW)
+    made.use_session(OTHER_DIGEST)
+    made.open_link(NOW)
+    assert made.link.tag == made.session == int.from_bytes(OTHER_DIGEST[:4], "little")
+
+
 # ---------------------------------------------------------------- records
 
 
 def test_a_record_arrives_as_it_was_sent(runtime, controller):
-    sequence, payload = runtime.send_record(records.NonceRequest(purpose=Purpose.START), NOW)
+    sent = runtime.send_record(records.NonceRequest(purpose=Purpose.START), NOW)
+    sequence, payload = sent.sequence, sent.payload
+    assert sent.record == records.NonceRequest(purpose=Purpose.START)
     _, (item,) = carry(runtime, controller)
     assert item == RecordReceived(
         records.NonceRequest(purpose=Purpose.START),
@@ -122,18 +183,18 @@ def test_a_record_of_another_session_is_discarded(runtime, controller):
 
 
 def test_an_announcement_is_heard_inside_and_outside_a_session(runtime):
-    controller = endpoint(Side.CONTROLLER, tag=NO_SESSION)
+    controller = endpoint(Side.CONTROLLER, named=None)
     for _ in range(2):  # its sequence does not count
         controller.send_record(ANNOUNCE, NOW)
         _, (item,) = carry(controller, runtime)
         assert (item.record, item.session) == (ANNOUNCE, NO_SESSION)
-        controller.use_session(NO_SESSION)
+        controller.use_session(None)
 
 
 def test_an_open_that_is_repeated_is_discarded_and_another_one_is_not(controller):
     """Also after the first one has opened the session, and whatever number another one bears."""
-    runtime = endpoint(Side.RUNTIME, tag=NO_SESSION)
-    _, payload = runtime.send_record(OPEN, NOW)
+    runtime = endpoint(Side.RUNTIME, named=None)
+    payload = runtime.send_record(OPEN, NOW).payload
     runtime._transfers[Channel.CONTROL].send(payload, NOW)
     runtime.send_record(OPEN, NOW)
     runtime.send_record(replace(OPEN, runtime_nonce=b"another nonce".ljust(16)), NOW)
@@ -183,7 +244,7 @@ def test_one_flipped_bit_in_any_frame_never_makes_a_record(which):
     assert not any(isinstance(item, RecordReceived) for item in items)
 
 
-@pytest.mark.parametrize("tag", [TAG, NO_SESSION])
+@pytest.mark.parametrize("tag", [DIGEST, None])
 def test_a_lost_frame_is_a_failed_transfer_inside_a_session_only(tag):
     """Outside one nobody waits for an announcement: the next one follows."""
     sender, receiver, count = endpoint(Side.CONTROLLER, tag), endpoint(Side.RUNTIME, tag), 0
@@ -204,7 +265,7 @@ def test_a_lost_frame_is_a_failed_transfer_inside_a_session_only(tag):
 def test_a_flow_control_that_is_not_obeyed_stops_a_session_and_is_told_outside(side, asked):
     """OPEN and the announcement are the first records that it meets: there the peer only seems to be silent."""
     data = asked.ljust(8, b"\xcc")
-    inside, outside = endpoint(side), endpoint(side, tag=NO_SESSION)
+    inside, outside = endpoint(side), endpoint(side, named=None)
     heard = []
     for made in (inside, outside):
         made.send_record(OPEN if side is Side.RUNTIME else ANNOUNCE, NOW, session=NO_SESSION)
@@ -231,7 +292,7 @@ def test_a_record_on_its_way_is_seen(runtime, controller):
 # ---------------------------------------------------------------- time
 
 
-@pytest.mark.parametrize("tag", [TAG, NO_SESSION])
+@pytest.mark.parametrize("tag", [DIGEST, None])
 def test_a_transfer_that_stands_still_fails_inside_a_session_only(tag):
     made = endpoint(Side.CONTROLLER, tag)
     made.send_record(PERMIT_NONCE if tag else ANNOUNCE, NOW)
@@ -298,8 +359,8 @@ def test_the_end_of_a_session_voids_everything(runtime, controller):
     runtime.send_record(records.Collect(), NOW)
     runtime.end_session()
     assert (runtime.session, runtime.link.is_open, runtime.outgoing()) == (NO_SESSION, False, [])
-    runtime.use_session(TAG)
-    assert runtime.send_record(records.Collect(), NOW)[0] == 1
+    runtime.use_session(DIGEST)
+    assert runtime.send_record(records.Collect(), NOW).sequence == 1
 
 
 def test_an_aborted_transfer_does_not_go_on(runtime, controller):
@@ -324,7 +385,7 @@ def test_a_controllers_heartbeat_carries_what_it_was_given(runtime, controller):
     )
     controller.send_frame(beat, NOW)
     _, (item,) = carry(controller, runtime)
-    assert item.frame == replace(beat, echo=item.frame.echo)
+    assert item.frame == replace(beat, echo=item.frame.echo, tag=item.frame.tag)
 
 
 # ------------------------------------------------------------------ CAN FD

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cutgate.protocol.codes import NO_ECHO, PresharedKey
 from cutgate.protocol.e2e import intact, protect
 from cutgate.protocol.frames import (
     BULK_IDS,
@@ -24,6 +25,7 @@ from cutgate.protocol.frames import (
     Progress,
     RuntimeHeartbeat,
     RuntimeStop,
+    decode_frame,
     encode_frame,
     joint_frames,
 )
@@ -40,8 +42,8 @@ from cutgate.protocol.link import (
 )
 from cutgate.protocol.states import ControllerState, FaultCode, RuntimeCode, StopCause, StopCode
 from cutgate.protocol.wire import Channel, Side
+from tests.protocol.sessions import CODES, DIGEST, KEY, OTHER_DIGEST, TAG, tagged
 
-TAG = 0xC0FFEE
 TIMEOUT_S = 0.1
 PERIOD_S = 0.02
 
@@ -52,7 +54,7 @@ BEATS = {Side.RUNTIME: CUT, Side.CONTROLLER: CUTTING}
 
 def link(side: Side = Side.CONTROLLER, now_s: float = 0.0) -> Link:
     made = Link(side, TIMEOUT_S, PERIOD_S)
-    made.open(TAG, now_s)
+    made.open(CODES, now_s)
     return made
 
 
@@ -80,30 +82,30 @@ def exchange(runtime: Link, controller: Link, turns: int, start_s: float = 0.0) 
 
 @pytest.mark.parametrize(
     ("timeout_s", "heartbeat_s"),
-    [(0.1, 0.0), (0.1, 0.04), (0.1, -1.0), (6.0, 0.02), (math.nan, 0.02), (0.1, math.nan), (math.inf, 0.02)],
+    [(0.1, 0.0), (0.1, 0.03), (0.1, -1.0), (6.0, 0.02), (math.nan, 0.02), (0.1, math.nan), (math.inf, 0.02)],
 )
 def test_timing_that_cannot_show_age_is_refused(timeout_s: float, heartbeat_s: float):
-    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
+    with pytest.raises(ValueError, match="must be 4 to 254 heartbeats"):
         Link(Side.RUNTIME, timeout_s, heartbeat_s)
 
 
 @pytest.mark.parametrize("heartbeat_ms", range(5, 101))
-def test_three_heartbeats_of_whole_milliseconds_are_enough_and_not_a_microsecond_less(heartbeat_ms: int):
+def test_four_heartbeats_of_whole_milliseconds_are_enough_and_not_a_microsecond_less(heartbeat_ms: int):
     heartbeat_s = heartbeat_ms / 1000
-    assert Link(Side.RUNTIME, 3 * heartbeat_ms / 1000, heartbeat_s).heartbeat_s == heartbeat_s
-    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
-        Link(Side.RUNTIME, 3 * heartbeat_ms / 1000 - 1e-6, heartbeat_s)
+    assert Link(Side.RUNTIME, 4 * heartbeat_ms / 1000, heartbeat_s).heartbeat_s == heartbeat_s
+    with pytest.raises(ValueError, match="must be 4 to 254 heartbeats"):
+        Link(Side.RUNTIME, 4 * heartbeat_ms / 1000 - 1e-6, heartbeat_s)
 
 
-@pytest.mark.parametrize("factor", [3.0, 255.0])
+@pytest.mark.parametrize("factor", [4.0, 254.0])
 def test_timing_at_the_ends_of_its_range_is_taken(factor: float):
     made = Link(Side.RUNTIME, factor * 0.25, 0.25)
     assert (made.timeout_s, made.heartbeat_s) == (factor * 0.25, 0.25)
 
 
 def test_a_counter_that_goes_round_within_the_time_out_shows_no_age():
-    with pytest.raises(ValueError, match="must be 3 to 255 heartbeats"):
-        Link(Side.RUNTIME, 256 * 0.25, 0.25)
+    with pytest.raises(ValueError, match="must be 4 to 254 heartbeats"):
+        Link(Side.RUNTIME, 255 * 0.25, 0.25)
 
 
 def test_a_link_is_made_closed():
@@ -115,20 +117,19 @@ def test_a_link_is_made_closed():
 @pytest.mark.parametrize("tag", [1, (1 << 32) - 1])
 def test_every_other_number_is_the_tag_of_a_session(tag: int):
     made = link()
-    made.open(tag, 0.0)
+    made.open(PresharedKey(KEY).session(tag.to_bytes(4, "little") + bytes(28)), 0.0)
     assert made.tag == tag
 
 
-@pytest.mark.parametrize("tag", [0, -1, 1 << 32])
-def test_session_needs_a_tag(tag: int):
-    with pytest.raises(ValueError, match="session tag"):
-        Link(Side.RUNTIME, TIMEOUT_S, PERIOD_S).open(tag, 0.0)
+def test_session_needs_a_tag():
+    with pytest.raises(ValueError, match="session tag is 0"):
+        Link(Side.RUNTIME, TIMEOUT_S, PERIOD_S).open(PresharedKey(KEY).session(bytes(32)), 0.0)
 
 
 def test_opening_begins_anew():
     runtime, controller = pair()
     exchange(runtime, controller, 5)
-    controller.open(TAG, 1.0)
+    controller.open(CODES, 1.0)
     assert controller.statistics == link().statistics
     assert not controller.fresh(1.0)
     assert controller.encode(CUTTING, 1.0)[1][2] == 0
@@ -229,7 +230,7 @@ def test_transfer_frames_go_to_their_channel(can_id: int, channel: Channel):
 @pytest.mark.parametrize("side", Side)
 def test_with_fd_only_the_bulk_channel_takes_fd_frames_and_takes_no_other(side: Side):
     made = Link(side, TIMEOUT_S, PERIOD_S, fd=True)
-    made.open(TAG, 0.0)
+    made.open(CODES, 0.0)
     for can_id in SENT_BY[side.peer]:
         bulk = can_id in BULK_IDS
         for size in (8, 12, 64):
@@ -282,7 +283,7 @@ def test_repetition_is_discarded_and_refreshes_nothing():
 def test_same_counter_with_other_content_is_a_violation():
     controller = link()
     for frame, kind in ((CUT, Accepted), (replace(CUT, epoch=4), Violation)):
-        assert isinstance(controller.receive(*encode_frame(frame, 0, TAG), now_s=0.0), kind)
+        assert isinstance(controller.receive(*tagged(frame, 0), now_s=0.0), kind)
 
 
 @given(st.integers(0, 63), st.sampled_from([0x080]))
@@ -321,7 +322,7 @@ def test_frame_of_another_kind_counts_as_corrupt(flags: dict[str, bool]):
 
 def test_frame_of_another_session_counts_as_corrupt():
     controller = link()
-    controller.receive(*encode_frame(CUT, 0, TAG + 1), now_s=0.0)
+    controller.receive(*tagged(CUT, 0, codes=PresharedKey(KEY).session(OTHER_DIGEST)), now_s=0.0)
     assert controller.statistics.crc_failures == 1
 
 
@@ -343,11 +344,20 @@ def test_frame_under_another_identifier_is_corrupt():
 
 
 def test_sound_frame_with_unlisted_content_is_a_violation():
-    data = protect(b"\x54\x55\xff\x03\x00", 0, DATA_IDS[0x080], TAG)
+    covered = b"\x03\x00"
+    tag = CODES.heartbeat_tag(Side.RUNTIME, 0, NO_ECHO, covered).to_bytes(2, "little")
+    data = protect(tag + b"\xff" + covered, 0, DATA_IDS[0x080], TAG)
     outcome = link().receive(0x080, data, now_s=0.0)
     assert isinstance(outcome, Violation)
     assert outcome.cause is StopCause.PROTOCOL_VIOLATION
-    assert "0x5554" in outcome.detail
+    assert "code is 0x3" in outcome.detail
+
+
+def test_sound_frame_of_any_other_kind_with_unlisted_content_is_a_violation():
+    data = protect(b"\x01\x00\x01\x00\x00", 0, DATA_IDS[0x010], TAG)
+    outcome = link(Side.RUNTIME).receive(0x010, data, now_s=0.0)
+    assert isinstance(outcome, Violation)
+    assert outcome.cause is StopCause.PROTOCOL_VIOLATION
 
 
 @pytest.mark.parametrize(
@@ -441,10 +451,11 @@ def test_answered_heartbeats_keep_the_link_fresh():
     now_s = exchange(runtime, controller, 3)
     for one in (runtime, controller):
         assert one.fresh(now_s)
-        assert one.fresh(now_s + TIMEOUT_S)
-        assert not one.fresh(now_s + TIMEOUT_S + 1e-6)
-        assert one.expire(now_s + TIMEOUT_S) is None
-        assert one.expire(now_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
+        echoed_s = {controller: now_s - PERIOD_S, runtime: now_s}[one]  # when what was echoed last was sent
+        assert one.fresh(echoed_s + TIMEOUT_S - 1e-6)
+        assert not one.fresh(echoed_s + TIMEOUT_S + 1e-6)
+        assert one.expire(echoed_s + TIMEOUT_S - 1e-6) is None
+        assert one.expire(echoed_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
 
 
 def test_the_time_out_says_when_it_comes():
@@ -452,8 +463,8 @@ def test_the_time_out_says_when_it_comes():
     runtime, controller = pair()
     assert controller.expires_s == TIMEOUT_S
     now_s = exchange(runtime, controller, 3)
-    for one in (runtime, controller):
-        assert one.expires_s == pytest.approx(now_s + TIMEOUT_S)
+    for one, echoed_s in ((runtime, now_s), (controller, now_s - PERIOD_S)):
+        assert one.expires_s == pytest.approx(echoed_s + TIMEOUT_S)
         one.close()
         assert one.expires_s == math.inf
 
@@ -461,7 +472,7 @@ def test_the_time_out_says_when_it_comes():
 def test_clock_that_runs_backward_or_is_nan_is_stale():
     runtime, controller = pair()
     now_s = exchange(runtime, controller, 3)
-    for bad_s in (now_s - 0.01, math.nan):
+    for bad_s in (now_s - PERIOD_S - 0.01, math.nan):
         assert not controller.fresh(bad_s)
         assert controller.expire(bad_s) is StopCause.HEARTBEAT_LOST
 
@@ -543,6 +554,122 @@ def test_heartbeat_255_refreshes_once_an_answer_was_heard():
     assert outcome.fresh
 
 
+# ------------------------------------------------------------------ tags
+
+
+def violated(outcome: Outcome) -> bool:
+    return isinstance(outcome, Violation) and outcome.cause is StopCause.AUTHENTICATION_FAILED
+
+
+@given(st.sampled_from(Side), st.data())
+def test_a_heartbeat_changed_in_anything_and_given_a_sound_crc_stops(side: Side, data: st.DataObject):
+    """What a node without the key can do: everything but the tag."""
+    runtime, controller = pair()
+    exchange(runtime, controller, 3)
+    hearer, speaker = (runtime, controller) if side is Side.RUNTIME else (controller, runtime)
+    can_id, sent = speaker.encode(BEATS[speaker.side], 0.07)
+    bit = data.draw(st.integers(24, 63))
+    altered = bytearray(sent)
+    altered[bit // 8] ^= 1 << bit % 8
+    forged = protect(bytes(altered[3:]), altered[2], DATA_IDS[can_id], TAG)
+    assert violated(hearer.receive(can_id, forged, now_s=0.07))
+
+
+@pytest.mark.parametrize("codes", [PresharedKey(bytes(32)).session(DIGEST)])
+def test_a_heartbeat_made_with_another_key_stops(codes):
+    assert codes.tag == TAG
+    assert violated(link().receive(*tagged(CUT, 0, codes=codes), now_s=0.0))
+
+
+def test_one_sides_heartbeat_is_not_the_others():
+    """Each direction has a key of its own: what a side said is not said back to it."""
+    covered = b"\x05\x00"
+    tags = {side: CODES.heartbeat_tag(side, 7, 3, covered) for side in Side}
+    assert tags[Side.RUNTIME] != tags[Side.CONTROLLER]
+
+
+def test_a_heartbeat_of_a_whole_round_of_counters_before_stops():
+    """Counter and echo are extended to 32 bits: what was said once is never said again."""
+    runtime, controller = pair()
+    frames = []
+    for turn in range(256):
+        now_s = turn * PERIOD_S
+        frame = runtime.encode(CUT, now_s)
+        frames.append(frame)
+        controller.receive(*frame, now_s=now_s)
+        deliver(controller, runtime, CUTTING, now_s)
+    assert runtime.encode(CUT, now_s)[1][2] == frames[0][1][2]
+    assert violated(controller.receive(*frames[0], now_s=now_s))
+    assert controller.statistics.accepted == 256
+
+
+def test_an_echo_of_a_heartbeat_that_was_never_sent_stops():
+    controller = link()
+    controller.encode(CUTTING, 0.0)
+    for echo in (1, 200, 254):
+        assert violated(controller.receive(*tagged(CUT, 0, echo=echo), now_s=0.0))
+        controller.open(CODES, 0.0)
+
+
+def test_a_first_heartbeat_may_carry_any_counter_of_eight_bits_and_no_greater():
+    for counter in (0, 17, 255):
+        assert isinstance(link().receive(*tagged(CUT, counter), now_s=0.0), Accepted)
+        assert violated(link().receive(*tagged(CUT, counter + 256), now_s=0.0))
+
+
+def test_losses_are_counted_into_the_extended_counter():
+    controller = link()
+    for counter in (254, 257, 258):
+        assert isinstance(controller.receive(*tagged(CUT, counter), now_s=0.0), Accepted)
+
+
+@given(st.integers(0, 4), st.integers(1, 40), st.booleans())
+def test_a_joint_sample_changed_in_one_joint_or_its_tag_stops(joint: int, by: int, tag: bool):
+    runtime, controller = pair()
+    deliver(runtime, controller, CUT, 0.0)
+    deliver(controller, runtime, CUTTING, 0.0)
+    frames = [controller.encode(frame, 0.0) for frame in joint_frames(JOINTS)]
+    whole = [decode_frame(*frame) for frame in frames]
+    where, name = (2, "tag") if tag else (joint // 2, f"q{joint}")
+    value = getattr(whole[where], name)
+    forged = replace(whole[where], **{name: value ^ by})
+    frames[where] = encode_frame(forged, 0, TAG)
+    assert violated([runtime.receive(*frame, now_s=0.0) for frame in frames][-1])
+    assert runtime.sample is None
+
+
+def test_parts_of_two_samples_under_one_counter_stop():
+    """A node between the two holds one part back and sends another: what is joined was measured together."""
+    runtime, controller = pair()
+    deliver(runtime, controller, CUT, 0.0)
+    deliver(controller, runtime, CUTTING, 0.0)
+    first, second, _ = [controller.encode(frame, 0.0) for frame in joint_frames(JOINTS)]
+    third = encode_frame(joint_frames([0.5] * 5)[2], 0, TAG)
+    outcomes = [runtime.receive(*frame, now_s=0.0) for frame in (first, second, third)]
+    assert violated(outcomes[-1])
+
+
+def test_who_holds_the_last_heartbeat_back_gains_nothing():
+    """The time-out runs from the sending of what is echoed, not from the arrival."""
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 5)
+    sent_s = now_s  # the last heartbeat of the controller that the runtime heard
+    held = runtime.encode(CUT, now_s)  # and then it hangs
+    arrives_s = sent_s + TIMEOUT_S - 0.001
+    assert controller.receive(*held, now_s=arrives_s).fresh
+    assert controller.expire(sent_s + TIMEOUT_S - 1e-6) is None
+    assert controller.expire(sent_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
+
+
+def test_an_earlier_echo_does_not_shorten_the_time_out():
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 5)
+    before = controller.expires_s
+    stale_echo = tagged(CUT, 5, echo=1)
+    assert controller.receive(*stale_echo, now_s=now_s).fresh
+    assert controller.expires_s == before
+
+
 # ------------------------------------------------------------------ joints
 
 JOINTS = [0.1, 0.2, 300.0, -0.3, 1.5]
@@ -551,24 +678,32 @@ JOINTS = [0.1, 0.2, 300.0, -0.3, 1.5]
 def test_three_joint_frames_of_one_counter_are_one_sample():
     runtime, controller = pair()
     for turn in range(300):
+        deliver(runtime, controller, CUT, 0.02 * turn)
+        deliver(controller, runtime, CUTTING, 0.02 * turn)
         for frame in joint_frames([0.001 * turn, *JOINTS[1:]]):
             assert isinstance(deliver(controller, runtime, frame, 0.02 * turn), Accepted)
         assert runtime.sample is not None
-        assert runtime.sample.counter == turn % 256
+        assert runtime.sample.counter == turn
         assert runtime.sample.received_s == 0.02 * turn
         assert np.allclose(runtime.sample.joints, [0.001 * turn, *JOINTS[1:]], rtol=0.0, atol=0.006)
 
 
-def test_a_part_before_any_first_part_carries_the_counter_before_zero():
-    for part in joint_frames(JOINTS)[1:]:
-        assert link().encode(part, 0.0)[1][2] == 255
+def test_a_sample_before_any_heartbeat_carries_the_counter_before_zero_and_is_none():
+    runtime, controller = pair()
+    for part in joint_frames(JOINTS):
+        frame = controller.encode(part, 0.0)
+        assert frame[1][2] == 255
+        assert isinstance(runtime.receive(*frame, now_s=0.0), Accepted)
+    assert runtime.sample is None
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])
 def test_parts_of_different_samples_are_never_joined(missing: int):
     runtime, controller = pair()
-    for frame in joint_frames(JOINTS):
+    deliver(runtime, controller, CUT, 0.0)
+    for frame in (CUTTING, *joint_frames(JOINTS)):
         deliver(controller, runtime, frame, 0.0)
+    deliver(controller, runtime, CUTTING, 0.1)
     for part, frame in enumerate(joint_frames([0.5] * 5)):
         encoded = controller.encode(frame, 0.1)
         if part != missing:
@@ -606,7 +741,9 @@ class Peer:
 def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
     for order in permutations(range(3)):
         peer = Peer()
-        _, *parts = peer.run_cycle(0.1, 0.25)
+        peer.hear(0.1)
+        beat, *parts = peer.run_cycle(0.1, 0.25)
+        peer.arrives(beat, 0.1)
         sample = peer.sample([parts[at] for at in order], 0.1)
         assert sample is peer.runtime.sample
         assert sample.joints[0] == pytest.approx(0.25, abs=1e-4)
@@ -616,6 +753,7 @@ def test_a_sample_comes_with_its_last_part_whichever_that_is_and_once():
 
 def test_a_frame_is_what_it_is_whatever_sample_it_completes():
     peer = Peer()
+    peer.hear(0.1)
     *_, part = [peer.arrives(frame, 0.1) for frame in peer.run_cycle(0.1)]
     assert part.sample is not None
     assert part == replace(part, sample=None)
@@ -627,8 +765,9 @@ def test_a_sample_of_unknown_age_is_of_any():
 
 def test_several_samples_in_one_turn_each_come_in_order():
     peer = Peer()
+    peer.hear(0.0)
     waiting = [frame for turn in range(5) for frame in peer.run_cycle(0.02 * turn, 0.01 * turn)]
-    outcomes = [peer.arrives(frame, 1.0) for frame in waiting]
+    outcomes = [peer.arrives(frame, 0.1) for frame in waiting]
     found = [outcome.sample for outcome in outcomes if outcome.sample is not None]
     assert [sample.counter for sample in found] == list(range(5))
     assert [sample.joints[0] for sample in found] == pytest.approx(
@@ -648,7 +787,7 @@ def test_a_sample_is_as_old_as_its_heartbeat_whatever_arrived_before_it():
     assert peer.sample(late, 0.07).measured_s == 0.0
 
 
-@pytest.mark.parametrize(("lost", "measured_s"), [((), 0.02), ((1,), 0.0), ((0, 1), -math.inf)])
+@pytest.mark.parametrize(("lost", "measured_s"), [((), 0.02), ((1,), 0.0)])
 def test_where_its_heartbeat_was_lost_one_before_it_dates_a_sample(lost: tuple[int, ...], measured_s: float):
     peer = Peer()
     for turn, now_s in enumerate((0.0, 0.02)):
@@ -661,24 +800,40 @@ def test_where_its_heartbeat_was_lost_one_before_it_dates_a_sample(lost: tuple[i
     assert sample.measured_s == measured_s
 
 
+def test_a_sample_that_no_heartbeat_dates_is_none():
+    peer = Peer()
+    for now_s in (0.0, 0.02):
+        peer.hear(now_s)
+        _, *parts = peer.run_cycle(now_s + 0.01)
+        assert peer.sample(parts, now_s + 0.01) is None
+
+
+@pytest.mark.parametrize(("late_s", "some"), [(2 * TIMEOUT_S, True), (2 * TIMEOUT_S + 1e-6, False)])
+def test_a_sample_older_than_two_time_outs_is_none(late_s: float, some: bool):
+    peer = Peer()
+    peer.hear(0.0)
+    beat, *parts = peer.run_cycle(0.0)
+    peer.arrives(beat, 0.0)
+    assert (peer.sample(parts, late_s) is not None) is some
+
+
 def test_a_heartbeat_that_proves_nothing_dates_no_sample():
     """Neither the first, which echoes nothing, nor one that is stale."""
     peer = Peer()
     beat, *parts = peer.run_cycle(0.0)
     peer.arrives(beat, 0.0)
-    assert peer.sample(parts, 0.0).measured_s == -math.inf
+    assert peer.sample(parts, 0.0) is None
     peer.hear(0.1)
     beat, *parts = peer.run_cycle(0.11)
     peer.arrives(beat, 0.1 + TIMEOUT_S + 1e-6)
-    assert peer.sample(parts, 0.21).measured_s == -math.inf
+    assert peer.sample(parts, 0.21) is None
 
 
-@pytest.mark.parametrize("behind", [0, 1, 3, 100, 255, 256, 300, 512])
-def test_a_sample_a_whole_round_of_counters_late_looks_no_younger(behind: int):
-    """Its counter may be one that has just been used: the turns are counted, not the counters compared."""
+@pytest.mark.parametrize("behind", [0, 1, 3, 9, 11, 100])
+def test_a_sample_that_comes_late_is_as_old_as_its_cycle_or_none(behind: int):
     peer = Peer()
     waiting = []
-    for turn in range(600):
+    for turn in range(400):
         now_s = turn * PERIOD_S
         peer.hear(now_s)
         beat, *parts = peer.run_cycle(now_s)
@@ -686,23 +841,36 @@ def test_a_sample_a_whole_round_of_counters_late_looks_no_younger(behind: int):
         waiting.append(parts)
         if turn >= behind:
             sample = peer.sample(waiting[turn - behind], now_s)
-            assert sample.measured_s == ((turn - behind) * PERIOD_S if behind < 256 else -math.inf)
+            measured_s = None if sample is None else sample.measured_s
+            assert measured_s == ((turn - behind) * PERIOD_S if behind <= 9 else None)
+
+
+def test_a_sample_a_whole_round_of_counters_late_is_nobodys():
+    """Its counter is one that has just been used: it is told by its tag, which covers all 32 bits."""
+    peer = Peer()
+    waiting = []
+    for turn in range(300):
+        now_s = turn * PERIOD_S
+        peer.hear(now_s)
+        beat, *parts = peer.run_cycle(now_s)
+        peer.arrives(beat, now_s)
+        waiting.append(parts)
+    outcome = [peer.arrives(part, now_s) for part in waiting[299 - 256]][-1]
+    assert isinstance(outcome, Violation)
+    assert outcome.cause is StopCause.AUTHENTICATION_FAILED
 
 
 @pytest.mark.parametrize("first", [0, 1, 100, 254])
-@pytest.mark.parametrize(
-    ("missing", "dates"),
-    [(0, [0.0, 0.0]), (1, [-math.inf, 0.0]), (2, [0.0]), (3, [0.0]), (4, [0.0])],
-)
-def test_a_runtime_that_opens_later_dates_by_the_first_heartbeat_it_hears(first, missing, dates):
-    """In the middle of a turn perhaps: a sample whose heartbeat came too early has no date, one in part is none."""
+@pytest.mark.parametrize(("missing", "found"), [(0, [0, 1]), (1, [1]), (2, [1]), (3, [1]), (4, [1])])
+def test_a_runtime_that_opens_later_takes_the_first_sample_whose_heartbeat_it_hears(first, missing, found):
+    """In the middle of a cycle perhaps: a sample whose heartbeat came too early is none, nor is one in part."""
     peer = Peer()
     for _ in range(first):
         peer.run_cycle(0.0)
     peer.hear(0.0)
     waiting = [frame for _ in range(2) for frame in peer.run_cycle(0.01)][missing:]
-    found = [peer.arrives(frame, 0.01).sample for frame in waiting]
-    assert [sample.measured_s for sample in found if sample is not None] == dates
+    samples = [peer.arrives(frame, 0.01).sample for frame in waiting]
+    assert [(one.counter - first, one.measured_s) for one in samples if one] == [(at, 0.0) for at in found]
 
 
 @given(
@@ -734,10 +902,9 @@ def test_no_sample_is_called_younger_than_it_is(periods: list[tuple[bool, float,
         outcome = peer.arrives(frame, arrives_s)
         assert isinstance(outcome, Accepted)
         if outcome.sample is not None:
-            assert outcome.sample.counter == turn == seen
-            assert outcome.sample.measured_s <= measured_s[turn]
-            seen += 1
-    assert seen == len(periods)
+            assert seen <= outcome.sample.counter == turn
+            assert arrives_s - 2 * TIMEOUT_S - 1e-9 <= outcome.sample.measured_s <= measured_s[turn]
+            seen = turn + 1
 
 
 # ------------------------------------------------------------------ what never left
@@ -769,16 +936,14 @@ def test_taking_back_what_was_never_made_changes_nothing():
 
 
 @pytest.mark.parametrize("side", Side)
-def test_a_heartbeat_that_never_left_proves_no_age_though_its_counter_is_echoed(side: Side):
-    """The echo is of a heartbeat 256 periods before, or of none at all."""
+def test_an_echo_of_a_heartbeat_that_never_left_is_nobodys(side: Side):
+    """The echo is of one of another session's, or made up."""
     speaker, hearer = link(side), link(side.peer)
     deliver(speaker, hearer, BEATS[side], 0.0)  # counter 0 has left, and is echoed from now on
     other = link(side)
     other.encode(BEATS[side], 0.0)
     other.take_back(IDS[type(BEATS[side])])
-    outcome = deliver(hearer, other, BEATS[side.peer], 0.01)
-    assert isinstance(outcome, Accepted)
-    assert not outcome.fresh
+    assert violated(deliver(hearer, other, BEATS[side.peer], 0.01))
 
 
 def test_taking_back_another_frame_leaves_the_heartbeats_their_age():
@@ -804,7 +969,7 @@ def test_a_side_is_answered_once_a_heartbeat_that_echoed_the_peer_is_echoed():
     assert runtime.answered
     assert deliver(controller, runtime, CUTTING, 0.04).fresh
     assert runtime.answered
-    runtime.open(TAG, 0.05)
+    runtime.open(CODES, 0.05)
     assert not runtime.answered, "another session begins with nothing"
 
 
@@ -813,17 +978,22 @@ def test_what_was_sent_in_an_earlier_session_proves_nothing_in_this_one():
     runtime, controller = pair()
     now_s = exchange(runtime, controller, 6)
     for one in (runtime, controller):
-        one.open(TAG, now_s)
+        one.open(CODES, now_s)
     deliver(runtime, controller, CUT, now_s)  # the only one sent in this session: counter 0
-    assert not runtime.receive(*encode_frame(replace(CUTTING, echo=3), 0, TAG), now_s=now_s).fresh
-    assert runtime.receive(*encode_frame(replace(CUTTING, echo=0), 1, TAG), now_s=now_s).fresh
+    assert runtime.receive(*tagged(CUTTING, 0, echo=0), now_s=now_s).fresh
+    for one in (runtime, controller):
+        one.open(CODES, now_s)
+    deliver(runtime, controller, CUT, now_s)
+    later = runtime.receive(*tagged(CUTTING, 0, echo=3), now_s=now_s)
+    assert isinstance(later, Violation)
+    assert later.cause is StopCause.AUTHENTICATION_FAILED
 
 
 def test_what_echoed_in_an_earlier_session_answers_nothing_in_this_one():
     runtime, controller = pair()
     now_s = exchange(runtime, controller, 6)
     for one in (runtime, controller):
-        one.open(TAG, now_s)
+        one.open(CODES, now_s)
     for _ in range(3):
         deliver(
             runtime, controller, CUT, now_s

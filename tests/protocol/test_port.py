@@ -11,6 +11,7 @@ from cutgate.protocol.link import Discarded, Violation
 from cutgate.protocol.port import READ_FRAMES_MAX, Passed, Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import RuntimeCode, StopCause
+from tests.protocol.sessions import DIGEST, KEY
 
 NOW = 10.0
 BEAT = RuntimeHeartbeat(RuntimeCode.INHIBIT, 0, StopCause.NONE)
@@ -42,7 +43,7 @@ def message(can_id, data=bytes(8), **flags):
 
 
 def port(*waiting, recorder=None):
-    endpoint = Endpoint(Side.RUNTIME, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
+    endpoint = Endpoint(Side.RUNTIME, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
     return Port(Bus(*waiting), endpoint, recorder)
 
 
@@ -107,7 +108,7 @@ def test_with_fd_bulk_frames_leave_with_bit_rate_switch_and_the_recorder_sees_it
     seen = []
     made = Port(
         Bus(),
-        Endpoint(Side.RUNTIME, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=True),
+        Endpoint(Side.RUNTIME, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=True),
         seen.append,
     )
     made.endpoint.send_frame(BEAT, NOW)
@@ -132,9 +133,9 @@ def test_a_bus_that_fails_says_so_whatever_is_asked_of_it():
 def test_the_two_sides_understand_each_other_on_a_bus_of_python_can():
     def side(which):
         bus = can.Bus(interface="virtual", channel="test-port", ignore_config=True)
-        made = Port(bus, Endpoint(which, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0))
-        made.endpoint.use_session(7)
-        made.endpoint.link.open(7, NOW)
+        made = Port(bus, Endpoint(which, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0))
+        made.endpoint.use_session(DIGEST)
+        made.endpoint.open_link(NOW)
         return made
 
     runtime, controller = side(Side.RUNTIME), side(Side.CONTROLLER)

@@ -32,8 +32,8 @@ from cutgate.protocol.port import LAST_TRIES, RETRY_S, Port
 from cutgate.protocol.records import Channel, Side
 from cutgate.protocol.states import ControllerState, FaultCode, Purpose, RuntimeCode, StopCause, StopCode
 from tests.firmware_sim.arms import LIMITS
+from tests.protocol.sessions import DIGEST, KEY, OTHER_DIGEST
 
-TAG = 7
 NOW = 10.0
 CUT, INHIBIT = RuntimeHeartbeat(RuntimeCode.CUT, 0), RuntimeHeartbeat(RuntimeCode.INHIBIT, 0)
 STOP = RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP)
@@ -46,9 +46,9 @@ STEP_RAD = 0.01
 
 
 def endpoint(side: Side) -> Endpoint:
-    made = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
-    made.use_session(TAG)
-    made.link.open(TAG, NOW)
+    made = Endpoint(side, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
+    made.use_session(DIGEST)
+    made.open_link(NOW)
     return made
 
 
@@ -196,9 +196,10 @@ def test_what_waits_of_another_session_never_leaves_in_this_one(controller):
     controller.endpoint.send_frame(FAULT, NOW)
     controller.endpoint.end_session()
     assert controller.endpoint.outgoing() != []
-    controller.endpoint.link.open(TAG, NOW)
+    controller.endpoint.use_session(DIGEST)
+    controller.endpoint.open_link(NOW)
     controller.endpoint.send_frame(CUTTING, NOW)
-    controller.endpoint.use_session(TAG + 1)
+    controller.endpoint.use_session(OTHER_DIGEST)
     assert controller.endpoint.outgoing() == []
 
 
@@ -209,13 +210,13 @@ def test_a_heartbeat_that_waited_leaves_with_fresh_content_and_no_counter_is_los
     peer = endpoint(Side.CONTROLLER)
     for turn in range(50):
         at_s = NOW + turn * 0.001
-        runtime.endpoint.send_frame(RuntimeHeartbeat(RuntimeCode.CUT, turn), at_s)
+        runtime.endpoint.send_frame(RuntimeHeartbeat(RuntimeCode.CUT, turn % 32), at_s)
         assert runtime.endpoint.heartbeat_waits
         runtime.flush()
     ((can_id, data),) = leaves(runtime)
     assert not runtime.endpoint.heartbeat_waits
     (item,) = peer.receive(can_id, data, now_s=NOW)
-    assert (item.frame.epoch, item.counter, item.lost) == (49, 0, 0)
+    assert (item.frame.epoch, item.counter, item.lost) == (49 % 32, 0, 0)
     peer.send_frame(CUTTING, NOW)
     runtime.endpoint.send_frame(CUT, NOW + 0.06)  # waits, and is made before the peer's heartbeat is heard
     runtime.flush()
@@ -253,18 +254,23 @@ def test_an_unmade_heartbeat_is_echoed_by_nobody(runtime):
     peer.send_frame(CUTTING, NOW)
     for can_id, data in peer.outgoing():
         (heard,) = other.receive(can_id, data, now_s=NOW)
-    assert not heard.fresh
+    assert heard.cause is StopCause.AUTHENTICATION_FAILED
 
 
 def test_a_joint_sample_of_which_nothing_has_left_gives_way_to_the_next(controller):
+    peer = endpoint(Side.RUNTIME)
+    peer.send_frame(CUT, NOW)
+    for can_id, data in peer.outgoing():
+        controller.endpoint.receive(can_id, data, now_s=NOW)
+    controller.endpoint.send_frame(CUTTING, NOW)
+    beat = leaves(controller)
     for turn in range(3):
         for frame in joints(turn):
             controller.endpoint.send_frame(frame, NOW)
     expected = [IDS[kind] for kind in (Joints01, Joints23, Joint4)]
     sent = leaves(controller)
     assert [can_id for can_id, _ in sent] == expected
-    peer = endpoint(Side.RUNTIME)
-    for can_id, data in sent:
+    for can_id, data in beat + sent:
         peer.receive(can_id, data, now_s=NOW)
     assert peer.link.sample.joints[0] == pytest.approx(2 * STEP_RAD, abs=STEP_RAD / 10)
 

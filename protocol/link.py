@@ -278,14 +278,19 @@ class Link:
             case Joints01() | Joints23() | Joint4():
                 return encode_frame(self._joints(frame), self._made % COUNTER_MODULUS, self.tag)
             case RuntimeStop():
-                frame = replace(frame, echo=self._echo % COUNTER_MODULUS)
+                frame = replace(frame, echo=self.echo % COUNTER_MODULUS)
         can_id = IDS[type(frame)]
         counter = (self._counters.get(can_id, COUNTER_MODULUS - 1) + 1) % COUNTER_MODULUS
         self._counters[can_id] = counter
         return encode_frame(frame, counter, self.tag)
 
     @property
-    def _echo(self) -> int:
+    def counter(self) -> int:
+        """Of the heartbeat that we made last, extended to 32 bits; -1 before the first."""
+        return self._made
+
+    @property
+    def echo(self) -> int:
         """What we echo, extended to 32 bits."""
         return NO_ECHO if self._peer is None else self._peer
 
@@ -298,7 +303,7 @@ class Link:
         self._sent_s.pop(self._made - COUNTER_MODULUS, None)
         if self._echoing_from is None and self._peer is not None:
             self._echoing_from = self._made
-        echo = self._echo
+        echo = self.echo
         frame = replace(frame, echo=echo % COUNTER_MODULUS)
         if self._codes is None:
             return frame

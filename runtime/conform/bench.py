@@ -9,7 +9,6 @@ from typing import Final
 
 import can
 
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerHeartbeat
 from cutgate.protocol.link import Accepted, JointSample, Violation
@@ -23,6 +22,10 @@ from cutgate.runtime.conform.tester import Tester
 VERIFIER: Final = "conform"
 CONFIGURATION: Final = records.digest(b"cutgate conform")
 ANNOUNCE_WAIT_S: Final = 3.0
+REGISTERED_US: Final = 1_000_000
+"""When the throw-away registrations were taken: early in 1970, so that no barrier a case sets keeps a real one out."""
+PERMIT_RECORDS: Final = 100
+"""So many records the log is said to have at the permit."""
 
 
 class Bench(Tester):
@@ -53,22 +56,26 @@ class Bench(Tester):
         recorder: Callable[[Seen], None] = lambda _seen: None,
         fd: bool = False,
     ) -> None:
-        self.registration = random(32)
-        """Throw-away: it names no file, so that withdrawing it takes nothing away."""
+        self.registration, self.place = random(32), random(32)
+        """Throw-away: they name no file and no place, so that withdrawing them takes nothing away."""
+        self.barrier_us = records.NO_TIME
+        """As the controller said last: a registration has to be later."""
         self.announce: records.Announce | None = None
         self.reported: Reported | None = None
-        self._key, self._random = key, random
-        super().__init__(bus, timing, reply_s=reply_s, clock=clock, wait=wait, recorder=recorder, fd=fd)
+        self._random = random
+        super().__init__(bus, key, timing, reply_s=reply_s, clock=clock, wait=wait, recorder=recorder, fd=fd)
 
     def begin(self) -> None:
         """Forget what the case before has heard and said."""
         super().begin()
-        self.nonces = (b"", b"")
+        self.opening: records.Open | None = None
+        """The OPEN of the session, with its code."""
+        self.log_id = self._random(16)
         self.good: Sample | None = None
 
     def renew_registration(self) -> None:
         """Another throw-away registration: the one before was withdrawn."""
-        self.registration = self._random(32)
+        self.registration, self.place = self._random(32), self._random(32)
 
     # ------------------------------------------------------------ to a place in the conversation
 
@@ -87,34 +94,34 @@ class Bench(Tester):
 
     def open_request(self, **changes: object) -> records.Open:
         """A right OPEN with a fresh nonce, except for what is changed."""
-        boot = self.identity.boot_nonce
-        nonce = self._random(16)
-        while not records.nonce_serves(boot, nonce):
-            nonce = self._random(16)
         request = records.Open(
             protocol_version=records.PROTOCOL_VERSION,
-            boot_nonce=boot,
-            runtime_nonce=nonce,
+            announce_nonce=self.identity.announce_nonce,
+            runtime_nonce=self._random(16),
+            identity_digest=self.identity.identity_digest,
             registration_digest=self.registration,
+            place_digest=self.place,
+            registration_time_us=max(REGISTERED_US, self.barrier_us + 1),
             configuration_digest=CONFIGURATION,
             verifier_version=VERIFIER,
             timing=self.timing,
         )
-        return replace(request, **changes)  # type: ignore[arg-type]
+        wanted = replace(request, **changes)  # type: ignore[arg-type]
+        return wanted if records.opens(wanted) else self.open_request(**changes)
 
     def ask_open(self, request: records.Open) -> records.Opened | records.Reply | None:
         """Send an OPEN outside a session, once more if an announcement was in its way, and wait for the answer."""
-        tag = records.session_tag(request.boot_nonce, request.runtime_nonce)
+        named = records.session_digest(request)
         begun_s = self._clock()
         for _ in range(2):
             self.endpoint.abort()
-            self.endpoint.use_session(tag)
+            self.endpoint.use_session(named)
             found = self._answer_to_open(len(self.heard), self.say(request, session=0))
             self.latency_s = self._clock() - begun_s
             if found is not None:
                 break
         if not isinstance(found, records.Opened):
-            self.endpoint.use_session(0)
+            self.endpoint.use_session(None)
         return found
 
     def _answer_to_open(self, since: int, sequence: int) -> records.Opened | records.Reply | None:
@@ -132,6 +139,8 @@ class Bench(Tester):
         answer = self.open_unacknowledged()
         if answer.cause is not StopCause.NONE:
             self.acknowledge(answer.cause)
+        if answer.withdrawal_due:  # of what happened before the suite, or in a case of it
+            self.withdraw(records.NO_PLACE, max(self.barrier_us, REGISTERED_US))
         return answer
 
     def open_unacknowledged(self) -> records.Opened:
@@ -141,9 +150,11 @@ class Bench(Tester):
         answer = self.ask_open(request)
         if not isinstance(answer, records.Opened):
             raise DeviationError(f"a right OPEN was answered with {shown(answer)}")
-        self.nonces = (request.boot_nonce, request.runtime_nonce)
-        self.epoch = answer.epoch
-        self.endpoint.link.open(records.session_tag(*self.nonces), self._clock())
+        if not self.authentic(answer):
+            raise DeviationError("Opened carries a code that no holder of the key made")
+        self.opening = self.endpoint.signed_next(request)
+        self.epoch, self.barrier_us = answer.epoch, answer.barrier_us
+        self.endpoint.open_link(self._clock())
         self._next_beat_s = self._clock()
 
         def heard() -> JointSample | None:
@@ -153,9 +164,16 @@ class Bench(Tester):
             raise DeviationError("no fresh heartbeat and joints of the controller after Opened")
         return answer
 
+    def withdraw(self, place: bytes, barrier_us: int) -> None:
+        """Withdraw a place, or none in particular. Raises DeviationError unless that is accepted."""
+        answer = self.ask(records.Withdraw(place_digest=place, barrier_us=barrier_us))
+        if answer is None or answer.refusal is not Refusal.ACCEPTED:
+            raise DeviationError(f"Withdraw was answered with {shown(answer)}")
+        self.barrier_us = max(self.barrier_us, barrier_us)
+
     def acknowledge(self, cause: StopCause) -> None:
         """Say that the cause was seen. Raises DeviationError unless that is accepted."""
-        answer = self.ask(records.Acknowledge(cause=cause))
+        answer = self.ask(records.Acknowledge(epoch=self.epoch, cause=cause))
         if answer is None or answer.refusal is not Refusal.ACCEPTED:
             raise DeviationError(f"Acknowledge {cause.name} was answered with {shown(answer)}")
 
@@ -210,6 +228,10 @@ class Bench(Tester):
     def loaded(self) -> Sample:
         """A session with a stored path."""
         self.open()
+        return self.load()
+
+    def load(self) -> Sample:
+        """Store a path in the session that is open."""
         good = self.sample()
         answer = self.upload(records.split(good.path.body()))
         if answer is None or answer.refusal is not Refusal.ACCEPTED:
@@ -256,8 +278,8 @@ class Bench(Tester):
 
     def permit(self, nonce: bytes | None = None) -> records.Permit:
         """A right permit for the stored path, not signed yet."""
-        good, arm, measured = self.good, self.arm, self.endpoint.link.sample
-        assert good is not None and measured is not None  # noqa: S101, PT018 - loaded() comes before
+        good, arm, measured, opening = self.good, self.arm, self.endpoint.link.sample, self.opening
+        assert good is not None and measured is not None and opening is not None  # noqa: S101, PT018 - loaded() comes before
         try:
             ends = approach(
                 good,
@@ -269,8 +291,8 @@ class Bench(Tester):
             raise InconclusiveError(f"no approach for this arm: {error}") from None
         return records.Permit(
             nonce=self.nonce(Purpose.PERMIT) if nonce is None else nonce,
-            boot_nonce=self.nonces[0],
-            session_digest=records.session_digest(*self.nonces),
+            announce_nonce=opening.announce_nonce,
+            session_digest=self.endpoint.codes.digest,
             serial=self.identity.serial,
             protocol_version=records.PROTOCOL_VERSION,
             epoch=self.epoch,
@@ -285,16 +307,13 @@ class Bench(Tester):
             branch=records.Branch(good.path.elbow, good.path.q0_turns, good.path.roll_turns),
             approach=ends,
             lifetime_s=self.timing.permit_lifetime_s,
+            log=records.TreeHead(self.log_id, PERMIT_RECORDS, bytes(32)),
         )
-
-    def signed(self, record: permits.Signed) -> permits.Signed:
-        """The record with the right code."""
-        return permits.sign(self._key, record)
 
     def permitted(self) -> records.Permit:
         """A session in cutting mode: a right permit was accepted."""
         self.loaded()
-        permit = self.signed(self.permit())
+        permit = self.permit()
         answer = self.ask(permit)
         if answer is None or answer.refusal is not Refusal.ACCEPTED:
             raise DeviationError(f"a right permit was answered with {shown(answer)}")
@@ -312,6 +331,7 @@ class Bench(Tester):
             session_digest=permit.session_digest,
             permit_digest=permit.digest,
             start_joints_u=permit.start_joints_u,
+            log=replace(permit.log, size=permit.log.size + 1),
         )
 
     def reset(self, cause: StopCause) -> records.Reset:
@@ -319,7 +339,7 @@ class Bench(Tester):
         return records.Reset(
             nonce=self.nonce(Purpose.RESET),
             epoch=self.epoch,
-            session_digest=records.session_digest(*self.nonces),
+            session_digest=self.endpoint.codes.digest,
             cause=cause,
         )
 
@@ -356,7 +376,7 @@ class Bench(Tester):
     def recover(self, cause: StopCause) -> None:
         """Leave a latched fault: acknowledge (done by open), then reset. Raises DeviationError if it stays."""
         self.open()
-        answer = self.ask(self.signed(self.reset(cause)))
+        answer = self.ask(self.reset(cause))
         if answer is None or answer.refusal is not Refusal.ACCEPTED:
             raise DeviationError(f"Reset was answered with {shown(answer)}")
         if not self.reaches(ControllerState.OPEN):

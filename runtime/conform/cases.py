@@ -11,7 +11,9 @@ from typing import Any, Final
 
 from cutgate.config.constants import CONSTANTS
 from cutgate.protocol import records
+from cutgate.protocol.e2e import protect
 from cutgate.protocol.frames import (
+    DATA_IDS,
     IDS,
     ControllerHeartbeat,
     Joint4,
@@ -22,8 +24,8 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted
 from cutgate.protocol.records import Channel, Permit, Start
-from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
-from cutgate.runtime.conform.bench import Bench
+from cutgate.protocol.states import EPOCHS, ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.runtime.conform.bench import REGISTERED_US, Bench
 from cutgate.runtime.conform.failures import DeviationError, InconclusiveError
 from cutgate.runtime.conform.heard import Stop, shown
 from cutgate.runtime.conform.sample import LONG
@@ -33,6 +35,9 @@ STALE_BURST: Final = 26
 WATCHED_PERIODS: Final = 50
 PERIOD_TOLERANCE: Final = 0.2
 MIDDLE_PAUSE: Final = 0.5
+HELD_BACK: Final = 0.7
+"""So great a part of the time-out a heartbeat is held back."""
+ROUND: Final = 256
 
 Run = Callable[[Bench], str]
 
@@ -104,8 +109,8 @@ def announces(bench: Bench) -> str:
     first, second = bench.hello(), bench.hello()
     if first.protocol_version != records.PROTOCOL_VERSION:
         raise DeviationError(f"protocol version {first.protocol_version}")
-    if (first.serial, first.boot_nonce) != (second.serial, second.boot_nonce) or not first.serial:
-        raise DeviationError(f"serial {first.serial!r} then {second.serial!r}, or another boot nonce")
+    if first != second or not first.serial:
+        raise DeviationError(f"{first} then {second}, must stay the same while no session is opened")
     if first.state is not ControllerState.INHIBITED:
         raise DeviationError(f"state {first.state.name}, cause {first.cause.name}")
     return f"{first.serial}, firmware {first.firmware_version}, version {first.protocol_version}, INHIBITED"
@@ -113,9 +118,12 @@ def announces(bench: Bench) -> str:
 
 def opens(bench: Bench) -> str:
     answer = bench.open()
+    used = bench.identity.announce_nonce
     if answer.state is not ControllerState.OPEN:
         raise DeviationError(f"Opened in {answer.state.name}")
-    return f"Opened, epoch {answer.epoch}; heartbeats and joints fresh"
+    if bench.finish().announce_nonce == used:
+        raise DeviationError("the announce nonce is the same after a session was opened with it")
+    return f"Opened, epoch {answer.epoch}; heartbeats and joints fresh; then another announce nonce"
 
 
 def open_refused(refusal: Refusal, **changes: Any) -> Run:
@@ -129,6 +137,31 @@ def open_refused(refusal: Refusal, **changes: Any) -> Run:
         return shown(answer)
 
     return run
+
+
+def open_again(bench: Bench) -> str:
+    """The very bytes that opened the session before, code and all."""
+    bench.open()
+    said = bench.opening
+    assert said is not None  # noqa: S101 - open() has set it
+    bench.finish()
+    answer = bench.ask_open(said)
+    if not isinstance(answer, records.Reply) or answer.refusal is not Refusal.ANNOUNCE_NONCE:
+        raise DeviationError(shown(answer))
+    return shown(answer)
+
+
+def open_with_a_wrong_code(bench: Bench) -> str:
+    """It names nothing and changes nothing: what follows is as if it had never been."""
+    before = bench.hello()
+    sound = bench.endpoint.signed_next(bench.open_request())
+    answer = bench.ask_open(sound.with_mac(bytes([sound.code[0] ^ 1]) + sound.code[1:]))
+    if not isinstance(answer, records.Reply) or answer.refusal is not Refusal.MAC_INVALID:
+        raise DeviationError(shown(answer))
+    after = bench.hello()
+    if after != before:
+        raise DeviationError(f"{before} became {after}")
+    return f"{shown(answer)}; {opens(bench)}"
 
 
 def open_during_session(bench: Bench) -> str:
@@ -349,7 +382,7 @@ def permit_refused(refusal: Refusal, change: Callable[[Bench, Permit], Permit]) 
 
     def run(bench: Bench) -> str:
         bench.loaded()
-        return refused(bench, bench.signed(change(bench, bench.permit())), refusal)
+        return refused(bench, change(bench, bench.permit()), refusal)
 
     return run
 
@@ -362,20 +395,20 @@ def with_fields(**changes: Any) -> Callable[[Bench, Any], Any]:
 def without_nonce(bench: Bench) -> str:
     bench.loaded()
     permit = bench.permit(nonce=bytes(range(16)))
-    return refused(bench, bench.signed(permit), Refusal.NO_NONCE)
+    return refused(bench, permit, Refusal.NO_NONCE)
 
 
 def old_nonce(bench: Bench) -> str:
     bench.loaded()
     old = bench.nonce(Purpose.PERMIT)
     bench.nonce(Purpose.PERMIT)
-    return refused(bench, bench.signed(bench.permit(old)), Refusal.NONCE_MISMATCH)
+    return refused(bench, bench.permit(old), Refusal.NONCE_MISMATCH)
 
 
 def nonce_of_another_purpose(bench: Bench) -> str:
     bench.loaded()
     permit = bench.permit(bench.nonce(Purpose.START))
-    return refused(bench, bench.signed(permit), Refusal.NO_NONCE, Refusal.NONCE_MISMATCH)
+    return refused(bench, permit, Refusal.NO_NONCE, Refusal.NONCE_MISMATCH)
 
 
 def nonce_consumed(bench: Bench) -> str:
@@ -386,7 +419,7 @@ def nonce_consumed(bench: Bench) -> str:
 
 def after_the_lifetime(bench: Bench) -> str:
     bench.loaded()
-    permit = bench.signed(bench.permit())
+    permit = bench.permit()
     bench.run(bench.timing.permit_lifetime_s + bench.heartbeat_s)
     return refused(bench, permit, Refusal.NONCE_EXPIRED)
 
@@ -407,7 +440,7 @@ def permit_expires(bench: Bench) -> str:
 def overtaken_by_stop(bench: Bench) -> str:
     """The STOP and the permit's first frame leave in one cycle, the STOP first."""
     bench.loaded()
-    permit = bench.signed(bench.permit())
+    permit = bench.permit()
     since, begun_s = len(bench.heard), bench.now_s
     sequence = bench.say(permit)
     bench.stop(StopCause.OPERATOR_STOP)
@@ -424,7 +457,7 @@ def overtaken_by_stop(bench: Bench) -> str:
 def after_a_stop(bench: Bench) -> str:
     """The session's link is still open, its permits are void."""
     bench.loaded()
-    permit = bench.signed(bench.permit())
+    permit = bench.permit()
     since, begun_s = len(bench.heard), bench.now_s
     bench.stop(StopCause.OPERATOR_STOP)
     stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s)
@@ -445,8 +478,8 @@ def after_a_stop(bench: Bench) -> str:
 
 def start_without_permit(bench: Bench) -> str:
     bench.loaded()
-    start = bench.start(bench.signed(bench.permit()))
-    return refused(bench, bench.signed(start), Refusal.NO_PERMIT, Refusal.NOT_IN_STATE)
+    start = bench.start(bench.permit())
+    return refused(bench, start, Refusal.NO_PERMIT, Refusal.NOT_IN_STATE)
 
 
 def start_refused(refusal: Refusal, change: Callable[[Bench, Start], Start]) -> Run:
@@ -454,9 +487,14 @@ def start_refused(refusal: Refusal, change: Callable[[Bench, Start], Start]) -> 
 
     def run(bench: Bench) -> str:
         permit = bench.permitted()
-        return refused(bench, bench.signed(change(bench, bench.start(permit))), refusal)
+        return refused(bench, change(bench, bench.start(permit)), refusal)
 
     return run
+
+
+def log_not_continued(**changes: Any) -> Callable[[Bench, Start], Start]:
+    """The start with another log than the permit's."""
+    return lambda _bench, start: replace(start, log=replace(start.log, **changes))
 
 
 def elsewhere(_bench: Bench, record: Any) -> Any:
@@ -468,7 +506,7 @@ def elsewhere(_bench: Bench, record: Any) -> Any:
 
 def start_nonce_expired(bench: Bench) -> str:
     permit = bench.permitted()
-    start = bench.signed(bench.start(permit))
+    start = bench.start(permit)
     bench.run(bench.timing.start_lifetime_ms / 1000 + bench.heartbeat_s)
     return refused(bench, start, Refusal.NONCE_EXPIRED)
 
@@ -543,9 +581,58 @@ def stale_heartbeats(bench: Bench) -> str:
 
 
 def _stale(bench: Bench, echo: int) -> None:
-    beat = RuntimeHeartbeat(bench.code, bench.epoch, echo=echo)
-    _, data = bench.encoded(beat)
-    bench.inject(*encode_frame(beat, data[2], bench.endpoint.link.tag))
+    beat = RuntimeHeartbeat(bench.code, bench.epoch)
+    bench.inject(*bench.endpoint.tagged(beat, bench.now_s, echo))
+
+
+def held_back(bench: Bench) -> str:
+    """A heartbeat reaches the controller late, and gains it nothing: the time-out runs from what it echoes."""
+    bench.open()
+    bench.run(2 * bench.heartbeat_s)
+    bench.beating = False
+    since, begun_s = len(bench.heard), bench.now_s
+    held = bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
+    bench.run(HELD_BACK * bench.timeout_s)
+    bench.inject(*held)
+    return str(stopped(bench, since, begun_s, StopCause.HEARTBEAT_LOST, bench.timeout_s + bench.allowance_s))
+
+
+def unkeyed_heartbeat(change: Callable[[Bench, bytes], bytes]) -> Run:
+    """A heartbeat with a sound CRC and the next counter, changed as a node without the key could."""
+
+    def run(bench: Bench) -> str:
+        bench.permitted()
+        since, begun_s = len(bench.heard), bench.now_s
+        can_id, data = bench.encoded(RuntimeHeartbeat(RuntimeCode.READY, bench.epoch))
+        payload = change(bench, data[3:])
+        bench.inject(can_id, protect(payload, data[2], DATA_IDS[can_id], bench.endpoint.link.tag))
+        return latched(bench, since, begun_s, StopCause.AUTHENTICATION_FAILED)
+
+    return run
+
+
+def saying_cut(_bench: Bench, payload: bytes) -> bytes:
+    """CUT in place of READY, tag and echo as they were."""
+    return payload[:3] + bytes([payload[3] ^ RuntimeCode.READY ^ RuntimeCode.CUT]) + payload[4:]
+
+
+def guessed(_bench: Bench, payload: bytes) -> bytes:
+    """A tag with one bit turned."""
+    return bytes([payload[0] ^ 1]) + payload[1:]
+
+
+def heartbeat_of_a_round_before(bench: Bench) -> str:
+    """The same eight bits of counter, 256 heartbeats later: what was said once is never said again."""
+    bench.open()
+    kept = bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
+    bench.inject(*kept)
+    for _ in range(ROUND - 1):
+        bench.run(bench.heartbeat_s)
+        if kept[1][2] == (bench.endpoint.link.counter + 1) % ROUND:
+            break
+    since, begun_s = len(bench.heard), bench.now_s
+    bench.inject(*kept)
+    return latched(bench, since, begun_s, StopCause.AUTHENTICATION_FAILED)
 
 
 def stop_frame(bench: Bench) -> str:
@@ -556,7 +643,7 @@ def stop_frame(bench: Bench) -> str:
     bench.stop(StopCause.OPERATOR_STOP)
     found = stopped(bench, since, begun_s, StopCause.OPERATOR_STOP, bench.allowance_s)
     bench.stays(ControllerState.INHIBITED)
-    if bench.state is None or bench.state.epoch != (epoch + 1) % 256:
+    if bench.state is None or bench.state.epoch != (epoch + 1) % EPOCHS:
         raise DeviationError(f"the epoch is {bench.state.epoch if bench.state else None}, was {epoch}")
     return f"{found}; epoch {epoch} became {bench.state.epoch}"
 
@@ -639,7 +726,7 @@ def counter_reused(bench: Bench) -> str:
     can_id, data = bench.encoded(RuntimeHeartbeat(bench.code, bench.epoch))
     bench.inject(can_id, data)
     since, begun_s = len(bench.heard), bench.now_s
-    other = RuntimeHeartbeat(bench.code, (bench.epoch + 1) % 256)
+    other = RuntimeHeartbeat(bench.code, (bench.epoch + 1) % EPOCHS)
     bench.inject(*encode_frame(other, data[2], bench.endpoint.link.tag))
     return str(stopped(bench, since, begun_s, StopCause.SEQUENCE_ERROR, bench.allowance_s))
 
@@ -686,18 +773,68 @@ def outside_session_heartbeats(bench: Bench) -> str:
     return str(found)
 
 
-def withdrawn(bench: Bench) -> str:
-    """Whatever comes of it, the cases after this one use another registration."""
+def claimed_withdrawal(bench: Bench) -> str:
+    """A STOP frame carries no code: it stops for the cause it names, and withdraws nothing."""
     bench.loaded()
     since, begun_s = len(bench.heard), bench.now_s
     bench.stop(StopCause.REGISTRATION_WITHDRAWN)
+    found = stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
+    bench.finish()
+    bench.permitted()
+    return f"{found}; in the next session Reply ACCEPTED"
+
+
+def withdrawn(bench: Bench) -> str:
+    """A withdrawn place is refused at once and in the next session, under another digest and a later time as well.
+
+    Whatever comes of it, the cases after this one use another place.
+    """
+    bench.loaded()
+    bench.withdraw(bench.place, records.NO_TIME)
     try:
-        stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
+        refused(bench, bench.permit(), Refusal.REGISTRATION_WITHDRAWN)
         bench.finish()
+        bench.registration = bytes(32)
         bench.loaded()
-        return refused(bench, bench.signed(bench.permit()), Refusal.REGISTRATION_WITHDRAWN)
+        return refused(bench, bench.permit(), Refusal.REGISTRATION_WITHDRAWN)
     finally:
         bench.renew_registration()
+
+
+def too_early(bench: Bench) -> str:
+    """A registration that is not later than the barrier is refused, whatever its place; a later one is not."""
+    bench.loaded()
+    taken_us = max(REGISTERED_US, bench.barrier_us + 1)
+    bench.withdraw(records.NO_PLACE, taken_us)
+    found = refused(bench, bench.permit(), Refusal.REGISTRATION_TOO_EARLY)
+    bench.finish()
+    bench.permitted()
+    return f"{found}; a later one: Reply ACCEPTED"
+
+
+def withdrawn_by_heartbeat(bench: Bench) -> str:
+    """A tagged cause withdraws; until a Withdraw has told the barrier nothing is permitted, which OPENED says."""
+    bench.loaded()
+    since, begun_s = len(bench.heard), bench.now_s
+    beat = RuntimeHeartbeat(RuntimeCode.INHIBIT, bench.epoch, StopCause.BONE_MOVED)
+    bench.inject(*bench.encoded(beat))
+    stopped(bench, since, begun_s, StopCause.BONE_MOVED, bench.allowance_s)
+    bench.finish()
+    bench.renew_registration()
+    answer = bench.open_unacknowledged()
+    bench.acknowledge(answer.cause)
+    if not answer.withdrawal_due:
+        raise DeviationError("Opened does not say that a withdrawal is due")
+    bench.load()
+    found = refused(bench, bench.permit(), Refusal.WITHDRAWAL_DUE)
+    bench.withdraw(records.NO_PLACE, records.NO_TIME)
+    return f"{found}; Withdraw: Reply ACCEPTED"
+
+
+def acknowledge_of_another_epoch(bench: Bench) -> str:
+    bench.open()
+    request = records.Acknowledge((bench.epoch + 1) % EPOCHS, StopCause.NONE)
+    return refused(bench, request, Refusal.EPOCH)
 
 
 # ---------------------------------------------------------------- what latches
@@ -718,7 +855,7 @@ def wrong_mac(record: Callable[[Bench], Any]) -> Run:
     """A record whose code is not right by one bit."""
 
     def run(bench: Bench) -> str:
-        sound = bench.signed(record(bench))
+        sound = bench.endpoint.signed_next(record(bench))
         false = sound.with_mac(bytes([sound.code[0] ^ 1]) + sound.code[1:])
         since, begun_s = len(bench.heard), bench.now_s
         sequence = bench.say(false)
@@ -743,6 +880,16 @@ def right_start(bench: Bench) -> Start:
     return bench.start(bench.permitted())
 
 
+def right_acknowledge(bench: Bench) -> records.Acknowledge:
+    bench.open()
+    return records.Acknowledge(bench.epoch, StopCause.NONE)
+
+
+def right_withdraw(bench: Bench) -> records.Withdraw:
+    bench.open()
+    return records.Withdraw(records.NO_PLACE, records.NO_TIME)
+
+
 def second_node(bench: Bench) -> str:
     bench.open()
     since, begun_s = len(bench.heard), bench.now_s
@@ -756,15 +903,15 @@ def held_in_fault(bench: Bench) -> str:
     answer = bench.open_unacknowledged()
     if answer.state is not ControllerState.FAULT:
         raise DeviationError(f"a new session is in {answer.state.name}, must be in FAULT")
-    early = bench.ask(bench.signed(bench.reset(StopCause.SECOND_NODE)))
+    early = bench.ask(bench.reset(StopCause.SECOND_NODE))
     if early is None or early.refusal is not Refusal.UNACKNOWLEDGED_STOP:
         raise DeviationError(f"Reset before Acknowledge: {shown(early)}")
     bench.acknowledge(StopCause.SECOND_NODE)
     bench.stays(ControllerState.FAULT)
-    other = bench.ask(bench.signed(bench.reset(StopCause.AUDIT_FAILED)))
+    other = bench.ask(bench.reset(StopCause.AUDIT_FAILED))
     if other is None or other.refusal is not Refusal.WRONG_CAUSE:
         raise DeviationError(f"Reset for another cause: {shown(other)}")
-    latency = bench.ask(bench.signed(bench.reset(StopCause.SECOND_NODE)))
+    latency = bench.ask(bench.reset(StopCause.SECOND_NODE))
     if latency is None or latency.refusal is not Refusal.ACCEPTED:
         raise DeviationError(f"Reset: {shown(latency)}")
     if not bench.reaches(ControllerState.OPEN):

@@ -43,7 +43,7 @@ def document(
             "serial": announce.serial,
             "firmware": announce.firmware_version,
             "protocol_version": announce.protocol_version,
-            "boot_nonce": announce.boot_nonce.hex(),
+            "announce_nonce": announce.announce_nonce.hex(),
         },
         "timing": {name: getattr(timing, name) for name in timing.__dataclass_fields__},
         "conforms": outcome.passed and whole,

@@ -9,9 +9,9 @@ from typing import Final
 
 from cutgate.protocol import records
 from cutgate.protocol.records import Permit, Start
-from cutgate.protocol.states import Refusal
+from cutgate.protocol.states import EPOCHS, Refusal
 from cutgate.runtime.conform import cases as c
-from cutgate.runtime.conform.bench import Bench
+from cutgate.runtime.conform.bench import PERMIT_RECORDS, Bench
 from cutgate.runtime.conform.cases import Case
 from cutgate.runtime.conform.sample import LONG, other_elbow, other_tool, outside_limits
 
@@ -66,10 +66,13 @@ def _other_branch(_bench: Bench, permit: Permit) -> Permit:
 def _opening() -> tuple[Case, ...]:
     page = "Conversation 1, 2"
     return (
-        Case("announces", page, "nothing", f"Announce with version {records.PROTOCOL_VERSION}, serial, one boot nonce, INHIBITED, repeated", c.announces),
-        Case("opens", page, "a right OPEN", "Opened in OPEN; fresh heartbeats and joints", c.opens),
+        Case("announces", page, "nothing", f"Announce with version {records.PROTOCOL_VERSION}, serial, one announce nonce, INHIBITED, repeated", c.announces),
+        Case("opens", page, "a right OPEN", "Opened with a right code, in OPEN; fresh heartbeats and joints; then another announce nonce", c.opens),
         Case("open: other protocol version", page, "OPEN with the next version", "Reply PROTOCOL_VERSION", c.open_refused(Refusal.PROTOCOL_VERSION, protocol_version=records.PROTOCOL_VERSION + 1)),
-        Case("open: other boot nonce", page, "OPEN with a boot nonce of zeros", "Reply WRONG_BOOT", c.open_refused(Refusal.WRONG_BOOT, boot_nonce=bytes(16))),
+        Case("open: other announce nonce", page, "OPEN with an announce nonce of zeros", "Reply ANNOUNCE_NONCE", c.open_refused(Refusal.ANNOUNCE_NONCE, announce_nonce=bytes(16))),
+        Case("open: said again", page, "the bytes that opened the session before", "Reply ANNOUNCE_NONCE", c.open_again),
+        Case("open: wrong code", "Authentication", "one bit of the code turned, then a right OPEN", "Reply MAC_INVALID, nothing changed; then Opened", c.open_with_a_wrong_code),
+        Case("open: other controller", page, "OPEN that names another identity digest", "Reply IDENTITY_DIGEST", c.open_refused(Refusal.IDENTITY_DIGEST, identity_digest=ALWAYS_WRONG)),
         Case("open: during a session", page, "a right OPEN in an open session", "Reply SESSION_IN_USE; the session goes on", c.open_during_session),
         Case("open: timing out of bounds", "Records, timing; constants.md", "OPEN once for each bound, just beyond it", "Reply TIMING_OUT_OF_BOUNDS", c.timing_out_of_bounds),
     )  # fmt: skip
@@ -82,6 +85,7 @@ def _frames() -> tuple[Case, ...]:
         Case("heartbeats: silence in OPEN", f"{page}, Age", "nothing", "HEARTBEAT_LOST within time-out and 2 periods; new epoch", c.silence(permitted=False)),
         Case("heartbeats: silence in PERMITTED", f"{page}, Age", "a right permit, then nothing", "HEARTBEAT_LOST within time-out and 2 periods; new epoch", c.silence(permitted=True)),
         Case("heartbeats: a stale burst", f"{page}, Age", f"{c.STALE_BURST} at once and more after, counters right, echo older than the time-out", "HEARTBEAT_LOST as if nothing had come", c.stale_heartbeats),
+        Case("heartbeats: one held back", f"{page}, Age", "one, 0.7 of the time-out after it was made, then nothing", "HEARTBEAT_LOST as if it had come at once", c.held_back),
         Case("heartbeats: two corrupted", f"{page}, Corruption", "2 with a bit turned", "discarded, the session goes on", c.two_corrupted),
         Case("heartbeats: three corrupted", f"{page}, Corruption", "3 with a bit turned within a second", "CORRUPTION", c.three_corrupted),
         Case("heartbeats: other session tag", f"{page}, Corruption", "3 under another tag", "CORRUPTION", c.other_session_heartbeats),
@@ -143,9 +147,9 @@ def _permits() -> tuple[Case, ...]:
         *digests,
         changed("wrong serial number", "another serial number", Refusal.WRONG_SERIAL, c.with_fields(serial="NOT-THIS-ONE")),
         changed("other verifier", "another verifier than OPEN's", Refusal.VERIFIER, c.with_fields(verifier_version="another")),
-        changed("wrong boot nonce", "a boot nonce of zeros", Refusal.WRONG_BOOT, c.with_fields(boot_nonce=bytes(16))),
+        changed("wrong announce nonce", "an announce nonce of zeros", Refusal.ANNOUNCE_NONCE, c.with_fields(announce_nonce=bytes(16))),
         changed("other protocol version", "the next version", Refusal.PROTOCOL_VERSION, c.with_fields(protocol_version=records.PROTOCOL_VERSION + 1)),
-        changed("wrong epoch", "the next epoch", Refusal.EPOCH, lambda b, p: replace(p, epoch=(b.epoch + 1) % 256)),
+        changed("wrong epoch", "the next epoch", Refusal.EPOCH, lambda b, p: replace(p, epoch=(b.epoch + 1) % EPOCHS)),
         changed("other lifetime", "a lifetime 1 s longer than OPEN's", Refusal.TIMING_OUT_OF_BOUNDS, lambda _b, p: replace(p, lifetime_s=p.lifetime_s + 1)),
         changed("other branch", "one turn more of q0", Refusal.BRANCH, _other_branch, ends),
         changed("other entry", "entry 10 um further", Refusal.APPROACH, _approach(entry_um=10), ends),
@@ -170,10 +174,12 @@ def _starts() -> tuple[Case, ...]:
         Case("start: without a permit", page, "START in LOADED", "Reply NO_PERMIT or NOT_IN_STATE", c.start_without_permit),
         changed("enabling device released", "a right START", Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, c.with_fields()),
         changed("wrong nonce", "a nonce of zeros", Refusal.NONCE_MISMATCH, c.with_fields(nonce=bytes(16))),
-        changed("wrong epoch", "the next epoch", Refusal.EPOCH, lambda b, s: replace(s, epoch=(b.epoch + 1) % 256)),
+        changed("wrong epoch", "the next epoch", Refusal.EPOCH, lambda b, s: replace(s, epoch=(b.epoch + 1) % EPOCHS)),
         changed("wrong session", "a session digest of zeros", Refusal.WRONG_SESSION, c.with_fields(session_digest=ALWAYS_WRONG)),
         changed("other permit", "a permit digest of zeros", Refusal.PERMIT_MISMATCH, c.with_fields(permit_digest=ALWAYS_WRONG)),
         changed("start joints elsewhere", "q3 5 deg off", Refusal.START_JOINTS, c.elsewhere),
+        changed("other log", "the id of another log than the permit's", Refusal.LOG_NOT_CONTINUED, c.log_not_continued(log_id=bytes(16))),
+        changed("log not gone on", "no more records than the permit's", Refusal.LOG_NOT_CONTINUED, c.log_not_continued(size=PERMIT_RECORDS)),
         Case("start: after the nonce's lifetime", page, "a right START after start_lifetime_ms", "Reply NONCE_EXPIRED", c.start_nonce_expired),
         Case("start: CUT without START", page, "heartbeats that say CUT in PERMITTED", "PERMITTED; nothing moves", c.cut_without_start),
     )  # fmt: skip
@@ -182,7 +188,16 @@ def _starts() -> tuple[Case, ...]:
 def _last() -> tuple[Case, ...]:
     page = "Authentication"
     return (
-        Case("registration withdrawn", "Promised, and not", "STOP with REGISTRATION_WITHDRAWN; in the next session a right permit", "Reply REGISTRATION_WITHDRAWN", c.withdrawn),
+        Case("withdraw: claimed by a stop", "Withdrawal", "STOP with REGISTRATION_WITHDRAWN; in the next session a right permit", "stopped; Reply ACCEPTED", c.claimed_withdrawal),
+        Case("withdraw: place", "Withdrawal", "Withdraw with the session's place; a right permit then, and in the next session under another digest", "Reply REGISTRATION_WITHDRAWN to both", c.withdrawn),
+        Case("withdraw: barrier", "Withdrawal", "Withdraw with the registration's time as barrier; a right permit; in the next session one for a later registration", "Reply REGISTRATION_TOO_EARLY, then ACCEPTED", c.too_early),
+        Case("withdraw: cause in the heartbeat", "Withdrawal", "a heartbeat with BONE_MOVED; in the next session a right permit, then Withdraw", "Opened says that a withdrawal is due; Reply WITHDRAWAL_DUE, then ACCEPTED", c.withdrawn_by_heartbeat),
+        Case("acknowledge: other epoch", "Conversation", "Acknowledge of the next epoch", "Reply EPOCH", c.acknowledge_of_another_epoch),
+        Case("heartbeats: CUT without the key", page, "CUT for READY in a heartbeat in PERMITTED, its CRC made anew", "latched AUTHENTICATION_FAILED", c.unkeyed_heartbeat(c.saying_cut), latches=True),
+        Case("heartbeats: guessed tag", page, "one bit of a heartbeat's tag turned, its CRC made anew", "latched AUTHENTICATION_FAILED", c.unkeyed_heartbeat(c.guessed), latches=True),
+        Case("heartbeats: a round before", page, "a heartbeat again, 256 heartbeats later", "latched AUTHENTICATION_FAILED", c.heartbeat_of_a_round_before, latches=True),
+        Case("acknowledge: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_acknowledge), latches=True),
+        Case("withdraw: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_withdraw), latches=True),
         Case("permit: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_permit), latches=True),
         Case("start: wrong code", page, "one bit of the MAC turned", "Reply MAC_INVALID, latched AUTHENTICATION_FAILED", c.wrong_mac(c.right_start), latches=True),
         Case("second node", "Single frames, One of each", "a frame on the controller's own 0x081", "latched SECOND_NODE", c.second_node, latches=True),

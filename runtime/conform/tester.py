@@ -11,10 +11,19 @@ from typing import Final, TypeVar
 import can
 
 from cutgate.protocol import records
+from cutgate.protocol.codes import SessionCodes
+from cutgate.protocol.e2e import COUNTER_MODULUS
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
-from cutgate.protocol.frames import ControllerHeartbeat, Frame, RuntimeHeartbeat, RuntimeStop
+from cutgate.protocol.frames import (
+    ControllerHeartbeat,
+    Frame,
+    RuntimeHeartbeat,
+    RuntimeStop,
+    encode_frame,
+    payload_of,
+)
 from cutgate.protocol.port import RETRY_S, Passed, Port
-from cutgate.protocol.records import Channel, Record, Side
+from cutgate.protocol.records import Channel, Record, Side, SignedRecord
 from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
 from cutgate.runtime.conform.heard import Heard, Seen, Standstill, Stop, sign_of_a_stop
 
@@ -24,6 +33,7 @@ WAIT_MIN_S: Final = 0.001
 
 T = TypeVar("T")
 R = TypeVar("R", bound=Record)
+S = TypeVar("S", bound=SignedRecord)
 
 
 class TesterEndpoint(Endpoint):
@@ -38,12 +48,45 @@ class TesterEndpoint(Endpoint):
         self._sent[channel] += 1
         return self._sent[channel]
 
+    def signed_next(self, record: S) -> S:
+        """The record with the code that it would leave with, were it the next one on its channel."""
+        return super()._signed(record, self._sent[record.CHANNEL] + 1)  # type: ignore[return-value]
+
+    def tagged(self, beat: RuntimeHeartbeat, now_s: float, echo: int | None = None) -> tuple[int, bytes]:
+        """A heartbeat whose tag is right for what it echoes; its counter is used up, it is not sent.
+
+        Args:
+            beat: what it says.
+            now_s: when it is made.
+            echo: the controller's counter of 8 bits, one of its last 256; the last one heard where not given.
+        """
+        self.link.encode(beat, now_s)
+        counter, echoed = self.link.counter, self.link.echo
+        if echo is not None:
+            echoed -= (echoed - echo) % COUNTER_MODULUS
+        tag = self.codes.heartbeat_tag(self.side, counter, echoed, payload_of(beat)[-2:])
+        sealed = replace(beat, echo=echoed % COUNTER_MODULUS, tag=tag)
+        return encode_frame(sealed, counter % COUNTER_MODULUS, self.link.tag)
+
+    @property
+    def codes(self) -> SessionCodes:
+        """Of the session in use."""
+        assert self._codes is not None  # noqa: S101 - asked for in a session alone
+        return self._codes
+
+    def _signed(self, record: Record, sequence: int) -> Record:
+        """A code that a case has put in stays as it is."""
+        if isinstance(record, SignedRecord) and record.code != records.NO_MAC:
+            return record
+        return super()._signed(record, sequence)
+
 
 class Tester:
     """A tester on a bus with one controller, which says and hears whatever it is told to.
 
     Args:
         bus: an open python-can bus.
+        key: the pre-shared key, 32 bytes.
         timing: what OPEN proposes.
         reply_s: how long an answer may take.
         clock: monotonic seconds.
@@ -55,6 +98,7 @@ class Tester:
     def __init__(
         self,
         bus: can.BusABC,
+        key: bytes,
         timing: records.Timing,
         *,
         reply_s: float,
@@ -69,6 +113,7 @@ class Tester:
         self._clock, self._wait, self._recorder = clock, wait, recorder
         self.endpoint = TesterEndpoint(
             Side.RUNTIME,
+            key,
             heartbeat_s=self.heartbeat_s,
             timeout_s=self.timeout_s,
             transfer_timeout_s=reply_s,
@@ -173,7 +218,7 @@ class Tester:
 
     def say(self, record: Record, *, session: int | None = None) -> int:
         """Queue a record; its sequence."""
-        return self.endpoint.send_record(record, self._clock(), session=session)[0]
+        return self.endpoint.send_record(record, self._clock(), session=session).sequence
 
     def say_bytes(self, channel: Channel, payload: bytes) -> None:
         """Queue bytes in a record's place."""
@@ -190,6 +235,13 @@ class Tester:
         found = (heard.item for heard in self.heard[since:])
         return next(
             (i.record for i in found if isinstance(i, RecordReceived) and isinstance(i.record, kind)), None
+        )
+
+    def authentic(self, record: Record) -> bool:
+        """Whether the code of a record that was heard is right."""
+        found = (heard.item for heard in self.heard)
+        return any(
+            isinstance(item, RecordReceived) and item.record is record and item.authentic for item in found
         )
 
     def wait_for(self, kind: type[R], since: int, limit_s: float | None = None) -> R | None:

@@ -7,28 +7,34 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cutgate.protocol import permit
+from cutgate.protocol.codes import PresharedKey
 from cutgate.protocol.e2e import intact
 from cutgate.protocol.frames import DATA_IDS, FRAMES, decode_frame, encode_frame
 from cutgate.protocol.parameters import Calibration, Limits, Tool
 from cutgate.protocol.path import Assembly, Path, PathBlock, split
 from cutgate.protocol.records import (
     PROTOCOL_VERSION,
+    Acknowledge,
     Announce,
     Approach,
     Branch,
     Open,
+    Opened,
     Permit,
     Reset,
+    Side,
+    SignedRecord,
     Start,
     Timing,
+    TreeHead,
+    Withdraw,
     digest,
     pack,
     session_digest,
     session_tag,
     unpack,
 )
-from cutgate.protocol.states import ControllerState, StopCause
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from tests.protocol.vectors import generate
 
 
@@ -39,6 +45,7 @@ def load(name: str) -> Any:
 FRAME_VECTORS = load("frames")["frames"]
 OPENING = load("opening")
 SIGNED = load("signed")
+TAG_VECTORS = load("tags")
 PARAMETERS = load("parameters")
 PATH = load("path")
 
@@ -50,7 +57,7 @@ def test_generator_reproduces_the_files():
 
 @pytest.mark.parametrize("name", [name.removesuffix(".json") for name in generate.files()])
 def test_every_file_says_its_format_and_the_protocol_that_it_belongs_to(name: str):
-    assert (load(name)["format_version"], load(name)["protocol_version"]) == (2, PROTOCOL_VERSION)
+    assert (load(name)["format_version"], load(name)["protocol_version"]) == (3, PROTOCOL_VERSION)
 
 
 def test_every_file_of_vectors_is_generated():
@@ -86,49 +93,59 @@ def hexed(name: str) -> bytes:
     return bytes.fromhex(SIGNED[name])
 
 
+KEY = PresharedKey(hexed("key"))
+CODES = KEY.session(hexed("session_digest"))
+
+
 def test_session_digest_and_tag_equal_the_vector():
-    nonces = hexed("boot_nonce"), hexed("runtime_nonce")
-    assert session_digest(*nonces) == hexed("session_digest")
-    assert session_tag(*nonces) == SIGNED["session_tag"]
+    request = unpack(bytes.fromhex(OPENING["open"])).record
+    assert isinstance(request, Open)
+    assert session_digest(request) == hexed("session_digest")
+    assert session_tag(hexed("session_digest")) == SIGNED["session_tag"]
 
 
 def test_announce_equals_the_vector():
     announce = Announce(
-        protocol_version=3,
+        protocol_version=4,
         firmware_version=OPENING["firmware_version"],
         serial=OPENING["serial"],
-        boot_nonce=bytes.fromhex(OPENING["boot_nonce"]),
+        announce_nonce=bytes.fromhex(OPENING["announce_nonce"]),
         plant_speed_permille=OPENING["plant_speed_permille"],
         state=ControllerState(OPENING["state"]),
         cause=StopCause(OPENING["cause"]),
     )
     assert pack(announce, 0, 1).hex() == OPENING["announce"]
     assert unpack(bytes.fromhex(OPENING["announce"])).record == announce
+    assert announce.identity_digest.hex() == OPENING["identity_digest"]
 
 
 def test_open_equals_the_vector():
-    nonces = bytes.fromhex(OPENING["boot_nonce"]), bytes.fromhex(OPENING["runtime_nonce"])
     request = Open(
-        3,
-        *nonces,
-        registration_digest=bytes.fromhex(OPENING["registration_digest"]),
-        configuration_digest=bytes.fromhex(OPENING["configuration_digest"]),
+        4,
+        **{name: bytes.fromhex(OPENING[name]) for name in ("announce_nonce", "runtime_nonce")},
+        **{f"{name}_digest": bytes.fromhex(OPENING[f"{name}_digest"]) for name in ("identity", "registration", "place", "configuration")},
+        registration_time_us=OPENING["registration_time_us"],
         verifier_version=OPENING["verifier_version"],
         timing=Timing(**OPENING["timing"]),
-    )
-    assert pack(request, 0, 1).hex() == OPENING["open"]
-    assert unpack(bytes.fromhex(OPENING["open"])).record == request
+    )  # fmt: skip
+    signed = KEY.sign_open(request)
+    assert pack(signed, 0, 1).hex() == OPENING["open"]
+    assert unpack(bytes.fromhex(OPENING["open"])).record == signed
+
+
+def log(at: int) -> TreeHead:
+    return TreeHead(generate.patterned(16, 30), at, generate.patterned(32, 31 + at % 7))
 
 
 def a_permit() -> Permit:
     digests = {f"{name}_digest": bytes.fromhex(value) for name, value in SIGNED["digests"].items()}
     return Permit(
         nonce=generate.patterned(16, 4),
-        boot_nonce=hexed("boot_nonce"),
+        announce_nonce=bytes.fromhex(OPENING["announce_nonce"]),
         session_digest=hexed("session_digest"),
         serial=SIGNED["serial"],
-        protocol_version=3,
-        epoch=200,
+        protocol_version=4,
+        epoch=20,
         verifier_version=SIGNED["verifier_version"],
         start_joints_u=tuple(SIGNED["start_joints_u"]),
         branch=Branch("left", -1, 3),
@@ -136,37 +153,66 @@ def a_permit() -> Permit:
             **{k: tuple(v) if isinstance(v, list) else v for k, v in SIGNED["approach"].items()}
         ),
         lifetime_s=120,
+        log=log(1000),
         **digests,
     )
 
 
-def test_signed_permit_equals_the_vector():
-    signed = permit.sign(hexed("key"), a_permit())
-    assert pack(signed, 0xDEADBEEF, 41) == hexed("permit")
-    assert signed.digest == hexed("permit_digest")
+REGISTERED_US = OPENING["registration_time_us"]
+IN_SESSION: dict[str, tuple[int, SignedRecord]] = {
+    "opened": (
+        40,
+        Opened(
+            20, ControllerState.OPEN, StopCause.NONE, log(77), 1, 3600,
+            Refusal.REGISTRATION_TOO_EARLY, REGISTERED_US - 1,
+        ),
+    ),
+    "permit": (41, a_permit()),
+    "start": (
+        42,
+        Start(
+            generate.patterned(16, 5), 20, hexed("session_digest"), hexed("permit_digest"),
+            a_permit().start_joints_u, log(1234),
+        ),
+    ),
+    "reset": (
+        43, Reset(generate.patterned(16, 6), 21, hexed("session_digest"), StopCause.SECOND_NODE),
+    ),
+    "acknowledge": (44, Acknowledge(21, StopCause.SECOND_NODE)),
+    "withdraw": (45, Withdraw(bytes.fromhex(OPENING["place_digest"]), REGISTERED_US + 60_000_000)),
+}  # fmt: skip
 
 
-def test_signed_start_equals_the_vector():
-    start = Start(
-        generate.patterned(16, 5),
-        200,
-        hexed("session_digest"),
-        hexed("permit_digest"),
-        a_permit().start_joints_u,
-    )
-    assert pack(permit.sign(hexed("key"), start), 0xDEADBEEF, 42) == hexed("start")
+@pytest.mark.parametrize("name", IN_SESSION)
+def test_signed_record_equals_the_vector(name: str):
+    sequence, record = IN_SESSION[name]
+    assert pack(CODES.sign(record, sequence), CODES.tag, sequence) == hexed(name)
 
 
-def test_signed_reset_equals_the_vector():
-    reset = Reset(generate.patterned(16, 6), 201, hexed("session_digest"), StopCause.SECOND_NODE)
-    assert pack(permit.sign(hexed("key"), reset), 0xDEADBEEF, 43) == hexed("reset")
+def test_permit_digest_equals_the_vector():
+    assert a_permit().digest == hexed("permit_digest")
 
 
-@pytest.mark.parametrize("name", ["permit", "start", "reset"])
+def test_tags_equal_the_vector():
+    sides = {side.name.lower(): side for side in Side}
+    for beat in TAG_VECTORS["heartbeats"]:
+        covered = bytes.fromhex(beat["last_bytes"])
+        assert CODES.heartbeat_tag(sides[beat["from"]], beat["counter"], beat["echo"], covered) == beat["tag"]
+    for sample in TAG_VECTORS["samples"]:
+        assert CODES.sample_tag(sample["counter"], sample["joints"]) == sample["tag"]
+
+
+def authentic(record: SignedRecord, sequence: int) -> bool:
+    return KEY.open_authentic(record) if isinstance(record, Open) else CODES.authentic(record, sequence)
+
+
+@pytest.mark.parametrize("name", ["open", *IN_SESSION])
 def test_vector_is_accepted_and_every_flipped_bit_of_its_body_refused(name: str):
-    record = unpack(hexed(name)).record
-    assert isinstance(record, Permit | Start | Reset)
-    assert permit.verify(hexed("key"), record)
+    data = bytes.fromhex(OPENING["open"]) if name == "open" else hexed(name)
+    envelope = unpack(data)
+    record, sequence = envelope.record, envelope.sequence
+    assert isinstance(record, SignedRecord)
+    assert authentic(record, sequence)
     body = record.body()
     for bit in range(8 * len(body)):
         changed = bytearray(body)
@@ -175,7 +221,7 @@ def test_vector_is_accepted_and_every_flipped_bit_of_its_body_refused(name: str)
             altered = type(record).parse(bytes(changed))
         except ValueError:
             continue
-        assert not permit.verify(hexed("key"), altered), bit
+        assert not authentic(altered, sequence), bit
 
 
 LIMITS = Limits.quantised(

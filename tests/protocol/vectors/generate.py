@@ -18,9 +18,9 @@ from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.ciphers.modes import ECB
 
 HERE = Path(__file__).parent
-FORMAT_VERSION = 2
-"""Of the vector files: 1 had no versions and no opening.json."""
-PROTOCOL_VERSION = 3
+FORMAT_VERSION = 3
+"""Of the vector files: 1 had no versions and no opening.json, 2 none of codes in Open and Opened, and no tags.json."""
+PROTOCOL_VERSION = 4
 POSES = 250
 TAGS = (0x00000001, 0xDEADBEEF, 0xFFFFFFFF)
 
@@ -66,9 +66,9 @@ def cmac(key: bytes, message: bytes) -> bytes:
     return state
 
 
-def hkdf16(key: bytes, info: bytes) -> bytes:
-    """RFC 5869 with SHA-256, no salt, 16 bytes."""
-    extracted = hmac.new(bytes(32), key, hashlib.sha256).digest()
+def hkdf16(key: bytes, info: bytes, salt: bytes = bytes(32)) -> bytes:
+    """RFC 5869 with SHA-256, 16 bytes; without a salt one of zeros counts."""
+    extracted = hmac.new(salt, key, hashlib.sha256).digest()
     return hmac.new(extracted, info + b"\x01", hashlib.sha256).digest()[:16]
 
 
@@ -104,10 +104,13 @@ def frames() -> list[dict[str, object]]:
         )
         stop = {"code": 0x55AA, "cause": 1, "echo": echo}
         found.append(frame(0x011, "RuntimeStop", stop, 0x55AA | 1 << 16 | echo << 24, counter, tag))
-        beat = {"code": 0x5555, "echo": echo, "epoch": 9, "cause": 0}
-        found.append(frame(0x080, "RuntimeHeartbeat", beat, 0x5555 | echo << 16 | 9 << 24, counter, tag))
+        tagged = 0x1234 + 0x3001 * at
+        beat = {"tag": tagged, "echo": echo, "code": 4, "epoch": 29, "cause": 0}
+        low = tagged | echo << 16
+        found.append(frame(0x080, "RuntimeHeartbeat", beat, low | 4 << 24 | 29 << 27, counter, tag))
         state = {
-            "state": 0x6969,
+            "tag": tagged,
+            "state": 5,
             "echo": echo,
             "epoch": 9,
             "cause": 26,
@@ -117,9 +120,7 @@ def frames() -> list[dict[str, object]]:
         }
         bits = 26 | 1 << 5 | (at % 2) << 6 | 1 << 7
         found.append(
-            frame(
-                0x081, "ControllerHeartbeat", state, 0x6969 | echo << 16 | 9 << 24 | bits << 32, counter, tag
-            )
+            frame(0x081, "ControllerHeartbeat", state, low | 5 << 24 | 9 << 27 | bits << 32, counter, tag)
         )
         low = (1 << 20) - 1
         q0, q1, q2, q3, q4 = (-524288, 524287, -1, 12345, -20000)
@@ -129,7 +130,10 @@ def frames() -> list[dict[str, object]]:
         found.append(
             frame(0x301, "Joints23", {"q2": q2, "q3": q3}, (q2 & low) | (q3 & low) << 20, counter, tag)
         )
-        found.append(frame(0x302, "Joint4", {"q4": q4}, q4 & low, counter, tag))
+        sample = 0xABCDE - at
+        found.append(
+            frame(0x302, "Joint4", {"q4": q4, "tag": sample}, (q4 & low) | sample << 20, counter, tag)
+        )
         progress = {"segment": 1999 + at, "fraction": 65535 - at}
         found.append(frame(0x303, "Progress", progress, (1999 + at) | (65535 - at) << 24, counter, tag))
     return found
@@ -144,11 +148,63 @@ def named(text: str) -> bytes:
     return text.encode("ascii").ljust(16, b"\0")
 
 
+KEY, ANNOUNCE_NONCE, RUNTIME_NONCE = patterned(32, 1), patterned(16, 2), patterned(16, 3)
+TIMING = {
+    "heartbeat_ms": 20,
+    "timeout_ms": 100,
+    "permit_lifetime_s": 120,
+    "start_lifetime_ms": 2000,
+    "start_tolerance_um": 500,
+    "start_tolerance_mdeg": 200,
+    "approach_clearance_um": 70_000,
+    "approach_speed_percent": 25,
+}
+REGISTERED_US = 1_795_000_000_123_456
+FAULT, SECOND_NODE = 7, 9
+
+
+def announce_body(nonce: bytes, state: int, cause: int) -> bytes:
+    return (
+        struct.pack("<H", PROTOCOL_VERSION) + named("1.2.3") + named("CG-0001") + nonce
+        + struct.pack("<IBB", 2500, state, cause)
+    )  # fmt: skip
+
+
+def identity() -> bytes:
+    return hashlib.sha256(b"cutgate/identity/1" + announce_body(bytes(16), 1, 0)).digest()
+
+
+def open_body() -> bytes:
+    """Without its code."""
+    return (
+        struct.pack("<H", PROTOCOL_VERSION) + ANNOUNCE_NONCE + RUNTIME_NONCE + identity()
+        + patterned(32, 20) + patterned(32, 22) + struct.pack("<q", REGISTERED_US) + patterned(32, 21)
+        + named("certified/1") + struct.pack("<6HIH", *TIMING.values())
+    )  # fmt: skip
+
+
+def session() -> bytes:
+    """The digest that names the session."""
+    return hashlib.sha256(b"cutgate/session/2" + open_body()).digest()
+
+
+def session_key(info: bytes) -> bytes:
+    return hkdf16(KEY, info, session())
+
+
+def coded(domain: bytes, sequence: int, body: bytes, direction: bytes = b"runtime to controller") -> bytes:
+    """The body with its code, for this session and sequence."""
+    covered = domain + b"\0" + session() + struct.pack("<I", sequence) + body
+    return body + cmac(session_key(direction + b": record"), covered)
+
+
+def log(at: int) -> bytes:
+    return patterned(16, 30) + struct.pack("<Q", at) + patterned(32, 31 + at % 7)
+
+
 def signed() -> dict[str, object]:
-    """Permit, start and reset with their codes; session digest and tag."""
-    key, boot, runtime = patterned(32, 1), patterned(16, 2), patterned(16, 3)
-    session = hashlib.sha256(b"cutgate/session/1" + boot + runtime).digest()
-    derived = hkdf16(key, b"runtime to controller")
+    """Everything that is signed in a session, with its code; session digest and tag."""
+    tag = struct.unpack("<I", session()[:4])[0]
     digests = {
         name: patterned(32, 10 + at) for at, name in enumerate(("limits", "calibration", "tool", "path"))
     }
@@ -157,28 +213,22 @@ def signed() -> dict[str, object]:
     entry, leave = (1, -2, 3, 719_999_999, 5), (-36_000_000_000, 145_000_000, 449_999_999, 7, 8)
     approach = struct.pack("<2I", 92_001, 4_000_000_000) + struct.pack("<10qB", *entry, *leave, 25)
     permit = (
-        patterned(16, 4) + boot + session + named("CG-0001") + struct.pack("<HB", PROTOCOL_VERSION, 200)
+        patterned(16, 4) + ANNOUNCE_NONCE + session() + named("CG-0001")
+        + struct.pack("<HB", PROTOCOL_VERSION, 20)
         + b"".join(digests.values()) + named("certified/1") + struct.pack("<5q", *joints)
-        + struct.pack("<Bhh", 2, -1, 3) + approach + struct.pack("<H", 120)
+        + struct.pack("<Bhh", 2, -1, 3) + approach + struct.pack("<H", 120) + log(1000)
     )  # fmt: skip
-    signed = b"cutgate/permit/1\0" + permit
-    permit += cmac(derived, signed)
+    digest = hashlib.sha256(b"cutgate/permit/1\0" + permit)
     start = (
-        patterned(16, 5)
-        + bytes([200])
-        + session
-        + hashlib.sha256(signed).digest()
-        + struct.pack("<5q", *joints)
+        patterned(16, 5) + bytes([20]) + session() + digest.digest() + struct.pack("<5q", *joints) + log(1234)
     )
-    start += cmac(derived, b"cutgate/start/1\0" + start)
-    reset = patterned(16, 6) + bytes([201]) + session + bytes([9])
-    reset += cmac(derived, b"cutgate/reset/1\0" + reset)
+    reset = patterned(16, 6) + bytes([21]) + session() + bytes([SECOND_NODE])
+    opened = bytes([20, 2, 0]) + log(77) + struct.pack("<BIBq", 1, 3600, 45, REGISTERED_US - 1)
+    back = coded(b"cutgate/opened/1", 40, opened, b"controller to runtime")
     return {
-        "key": key.hex(),
-        "boot_nonce": boot.hex(),
-        "runtime_nonce": runtime.hex(),
-        "session_digest": session.hex(),
-        "session_tag": struct.unpack("<I", session[:4])[0],
+        "key": KEY.hex(),
+        "session_digest": session().hex(),
+        "session_tag": tag,
         "serial": "CG-0001",
         "verifier_version": "certified/1",
         "digests": {name: value.hex() for name, value in digests.items()},
@@ -190,49 +240,89 @@ def signed() -> dict[str, object]:
             "exit_joints_u": list(leave),
             "speed_percent": 25,
         },
-        "permit": envelope(0x07, 0xDEADBEEF, 41, permit),
-        "permit_digest": hashlib.sha256(signed).hexdigest(),
-        "start": envelope(0x08, 0xDEADBEEF, 42, start),
-        "reset": envelope(0x09, 0xDEADBEEF, 43, reset),
+        "opened": envelope(0x03, tag, 40, back),
+        "permit": envelope(0x07, tag, 41, coded(b"cutgate/permit/1", 41, permit)),
+        "permit_digest": digest.hexdigest(),
+        "start": envelope(0x08, tag, 42, coded(b"cutgate/start/1", 42, start)),
+        "reset": envelope(0x09, tag, 43, coded(b"cutgate/reset/1", 43, reset)),
+        "acknowledge": envelope(0x0A, tag, 44, coded(b"cutgate/acknowledge/1", 44, bytes([21, SECOND_NODE]))),
+        "withdraw": envelope(
+            0x0B,
+            tag,
+            45,
+            coded(
+                b"cutgate/withdraw/1", 45, patterned(32, 22) + struct.pack("<q", REGISTERED_US + 60_000_000)
+            ),
+        ),
     }
 
 
 def opening() -> dict[str, object]:
     """Announce of a controller that is latched, and Open."""
-    boot, runtime = patterned(16, 2), patterned(16, 3)
-    announce = (
-        struct.pack("<H", PROTOCOL_VERSION) + named("1.2.3") + named("CG-0001") + boot
-        + struct.pack("<IHB", 2500, 0x33CC, 9)
-    )  # fmt: skip
-    timing = {
-        "heartbeat_ms": 20,
-        "timeout_ms": 100,
-        "permit_lifetime_s": 120,
-        "start_lifetime_ms": 2000,
-        "start_tolerance_um": 500,
-        "start_tolerance_mdeg": 200,
-        "approach_clearance_um": 70_000,
-        "approach_speed_percent": 25,
-    }
-    body = (
-        struct.pack("<H", PROTOCOL_VERSION) + boot + runtime + patterned(32, 20) + patterned(32, 21)
-        + named("certified/1") + struct.pack("<6HIH", *timing.values())
-    )  # fmt: skip
+    body = open_body()
+    code = cmac(hkdf16(KEY, b"cutgate/open/1"), b"cutgate/open/1\0" + body)
     return {
-        "boot_nonce": boot.hex(),
-        "runtime_nonce": runtime.hex(),
+        "key": KEY.hex(),
+        "announce_nonce": ANNOUNCE_NONCE.hex(),
+        "runtime_nonce": RUNTIME_NONCE.hex(),
         "firmware_version": "1.2.3",
         "serial": "CG-0001",
         "plant_speed_permille": 2500,
-        "state": 0x33CC,
-        "cause": 9,
+        "state": FAULT,
+        "cause": SECOND_NODE,
+        "identity_digest": identity().hex(),
         "registration_digest": patterned(32, 20).hex(),
+        "place_digest": patterned(32, 22).hex(),
+        "registration_time_us": REGISTERED_US,
         "configuration_digest": patterned(32, 21).hex(),
         "verifier_version": "certified/1",
-        "timing": timing,
-        "announce": envelope(0x01, 0, 1, announce),
-        "open": envelope(0x02, 0, 1, body),
+        "timing": TIMING,
+        "announce": envelope(0x01, 0, 1, announce_body(ANNOUNCE_NONCE, FAULT, SECOND_NODE)),
+        "open": envelope(0x02, 0, 1, body + code),
     }
+
+
+COUNTERS = ((0, 0xFFFFFFFF), (255, 254), (256, 255), (70_000, 65_537), (0xFFFFFFFE, 0x01020304))
+
+
+def tags() -> dict[str, object]:
+    """Tags of heartbeats of both directions and of joint samples; counters and echoes of 32 bits."""
+    beats = [
+        {
+            "from": side,
+            "counter": counter,
+            "echo": echo,
+            "last_bytes": covered.hex(),
+            "tag": int.from_bytes(
+                cmac(session_key(direction + b": heartbeat"), struct.pack("<II", counter, echo) + covered)[
+                    :2
+                ],
+                "little",
+            ),
+        }
+        for side, direction in (
+            ("runtime", b"runtime to controller"),
+            ("controller", b"controller to runtime"),
+        )
+        for counter, echo in COUNTERS
+        for covered in (bytes([4 | 20 << 3, 0]), bytes([1 | 31 << 3, 14]))
+    ]
+    joints = (-524288, 524287, -1, 12345, -20000)
+    samples = [
+        {
+            "counter": counter,
+            "joints": joints,
+            "tag": int.from_bytes(
+                cmac(session_key(b"controller to runtime: sample"), struct.pack("<I5i", counter, *joints))[
+                    :3
+                ],
+                "little",
+            )
+            % (1 << 20),
+        }
+        for counter, _ in COUNTERS
+    ]
+    return {"key": KEY.hex(), "session_digest": session().hex(), "heartbeats": beats, "samples": samples}
 
 
 def parameters() -> dict[str, object]:
@@ -338,6 +428,7 @@ def files() -> dict[str, str]:
         "frames": {"frames": frames()},
         "opening": opening(),
         "signed": signed(),
+        "tags": tags(),
         "parameters": parameters(),
         "path": path(),
     }

@@ -21,7 +21,7 @@ from cutgate.config.key import new_key_file
 from cutgate.config.load import EXAMPLES
 from cutgate.config.screen import printable
 from cutgate.config.signals import ENDING, handled, name_of
-from cutgate.protocol.permit import KEY_BYTES
+from cutgate.protocol.codes import KEY_BYTES
 from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output

@@ -8,7 +8,7 @@ import typer
 
 from cutgate.config.key import load_key, new_key_file
 from cutgate.config.screen import printable
-from cutgate.protocol.permit import KEY_BYTES, fingerprint
+from cutgate.protocol.codes import KEY_BYTES, fingerprint
 from cutgate.runtime.commands.screen import echo, messages
 
 keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys.")

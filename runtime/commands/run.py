@@ -12,7 +12,7 @@ from cutgate.config.exits import READER_GONE, STOPPED
 from cutgate.config.key import load_key
 from cutgate.config.load import InputError
 from cutgate.config.screen import printable
-from cutgate.protocol.permit import fingerprint
+from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED
 from cutgate.runtime.audit.directory import Previous
 from cutgate.runtime.commands.screen import delivered, working

@@ -28,6 +28,7 @@ import can
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.config.key import new_key_file
 from cutgate.protocol import records
+from cutgate.protocol.codes import KEY_BYTES
 from cutgate.protocol.frames import (
     CONTROL_IDS,
     IDS,
@@ -37,7 +38,6 @@ from cutgate.protocol.frames import (
     RuntimeHeartbeat,
     decode_frame,
 )
-from cutgate.protocol.permit import KEY_BYTES
 from cutgate.runtime.audit.inspect import Log, read_log
 from tests.system import children
 from tests.system.children import Script
@@ -574,11 +574,11 @@ def judged(path: Path) -> Log:
 
 
 def session_tag(bus: Observer) -> int:
-    """What the last OPEN on the bus and its boot nonce make of the session."""
+    """What the last OPEN on the bus makes of the session."""
     request = next(
         e.record for e in reversed(bus.records(CONTROL_IDS[0])) if isinstance(e.record, records.Open)
     )
-    return records.session_tag(request.boot_nonce, request.runtime_nonce)
+    return records.session_tag(records.session_digest(request))
 
 
 # ---------------------------------------------------------------- inputs

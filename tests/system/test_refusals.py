@@ -107,7 +107,7 @@ def test_a_controller_that_rebooted_is_no_longer_permitted(rig):
     assert "the controller announced itself anew" in run.told
     rig.at_rest(sim)
     announced = [e.record for e in rig.bus.records(CONTROL_IDS[1]) if isinstance(e.record, records.Announce)]
-    assert announced[-1].boot_nonce != announced[0].boot_nonce
+    assert announced[-1].announce_nonce != announced[0].announce_nonce
     assert announced[-1].state is ControllerState.INHIBITED
 
 

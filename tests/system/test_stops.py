@@ -6,6 +6,7 @@ import signal
 import pytest
 
 from cutgate.config.key import load_key
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -14,7 +15,6 @@ from cutgate.protocol.frames import (
     Joints23,
     RuntimeHeartbeat,
 )
-from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script

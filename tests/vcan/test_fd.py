@@ -9,6 +9,7 @@ from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.path import Assembly, split
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import BlockStored, Side
+from tests.protocol.sessions import DIGEST, KEY
 
 pytestmark = [
     pytest.mark.processes,
@@ -20,8 +21,8 @@ WAIT_S = 20.0
 
 
 def side(which, bus, seen):
-    endpoint = Endpoint(which, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=WAIT_S, fd=True)
-    endpoint.use_session(1)
+    endpoint = Endpoint(which, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=WAIT_S, fd=True)
+    endpoint.use_session(DIGEST)
     return Port(bus, endpoint, seen.append)
 
 

@@ -29,6 +29,7 @@ from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol import records
+from cutgate.protocol.codes import KEY_BYTES, fingerprint
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import (
@@ -44,7 +45,6 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.link import Accepted
 from cutgate.protocol.parameters import counts_nearest
-from cutgate.protocol.permit import KEY_BYTES
 from cutgate.protocol.port import Passed, Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, RuntimeCode, StopCause, StopCode
@@ -316,15 +316,17 @@ class Stage:
             made(robot).body() for made in (limits_record, calibration_record, tool_record)
         )
         stands = tuple(counts_nearest(float(part), "joint") for part in harness.STANDS.split(","))
+        key = load_key(rig.folder / "site.key")
         endpoint = Endpoint(
-            Side.CONTROLLER, heartbeat_s=HEARTBEAT_S, timeout_s=TIMEOUT_S, transfer_timeout_s=2.0
+            Side.CONTROLLER, key, heartbeat_s=HEARTBEAT_S, timeout_s=TIMEOUT_S, transfer_timeout_s=2.0
         )
         self.seen, self.bus = Seen(), bus
         self.controller = Process(
             Controller.powered_up(
-                Identity("SIM-1", load_key(rig.folder / "site.key"), os.urandom(16)),
+                Identity("SIM-1", fingerprint(key)),
                 Holdings(limits, calibration, tool),
                 Memory(),
+                os.urandom(16),
             ),
             Port(bus, endpoint, self.seen.record),
             rig.folder / "memory.json",

@@ -13,7 +13,7 @@ from paths import EXAMPLES
 
 from cutgate.config.key import new_key_file
 from cutgate.firmware_sim.hil.plugin import hub_process
-from cutgate.protocol.permit import KEY_BYTES
+from cutgate.protocol.codes import KEY_BYTES
 
 PARTS = 100
 """Each segment of the hip stem is cut in so many: 199 901 poses."""

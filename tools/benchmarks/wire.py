@@ -23,13 +23,13 @@ from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import IDS, TRANSFER_IDS, RuntimeHeartbeat, decode_frame, joint_frames
 from cutgate.protocol.link import Accepted, Link
 from cutgate.protocol.path import PathHeader, split
-from cutgate.protocol.permit import sign, verify
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import RuntimeCode
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session.job import make_job, read_files
+from tests.protocol.sessions import CODES, DIGEST, KEY
 from tests.runtime.audit.build import wire_permit
 from tests.runtime.session.pair import Pair, pair_of
 
@@ -44,10 +44,11 @@ def upload(*, fd: bool) -> tuple[list[Sent], int, int]:
     """Every frame of both sides while the example's path is sent block by block; its bytes, and its poses."""
     path = prepared("second")[0].path
     sides = {
-        side: Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd) for side in Side
+        side: Endpoint(side, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd)
+        for side in Side
     }
     for endpoint in sides.values():
-        endpoint.use_session(1)
+        endpoint.use_session(DIGEST)
     frames: list[Sent] = []
     for block in split(path.body()):
         sides[Side.RUNTIME].send_record(block, 0.0)
@@ -228,7 +229,6 @@ def codec() -> Rows:
 
 
 BEATS = 1000
-KEY = bytes(range(32))
 BEAT = RuntimeHeartbeat(RuntimeCode.CUT, 1)
 
 
@@ -239,7 +239,7 @@ def _permit() -> records.Permit:
 
 @cache
 def _signed() -> records.Permit:
-    return sign(KEY, _permit())
+    return CODES.sign(_permit(), 1)
 
 
 @cache
@@ -249,7 +249,7 @@ def _packed() -> bytes:
 
 def _link(side: Side) -> Link:
     link = Link(side, timeout_s=TIMEOUT_S, heartbeat_s=HEARTBEAT_S)
-    link.open(1, 0.0)
+    link.open(CODES, 0.0)
     return link
 
 
@@ -287,8 +287,8 @@ WORKS: dict[str, tuple[Callable[[], object], int]] = {
     ),
     "permit to bytes": (lambda: [records.pack(_signed(), 1, 1) for _ in range(100)], 100),
     "bytes to permit": (lambda: [records.unpack(_packed()) for _ in range(100)], 100),
-    "sign a permit": (lambda: [sign(KEY, _permit()) for _ in range(100)], 100),
-    "verify a permit": (lambda: [verify(KEY, _signed()) for _ in range(100)], 100),
+    "sign a permit": (lambda: [CODES.sign(_permit(), 1) for _ in range(100)], 100),
+    "verify a permit": (lambda: [CODES.authentic(_signed(), 1) for _ in range(100)], 100),
     "read a path of 2000 poses": (lambda: records.Path.parse(prepared_bytes()), 1),
 }
 

@@ -11,6 +11,7 @@ from cutgate.firmware_sim.bus.hub import log_line
 from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.records import Side
+from tests.protocol.sessions import DIGEST, KEY
 from tools.fuzz.harness import Family, attempt, expect
 
 LINE = re.compile(r"\(\d+\.\d{6}\) vcan0 [0-9A-F]{3,8}#(#[0-9A-F])?(R\d?|[0-9A-F]*)\n")
@@ -28,8 +29,9 @@ def check(data: bytes) -> None:
         return
     message = client._to_message(record, "vcan0")  # noqa: SLF001 - what a client makes of it
     for side in Side:
-        endpoint = Endpoint(side, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
-        endpoint.link.open(0xC0FFEE, 0.0)
+        endpoint = Endpoint(side, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0)
+        endpoint.use_session(DIGEST)
+        endpoint.open_link(0.0)
         endpoint.receive(
             message.arbitration_id,
             bytes(message.data),

@@ -17,9 +17,9 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted, Discarded, ForTransfer, Link, Unlisted, Violation
 from cutgate.protocol.states import RuntimeCode, StopCause, StopCode
 from cutgate.protocol.wire import Side
+from tests.protocol.sessions import CODES, TAG
 from tools.fuzz.harness import Family, attempt, expect
 
-TAG = 0xC0FFEE
 TRANSFERS = tuple(can_id for side in TRANSFER_IDS.values() for can_id in side.values())
 IDS = (*FRAMES, *TRANSFERS, 0x000, 0x7FF, 0x12345)
 OP_BYTES = 11
@@ -30,7 +30,7 @@ def check(data: bytes) -> None:
     """The codec, and a link of each side, over the same frames."""
     side = Side(data[0] & 1 if data else 0)
     link = Link(side, timeout_s=0.1, heartbeat_s=0.02)
-    link.open(TAG, 0.0)
+    link.open(CODES, 0.0)
     for number, (how, can_id, content) in enumerate(_frames(data[1:])):
         _codec(can_id, content)
         now_s = number * 0.001 * (1 + how // 64)

@@ -4,13 +4,15 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-from cutgate.protocol.conversation import SignedRecord
-from cutgate.protocol.permit import sign, verify
+from cutgate.protocol.codes import PresharedKey
+from cutgate.protocol.conversation import Open, OtherVersion, SignedRecord
 from cutgate.protocol.records import (
+    PROTOCOL_VERSION,
     RECORDS,
     Acknowledge,
     Assembly,
     Calibration,
+    Envelope,
     Limits,
     Path,
     PathBlock,
@@ -25,11 +27,11 @@ from cutgate.protocol.records import (
 )
 from cutgate.protocol.states import StopCause
 from cutgate.protocol.wire import Channel
+from tests.protocol.sessions import CODES, KEY, TAG
 from tests.runtime.audit.build import inputs, wire_permit
 from tools.fuzz.harness import Family, attempt, choose, expect
 
-KEY = bytes(range(32))
-TAG = 0xC0FFEE
+PRESHARED = PresharedKey(KEY)
 HEAD = struct.Struct("<BBHII")
 
 
@@ -51,8 +53,15 @@ def _envelope(data: bytes) -> None:
                 RecordError, lambda c=candidate, s=sender, h=channel: unpack(c, sender=s, channel=h)
             )
             if envelope is not None:
-                again = pack(envelope.record, envelope.session, envelope.sequence)
-                expect(again == candidate, f"{envelope.record} has one form")
+                _one_form(envelope, candidate)
+
+
+def _one_form(envelope: Envelope, data: bytes) -> None:
+    if isinstance(envelope.record, OtherVersion):
+        expect(envelope.record.protocol_version != PROTOCOL_VERSION, "of ours all is read")
+    else:
+        again = pack(envelope.record, envelope.session, envelope.sequence)
+        expect(again == data, f"{envelope.record} has one form")
 
 
 def _sealed(data: bytes) -> bytes:
@@ -73,8 +82,12 @@ def _body(data: bytes) -> None:
     expect(record.body() == body, f"{record} has one form")
     if isinstance(record, Limits | Calibration | Tool):
         record.problems()
-    if isinstance(record, SignedRecord):
-        expect(verify(KEY, record) == (record == sign(KEY, record)), "only the key's holder signs")
+    if isinstance(record, Open):
+        honest = record == PRESHARED.sign_open(record)
+        expect(PRESHARED.open_authentic(record) == honest, "only the key's holder opens")
+    elif isinstance(record, SignedRecord):
+        honest = record == CODES.sign(record, 7)
+        expect(CODES.authentic(record, 7) == honest, "only the key's holder signs")
 
 
 def _path(data: bytes) -> None:
@@ -114,13 +127,13 @@ BLOCKS = (*split(LONGER), *split(LONGER + bytes(20 * 3)))
 
 def _seeds() -> Iterator[bytes]:
     i = inputs()
-    signed = sign(KEY, wire_permit())
+    signed = CODES.sign(wire_permit(), 7)
     bodies: list[Record] = [
         signed,
         Limits.parse(i.limits),
         Calibration.parse(i.calibration),
         Tool.parse(i.tool),
-        Acknowledge(StopCause.BONE_MOVED),
+        Acknowledge(3, StopCause.BONE_MOVED),
         Reset(bytes(16), 1, bytes(32), StopCause.SECOND_NODE),
         BLOCKS[0],
         BLOCKS[2],
@@ -128,7 +141,7 @@ def _seeds() -> Iterator[bytes]:
     for record in bodies:
         yield bytes([PARSERS.index(_envelope)]) + pack(record, TAG, 7)
         yield bytes([PARSERS.index(_body), KINDS.index(type(record))]) + record.body()
-    reserved = HEAD.pack(Acknowledge.TYPE, 1, 1, TAG, 7) + Acknowledge(StopCause.BONE_MOVED).body()
+    reserved = HEAD.pack(Acknowledge.TYPE, 1, 18, TAG, 7) + Acknowledge(3, StopCause.BONE_MOVED).body()
     yield bytes([PARSERS.index(_envelope)]) + reserved
     yield bytes([PARSERS.index(_path)]) + i.path
     yield bytes([PARSERS.index(_path)]) + LONGER

@@ -9,6 +9,7 @@ from cutgate.protocol.path import split
 from cutgate.protocol.records import ENVELOPE_BYTES_MAX, NonceRequest, Side, pack
 from cutgate.protocol.states import Purpose
 from cutgate.protocol.transfer import PAYLOAD_BYTES_MAX, Transfer
+from tests.protocol.sessions import DIGEST, KEY
 from tools.fuzz.harness import Family, expect
 
 TAG = 0xC0FFEE
@@ -65,9 +66,9 @@ def _conversation(data: bytes, *, fd: bool) -> None:
 
 
 def _endpoint(side: Side, *, fd: bool) -> Endpoint:
-    endpoint = Endpoint(side, **OPEN_TIMING, transfer_timeout_s=0.05, fd=fd)
-    endpoint.use_session(TAG)
-    endpoint.link.open(TAG, 0.0)
+    endpoint = Endpoint(side, KEY, **OPEN_TIMING, transfer_timeout_s=0.05, fd=fd)
+    endpoint.use_session(DIGEST)
+    endpoint.open_link(0.0)
     return endpoint
 
 

@@ -62,7 +62,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol/cycle.py": ("tests/protocol/test_cycle.py",),
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),
-    "protocol/permit.py": ("tests/protocol/test_permit.py", "tests/protocol/test_mutants_permit.py"),
+    "protocol/codes.py": ("tests/protocol/test_codes.py",),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
     # What decides of a path: its bytes, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),

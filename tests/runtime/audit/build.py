@@ -276,7 +276,7 @@ def wire_permit(given: float = 500.0, site: bytes | None = None) -> wire.Permit:
     files = i.robot.sha256 + (bytes(32) if site is None else sha256(site).digest())
     return wire.Permit(
         nonce=bytes(16),
-        boot_nonce=bytes(16),
+        announce_nonce=bytes(16),
         session_digest=bytes(32),
         serial="SIM-1",
         protocol_version=wire.PROTOCOL_VERSION,

@@ -3,7 +3,7 @@
 import stat
 
 from cutgate.config.key import load_key
-from cutgate.protocol.permit import fingerprint
+from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.commands import app as cli
 
 

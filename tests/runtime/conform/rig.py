@@ -8,6 +8,7 @@ from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity
 from cutgate.protocol import records
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
@@ -46,11 +47,14 @@ class Rig:
             tool_record(robot).body(),
         )
         memory_file = directory / "memory.json"
-        endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+        endpoint = Endpoint(Side.CONTROLLER, key, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
         random = Generator("controller")
         self.process = Process(
             Controller.powered_up(
-                Identity("SIM-1", key, random(16)), Holdings(*self.approved), memory.load(memory_file)
+                Identity("SIM-1", fingerprint(key)),
+                Holdings(*self.approved),
+                memory.load(memory_file, now_us=0),
+                random(16),
             ),
             Port(self.wire.nodes[CONTROLLER], endpoint),  # type: ignore[arg-type]
             memory_file,

@@ -11,11 +11,11 @@ import pytest
 from cutgate.firmware_sim import loop, rules, table
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.state import Controller, FaultArisen, PathChecked
-from cutgate.protocol.frames import IDS, Joints01
+from cutgate.protocol.e2e import protect
+from cutgate.protocol.frames import DATA_IDS, Frame, Joint4, Joints01, Joints23
 from cutgate.protocol.link import Link, Violation
 from cutgate.protocol.records import Limits
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
-from cutgate.protocol.wire import Side
 from cutgate.runtime.conform import sample
 from cutgate.runtime.conform.suite import CaseVerdict
 from cutgate.runtime.conform.table import cases
@@ -66,7 +66,7 @@ PERMIT_GUARDS = (
     (Refusal.MAC_INVALID, {"permit: wrong code"}),
     (Refusal.WRONG_SESSION, {"permit: wrong session digest"}),
     (Refusal.WRONG_SERIAL, {"permit: wrong serial number"}),
-    (Refusal.WRONG_BOOT, {"permit: wrong boot nonce"}),
+    (Refusal.ANNOUNCE_NONCE, {"permit: wrong announce nonce"}),
     (Refusal.PROTOCOL_VERSION, {"permit: other protocol version"}),
     (Refusal.EPOCH, {"permit: wrong epoch"}),
     (Refusal.NONCE_MISMATCH, {"permit: old nonce"}),
@@ -82,9 +82,12 @@ PERMIT_GUARDS = (
     (Refusal.APPROACH, {"permit: other entry", "permit: other exit", "permit: other entry joints"}),
     (Refusal.APPROACH_SPEED, {"permit: other approach speed"}),
     (Refusal.START_JOINTS, {"permit: start joints elsewhere"}),
-    (Refusal.REGISTRATION_WITHDRAWN, {"registration withdrawn"}),
+    (Refusal.REGISTRATION_WITHDRAWN, {"withdraw: place"}),
+    (Refusal.REGISTRATION_TOO_EARLY, {"withdraw: barrier"}),
+    (Refusal.WITHDRAWAL_DUE, {"withdraw: cause in the heartbeat"}),
 )
 START_GUARDS = (
+    (Refusal.LOG_NOT_CONTINUED, {"start: other log", "start: log not gone on"}),
     (Refusal.MAC_INVALID, {"start: wrong code"}),
     (Refusal.WRONG_SESSION, {"start: wrong session"}),
     (Refusal.EPOCH, {"start: wrong epoch"}),
@@ -105,23 +108,23 @@ def test_a_controller_without_one_rule_on_permits_fails_exactly_its_cases(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, guard: Refusal, fails: set[str]
 ) -> None:
     monkeypatch.setattr(table, "PERMIT_RULES", without(guard)(rules.PERMIT_RULES))
-    assert judged(rig, "permit", "registration") == fails
+    assert judged(rig, "permit", "withdraw: ") == fails
 
 
 def test_a_controller_whose_joints_count_for_themselves_fails_the_cyclic_frames(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The age of a sample is told by the heartbeat of its counter."""
-    honest = Link.open
+    honest = Link.encode
 
-    def ahead(link: Link, tag: int, now_s: float) -> None:
-        honest(link, tag, now_s)
-        if link.side is Side.CONTROLLER:
-            link._counters[IDS[Joints01]] = 7
+    def ahead(link: Link, frame: Frame, now_s: float) -> tuple[int, bytes]:
+        can_id, data = honest(link, frame, now_s)
+        if isinstance(frame, Joints01 | Joints23 | Joint4):
+            return can_id, protect(data[3:], (data[2] + 7) % 256, DATA_IDS[can_id], link.tag)
+        return can_id, data
 
-    monkeypatch.setattr(Link, "open", ahead)
-    found = failing(rig.run("cyclic frames"))
-    assert "follow the heartbeat" in found["cyclic frames"]
+    monkeypatch.setattr(Link, "encode", ahead)
+    assert "AUTHENTICATION_FAILED" in str(failing(rig.run("cyclic frames")))
 
 
 @pytest.mark.parametrize(("guard", "fails"), START_GUARDS, ids=lambda value: getattr(value, "name", ""))
@@ -144,7 +147,8 @@ def test_a_controller_without_one_rule_on_resets_fails_the_case_of_the_latch(
     ("guard", "fails"),
     [
         (Refusal.PROTOCOL_VERSION, "open: other protocol version"),
-        (Refusal.WRONG_BOOT, "open: other boot nonce"),
+        (Refusal.MAC_INVALID, "open: wrong code"),
+        (Refusal.IDENTITY_DIGEST, "open: other controller"),
         (Refusal.SESSION_IN_USE, "open: during a session"),
         (Refusal.TIMING_OUT_OF_BOUNDS, "open: timing out of bounds"),
     ],

@@ -21,7 +21,7 @@ def digest(name):
 
 PERMIT = wire.Permit(
     nonce=bytes(16),
-    boot_nonce=bytes(16),
+    announce_nonce=bytes(16),
     session_digest=bytes(32),
     serial="SIM-1",
     protocol_version=wire.PROTOCOL_VERSION,

@@ -49,7 +49,6 @@ from cutgate.protocol.wire import (
     Channel,
     Counts5,
     Digest32,
-    Epoch,
     Flag,
     LogId16,
     Mac16,
@@ -260,7 +259,7 @@ class Opened(SignedRecord):
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
     DOMAIN: ClassVar[bytes] = b"cutgate/opened/1"
 
-    epoch: Epoch
+    epoch: U8
     state: StateCode
     cause: CauseCode
     log: Annotated[TreeHead, Nested(TreeHead)] = NO_TREE_HEAD
@@ -325,7 +324,7 @@ class Nonce(Record):
 
     purpose: PurposeCode
     nonce: Nonce16
-    epoch: Epoch
+    epoch: U8
 
 
 @dataclass(frozen=True)
@@ -383,7 +382,7 @@ class Permit(SignedRecord):
     session_digest: Digest32
     serial: Ascii16
     protocol_version: U16
-    epoch: Epoch
+    epoch: U8
     limits_digest: Digest32
     calibration_digest: Digest32
     tool_digest: Digest32
@@ -415,7 +414,7 @@ class Start(SignedRecord):
     DOMAIN: ClassVar[bytes] = b"cutgate/start/1"
 
     nonce: Nonce16
-    epoch: Epoch
+    epoch: U8
     session_digest: Digest32
     permit_digest: Digest32
     start_joints_u: Counts5
@@ -434,7 +433,7 @@ class Reset(SignedRecord):
     DOMAIN: ClassVar[bytes] = b"cutgate/reset/1"
 
     nonce: Nonce16
-    epoch: Epoch
+    epoch: U8
     session_digest: Digest32
     cause: CauseCode
     mac: Mac16 = NO_MAC
@@ -449,7 +448,7 @@ class Acknowledge(SignedRecord):
     CHANNEL: ClassVar[Channel] = Channel.CONTROL
     DOMAIN: ClassVar[bytes] = b"cutgate/acknowledge/1"
 
-    epoch: Epoch
+    epoch: U8
     cause: CauseCode
     mac: Mac16 = NO_MAC
 

@@ -9,7 +9,7 @@ from enum import IntEnum, unique
 from typing import Final
 
 EPOCHS: Final = 32
-"""The epoch, which counts stops, is taken modulo this: five bits of every heartbeat."""
+"""The epoch, which counts stops, is taken modulo this: it has five bits in every heartbeat, a byte in records."""
 
 
 @unique

@@ -169,12 +169,6 @@ def test_a_version_cut_short_is_malformed():
         unpack(forged(Open.TYPE, 0, 1, 0, b"\x03"))
 
 
-@pytest.mark.parametrize("epoch", [-1, 32])
-def test_an_epoch_has_five_bits(epoch: int):
-    with pytest.raises(RecordError, match=r"epoch is -?\d+, must be in 0..31"):
-        Acknowledge(epoch, StopCause.NONE)
-
-
 def test_the_agreed_timing_is_read_in_the_units_of_each_name():
     timing = Timing(20, 150, 120, 2500, 505, 250, 10_250, 25)
     assert (timing.heartbeat_s, timing.timeout_s, timing.start_lifetime_s) == (0.02, 0.15, 2.5)

@@ -13,6 +13,7 @@ none lets a moving arm go on, while one of its permissives does not hold.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from typing import Any, Final, TypeVar
 
 from cutgate.protocol import records as wire
@@ -89,7 +90,7 @@ class Ledger:
             if record.kind == "permit":
                 yield from self._sent_permit(record, _signed(wire.Permit, record))
             elif record.kind == "start":
-                yield from self._sent_start(_signed(wire.Start, record))
+                yield from self._sent_start(record, _signed(wire.Start, record))
         except ValueError as error:
             yield f"the {record.kind}'s record cannot be read: {error}"
 
@@ -118,7 +119,7 @@ class Ledger:
             )
 
     def _sent_permit(self, record: records.AuditPermit, signed: wire.Permit) -> Iterator[str]:
-        self._permit = signed.digest
+        self._permit = sha256(_canonical(record)).digest()
         for code in sorted(self._to_confirm - self._confirmed):
             yield f"a permit left although the warning {code} was not confirmed"
         if self._verdict is not None and signed.verifier_version != self._verdict[0].verifier:
@@ -135,8 +136,10 @@ class Ledger:
             )
         if self._approach is not None:
             yield from bound_differences(signed, self._approach[0])
+        yield from _log_differences(record, signed)
 
-    def _sent_start(self, signed: wire.Start) -> Iterator[str]:
+    def _sent_start(self, record: records.AuditPermit, signed: wire.Start) -> Iterator[str]:
+        yield from _log_differences(record, signed)
         if not self._permitted:
             yield "a start left without an acknowledged permit"
         if signed.permit_digest != self._permit:
@@ -154,11 +157,24 @@ def decision_differences(decision: records.AuditDecision) -> Iterator[str]:
             yield f"decision {decision.sequence} let the arm go on although this did not hold: {name}"
 
 
+def _canonical(record: records.AuditPermit) -> bytes:
+    """What was signed but for session and sequence, as it stands in the record. Raises ValueError if it cannot be read."""
+    return bytes.fromhex(record.record or "")
+
+
 def _signed(kind: type[S], record: records.AuditPermit) -> S:
-    """What was signed, as it stands in the record.
+    """The same, in its fields; one that names no tree is of version 3 of the protocol, which had none.
 
     Raises:
         ValueError: it cannot be read.
     """
-    signed = bytes.fromhex(record.record or "")
-    return kind.parse(signed.removeprefix(kind.DOMAIN + b"\0") + wire.NO_MAC)
+    body = _canonical(record).removeprefix(kind.DOMAIN + b"\0")
+    log = wire.NO_TREE_HEAD.body() if record.log_size is None else b""
+    return kind.parse(body + log + wire.NO_MAC)
+
+
+def _log_differences(record: records.AuditPermit, signed: wire.Permit | wire.Start) -> Iterator[str]:
+    """The tree that a record says it names must be the one that was signed."""
+    named = (record.log_size or 0, record.log_root or bytes(32).hex())
+    if named != (signed.log.size, signed.log.root.hex()):
+        yield f"the {record.kind}'s log is not the one that was signed"

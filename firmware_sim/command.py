@@ -23,15 +23,16 @@ from cutgate.config.signals import ENDING, handled, wake
 from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
+from cutgate.firmware_sim.arrivals import NONCE_BYTES
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
-from cutgate.firmware_sim.loop import Options, Process
+from cutgate.firmware_sim.loop import NS_PER_US, Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
-from cutgate.protocol.permit import fingerprint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
@@ -80,7 +81,7 @@ def _run(options: argparse.Namespace) -> None:
         )
     key, memory_file = load_key(options.key), memory.beside(options.key)
     settings = _options(options, robot)
-    remembered = memory.load(memory_file)
+    remembered = memory.load(memory_file, now_us=time.time_ns() // NS_PER_US)
     memory.save(memory_file, remembered)  # one that cannot be written is found before anything depends on it
     controller = _controller(robot, key, remembered, options.serial)
     interface, channel = _bus_of(options)
@@ -94,7 +95,8 @@ def _run(options: argparse.Namespace) -> None:
         _refuse_a_used_bus(bus)
         say = screen.say
         say(
-            f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, fingerprint {fingerprint(key)}"
+            f"controller {controller.identity.serial} on {interface}/{channel}, key {options.key}, "
+            f"fingerprint {controller.identity.key_fingerprint}"
         )
         say(f"state {controller.state.name}; enabling device released; commands: {', '.join(ConsoleCommand)}")
         if settings.time_scale != 1.0:
@@ -105,7 +107,7 @@ def _run(options: argparse.Namespace) -> None:
             )
         process = Process(
             controller,
-            Port(bus, _endpoint(fd=options.fd)),
+            Port(bus, _endpoint(key, fd=options.fd)),
             memory_file,
             options=settings,
             commands=typed(ConsoleCommand),
@@ -121,7 +123,8 @@ def _controller(robot: Robot, key: bytes, remembered: Memory, serial: str | None
         tool=tool_record(robot).body(),
     )
     number = serial or f"SIM-{hashlib.sha256(robot.name.encode()).hexdigest()[:8].upper()}"
-    return Controller.powered_up(Identity(number, key, os.urandom(16)), holdings, remembered)
+    identity = Identity(number, fingerprint(key))
+    return Controller.powered_up(identity, holdings, remembered, os.urandom(NONCE_BYTES))
 
 
 def _options(options: argparse.Namespace, robot: Robot) -> Options:
@@ -176,10 +179,11 @@ def _bus_of(options: argparse.Namespace) -> tuple[str, str]:
     return options.interface, options.channel
 
 
-def _endpoint(*, fd: bool) -> Endpoint:
+def _endpoint(key: bytes, *, fd: bool) -> Endpoint:
     """Timing until a session agrees on its own."""
     return Endpoint(
         Side.CONTROLLER,
+        key,
         heartbeat_s=CONSTANTS["heartbeat_ms"].default / 1000,
         timeout_s=CONSTANTS["timeout_ms"].default / 1000,
         transfer_timeout_s=TRANSFER_TIMEOUT_S,

@@ -4,8 +4,7 @@ from dataclasses import replace
 from enum import StrEnum
 
 from cutgate.firmware_sim.faults import narrower
-from cutgate.firmware_sim.state import BoneMoved, Controller, Event, InputsChanged, LimitsChanged
-from cutgate.protocol.permit import fingerprint
+from cutgate.firmware_sim.state import BoneMoved, Controller, Event, Identity, InputsChanged, LimitsChanged
 from cutgate.protocol.states import Refusal, StopCause
 
 
@@ -53,21 +52,24 @@ def executed_line(segments: int, speed_ratio: float) -> str:
     return f"{segments} segments executed, peak joint speed {speed_ratio:.0%} of its limit"
 
 
-def refusal_line(refusal: Refusal, key: bytes) -> str:
+def refusal_line(refusal: Refusal, identity: Identity) -> str:
     """A refusal, and what the person at the controller can do about it, as the runtime's people cannot.
 
     Args:
         refusal: why.
-        key: the controller's own.
+        identity: the controller's own.
     """
-    return f"refused: {refusal.name}{_remedy(refusal, key)}"
+    return f"refused: {refusal.name}{_remedy(refusal, identity)}"
 
 
-def _remedy(refusal: Refusal, key: bytes) -> str:
+def _remedy(refusal: Refusal, identity: Identity) -> str:
     match refusal:
+        case Refusal.PROTOCOL_VERSION:
+            own = identity.protocol_version
+            return f": this controller speaks version {own} of the protocol; update it and the runtime to one release"
         case Refusal.MAC_INVALID:
-            own = fingerprint(key)
-            return f": the runtime has another key file; this one's fingerprint is {own}, compare it with the runtime's"
+            own_key = identity.key_fingerprint
+            return f": the runtime has another key file; this one's fingerprint is {own_key}, compare it with the runtime's"
         case Refusal.EMERGENCY_STOP:
             return ": the emergency stop is pressed; say estop to release it"
         case Refusal.DEVICE_NOT_RELEASED_AND_PRESSED:

@@ -30,7 +30,7 @@ class FaultName(StrEnum):
     CHANGE_LIMIT = "change-limit"
     """A joint limit changes unnoticed."""
     REBOOT = "reboot"
-    """Power is lost and comes back: a new boot nonce, nothing loaded; its memory is kept."""
+    """Power is lost and comes back: a new announce nonce, nothing loaded; its memory is kept."""
     DRIFT = "drift"
     """q0 creeps away from where the controller believes it to be, 1 deg/s; its own checks see nothing."""
     FREEZE = "freeze"

@@ -18,6 +18,7 @@ import can
 from cutgate.config.terminal import CommandReader
 from cutgate.firmware_sim import arrivals, console, faults, memory, reports
 from cutgate.firmware_sim.arm import PlantArm
+from cutgate.firmware_sim.arrivals import NONCE_BYTES
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec
 from cutgate.firmware_sim.kinematics import Joints
@@ -51,7 +52,7 @@ from cutgate.protocol.port import Port
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
 HANG_S: Final = 1.0
-BOOT_NONCE_BYTES: Final = 16
+NS_PER_US: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,10 @@ class Process:
         random: Callable[[int], bytes] = os.urandom,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.controller = controller
+        speed_permille = round(1000 * options.time_scale)
+        self.controller = replace(
+            controller, identity=replace(controller.identity, plant_speed_permille=speed_permille)
+        )
         self.port = port
         self._memory = memory_file
         self._memory_works = True
@@ -115,6 +119,8 @@ class Process:
         self._faults = Faults(options.faults)
         self._silent = False
         self._undelivered = ""
+        self._refused_opens: set[Refusal] = set()
+        """Shown since the state last changed: an OPEN may be anybody's, and come again and again."""
         self._cycle = Cycle(port, clock)
         self._next_announce_s = self._cycle.now_s
         self.upload = Upload(options.hold_roll_rad)
@@ -294,6 +300,7 @@ class Process:
             self._carry_out(effect)
 
     def _show(self, event: Event) -> None:
+        self._refused_opens.clear()
         line = console.state_line(self.controller)
         if isinstance(event, PathFinished):
             line += f": {console.executed_line(self.arm.executed, self.arm.speed_ratio)}"
@@ -326,17 +333,25 @@ class Process:
         endpoint = self.port.endpoint
         endpoint.stop_sending()  # an announcement that crossed OPEN must not hold up the answer
         endpoint.use_timing(heartbeat_s=session.heartbeat_s, timeout_s=session.timeout_s)
-        endpoint.use_session(session.tag)
-        endpoint.link.open(session.tag, self._clock())
+        endpoint.use_session(session.digest)
+        endpoint.open_link(self._clock())
         self._cycle.next_heartbeat_s = self._clock()
 
     def _reply(self, effect: Send) -> None:
         if isinstance(effect.record, records.Reply) and effect.record.refusal is not Refusal.ACCEPTED:
-            self._say(console.refusal_line(effect.record.refusal, self.controller.identity.key))
+            self._show_refusal(effect.record)
         now_s = self._clock()
         self.port.endpoint.send_record(effect.record, now_s, session=effect.session)
         if not self._link_open:  # a refusal of OPEN: the next announcement would cut it off
             self._next_announce_s = max(self._next_announce_s, now_s + self._options.announce_s)
+
+    def _show_refusal(self, reply: records.Reply) -> None:
+        """Each one; of an OPEN the same reason only once until something else happens."""
+        if reply.request_type == records.Open.TYPE:
+            if reply.refusal in self._refused_opens:
+                return
+            self._refused_opens.add(reply.refusal)
+        self._say(console.refusal_line(reply.refusal, self.controller.identity))
 
     def _send(self, record: records.Record) -> None:
         self.port.endpoint.send_record(record, self._clock())
@@ -395,7 +410,7 @@ class Process:
         if endpoint.receiving:  # most likely an OPEN
             return
         endpoint.abort()  # an announcement nobody took
-        endpoint.send_record(reports.announcement(self.controller, self._options.time_scale), now_s)
+        endpoint.send_record(reports.announcement(self.controller), now_s)
 
     # ------------------------------------------------------------ faults on demand
 
@@ -420,9 +435,10 @@ class Process:
         self.port.endpoint.end_session()
         self.upload.void()
         self.controller = Controller.powered_up(
-            replace(old.identity, boot_nonce=self._random(BOOT_NONCE_BYTES)),
+            old.identity,
             replace(old.holdings, path=None, ends=None),
-            memory.load(self._memory),
+            memory.load(self._memory, now_us=time.time_ns() // NS_PER_US),
+            self._random(NONCE_BYTES),
         )
         self.arm.load(self.controller.holdings)
         self._next_announce_s = self._clock()

@@ -11,19 +11,14 @@ from cutgate.protocol.states import ControllerState
 FIRMWARE_VERSION: Final = "sim-0.1"
 
 
-def announcement(controller: Controller, time_scale: float) -> records.Announce:
-    """Who it is, which boot this is, and how it stands.
-
-    Args:
-        controller: its state.
-        time_scale: seconds of the plant in one of the clock, whole thousandths.
-    """
+def announcement(controller: Controller) -> records.Announce:
+    """Who it is, what an OPEN must name, and how it stands."""
     return records.Announce(
         protocol_version=controller.identity.protocol_version,
         firmware_version=FIRMWARE_VERSION,
         serial=controller.identity.serial,
-        boot_nonce=controller.identity.boot_nonce,
-        plant_speed_permille=round(1000 * time_scale),
+        announce_nonce=controller.announce_nonce,
+        plant_speed_permille=controller.identity.plant_speed_permille,
         state=controller.state,
         cause=controller.cause,
     )

@@ -10,8 +10,8 @@ from typing import Any
 
 from cutgate.config.constants import CONSTANTS, REGISTRATIONS_MAX, TIMEOUT_HEARTBEATS
 from cutgate.firmware_sim.approach import agrees, inside, start_offset
+from cutgate.firmware_sim.reports import announcement
 from cutgate.firmware_sim.state import Controller, DeviceCycle
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.parameters import ROTATION_DEG_STANDS
 from cutgate.protocol.path import PathHeader
@@ -21,11 +21,12 @@ from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 
 @dataclass(frozen=True)
 class RequestCase:
-    """A request and what it is judged against."""
+    """A request and what it is judged against. ``authentic``: a holder of the key made it, as the endpoint says."""
 
     controller: Controller
     request: Any
     now_s: float
+    authentic: bool = False
 
 
 Rule = tuple[Refusal, Callable[[RequestCase], bool]]
@@ -34,6 +35,10 @@ Rule = tuple[Refusal, Callable[[RequestCase], bool]]
 def first_refusal(rules: tuple[Rule, ...], case: RequestCase) -> Refusal:
     """The first rule that does not hold, else ACCEPTED."""
     return next((refusal for refusal, holds in rules if not holds(case)), Refusal.ACCEPTED)
+
+
+def _made_by_a_key_holder(case: RequestCase) -> bool:
+    return case.authentic
 
 
 def _session_digest(case: RequestCase) -> bytes | None:
@@ -79,6 +84,29 @@ def _permit(case: RequestCase) -> records.Permit:
     return case.controller.permit
 
 
+def _not_withdrawn(case: RequestCase) -> bool:
+    session, memory = case.controller.session, case.controller.memory
+    return (
+        session is not None
+        and session.place not in memory.withdrawn
+        and session.registration not in memory.earlier
+    )
+
+
+def _later_than_the_barrier(case: RequestCase) -> bool:
+    """A registration without a time is never later than a barrier, for NO_TIME is 0 and a barrier more."""
+    session, barrier_us = case.controller.session, case.controller.memory.barrier_us
+    return session is not None and (
+        barrier_us == records.NO_TIME or session.registration_time_us > barrier_us
+    )
+
+
+REGISTRATION_RULES: tuple[Rule, ...] = (
+    (Refusal.REGISTRATION_WITHDRAWN, _not_withdrawn),
+    (Refusal.REGISTRATION_TOO_EARLY, _later_than_the_barrier),
+)
+"""What the controller's own list says of the registration that the session's OPEN names; OPENED tells it."""
+
 # What the controller has stored is hashed anew for every permit and again for every start.
 HOLDINGS_RULES: tuple[Rule, ...] = (
     (Refusal.LIMITS_DIGEST, lambda c: digest(c.controller.holdings.limits) == _permit(c).limits_digest),
@@ -88,10 +116,8 @@ HOLDINGS_RULES: tuple[Rule, ...] = (
     ),
     (Refusal.TOOL_DIGEST, lambda c: digest(c.controller.holdings.tool) == _permit(c).tool_digest),
     (Refusal.PATH_DIGEST, _path_as_permitted),
-    (
-        Refusal.REGISTRATION_WITHDRAWN,
-        lambda c: _permit(c).registration_digest not in c.controller.memory.withdrawn,
-    ),
+    (Refusal.WITHDRAWAL_DUE, lambda c: not c.controller.memory.withdrawal_due),
+    *REGISTRATION_RULES,
 )
 
 ALIVE_RULES: tuple[Rule, ...] = (
@@ -130,6 +156,11 @@ def _own_approach(case: RequestCase) -> bool:
     return agrees(holdings.ends, bound) and inside(limits, bound.entry_joints_u, bound.exit_joints_u)
 
 
+def _announce_nonce_as_opened(case: RequestCase) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.announce_nonce == session.announce_nonce
+
+
 def _registration_as_opened(case: RequestCase) -> bool:
     session = case.controller.session
     return session is not None and case.request.registration_digest == session.registration
@@ -161,6 +192,12 @@ def _permit_alive(case: RequestCase) -> bool:
     return session is not None and 0.0 <= age_s <= session.permit_lifetime_s
 
 
+def _log_goes_on(case: RequestCase) -> bool:
+    """The record that authorised the start stands in the permit's log, further on."""
+    permitted, started = _permit(case).log, case.request.log
+    return bool(started.log_id == permitted.log_id and started.size > permitted.size)
+
+
 def _timing_within_bounds(case: RequestCase) -> bool:
     timing: records.Timing = case.request.timing
     values = {
@@ -179,35 +216,48 @@ def _timing_within_bounds(case: RequestCase) -> bool:
 
 
 def _has_room(case: RequestCase) -> bool:
-    """One registration more than can be remembered is refused; none is forgotten for it."""
-    memory = case.controller.memory.naming(case.request.registration_digest)
-    return len(memory.named | memory.withdrawn) <= REGISTRATIONS_MAX
+    """A session whose place could not be remembered as withdrawn is refused; none is forgotten for it."""
+    return len(case.controller.memory.withdrawn | {case.request.place_digest}) <= REGISTRATIONS_MAX
+
+
+def _place_of_the_session(case: RequestCase) -> bool:
+    session = case.controller.session
+    return session is not None and case.request.place_digest in (session.place, records.NO_PLACE)
+
+
+def _same_version(case: RequestCase) -> bool:
+    own = case.controller.identity.protocol_version
+    return isinstance(case.request, records.Open) and case.request.protocol_version == own
 
 
 def _live(case: RequestCase) -> bool:
     return case.controller.session is not None and case.controller.session.live
 
 
+def _permitted_and_not_starting(case: RequestCase) -> bool:
+    return case.controller.state is ControllerState.PERMITTED and case.controller.awaiting is None
+
+
 OPEN_RULES: tuple[Rule, ...] = (
-    (Refusal.SESSION_IN_USE, lambda c: c.controller.session is None and c.controller.awaiting is None),
+    (Refusal.PROTOCOL_VERSION, _same_version),
+    (Refusal.SESSION_IN_USE, lambda c: c.controller.session is None),
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
+    (Refusal.ANNOUNCE_NONCE, lambda c: c.request.announce_nonce == c.controller.announce_nonce),
     (
-        Refusal.PROTOCOL_VERSION,
-        lambda c: c.request.protocol_version == c.controller.identity.protocol_version,
+        Refusal.IDENTITY_DIGEST,
+        lambda c: c.request.identity_digest == announcement(c.controller).identity_digest,
     ),
-    (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
-    (
-        Refusal.WRONG_SESSION,
-        lambda c: records.nonce_serves(c.controller.identity.boot_nonce, c.request.runtime_nonce),
-    ),
+    (Refusal.WRONG_SESSION, lambda c: records.opens(c.request)),
     (Refusal.TIMING_OUT_OF_BOUNDS, _timing_within_bounds),
     (Refusal.MEMORY_FULL, _has_room),
 )
+"""The version is read before the rest, which another one may lay out otherwise."""
 
 PERMIT_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
-    (Refusal.WRONG_BOOT, lambda c: c.request.boot_nonce == c.controller.identity.boot_nonce),
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
     (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
+    (Refusal.ANNOUNCE_NONCE, _announce_nonce_as_opened),
     (Refusal.WRONG_SERIAL, lambda c: c.request.serial == c.controller.identity.serial),
     (
         Refusal.PROTOCOL_VERSION,
@@ -220,11 +270,12 @@ PERMIT_RULES: tuple[Rule, ...] = (
     *_nonce_rules(Purpose.PERMIT),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     *HOLDINGS_RULES,
-    # OPEN carries no code; the permit does, so what it names again must be the same.
+    # What OPEN named as well must be the same.
     (Refusal.REGISTRATION_DIGEST, _registration_as_opened),
     (Refusal.CONFIGURATION_DIGEST, _configuration_as_opened),
     (Refusal.VERIFIER, _verifier_as_opened),
     (Refusal.TIMING_OUT_OF_BOUNDS, _lifetime_as_opened),
+    (Refusal.LOG_NOT_CONTINUED, lambda c: c.request.log.size > 0),
     (Refusal.BRANCH, _same_branch),
     (Refusal.APPROACH, _own_approach),
     (Refusal.APPROACH_SPEED, _speed_as_opened),
@@ -232,24 +283,26 @@ PERMIT_RULES: tuple[Rule, ...] = (
 )
 
 START_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
     (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NO_PERMIT, lambda c: c.controller.permit is not None),
-    (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.PERMITTED),
+    (Refusal.NOT_IN_STATE, _permitted_and_not_starting),
     *ALIVE_RULES,
     *_nonce_rules(Purpose.START),
     (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     (Refusal.PERMIT_EXPIRED, _permit_alive),
     (Refusal.PERMIT_MISMATCH, lambda c: c.request.permit_digest == _permit(c).digest),
     (Refusal.START_JOINTS, lambda c: c.request.start_joints_u == _permit(c).start_joints_u),
+    (Refusal.LOG_NOT_CONTINUED, _log_goes_on),
     *HOLDINGS_RULES,
     (Refusal.DEVICE_NOT_RELEASED_AND_PRESSED, lambda c: c.controller.device is DeviceCycle.PRESSED),
     (Refusal.NOT_AT_START, at_start),
 )
+"""Judged when it arrives, and again once the start's log is durable in the controller's memory."""
 
 RESET_RULES: tuple[Rule, ...] = (
-    (Refusal.MAC_INVALID, lambda c: permits.verify(c.controller.identity.key, c.request)),
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
     (Refusal.VOIDED_BY_STOP, _live),
     (Refusal.WRONG_SESSION, lambda c: c.request.session_digest == _session_digest(c)),
     (Refusal.NOT_IN_STATE, lambda c: c.controller.state is ControllerState.FAULT),
@@ -262,7 +315,9 @@ RESET_RULES: tuple[Rule, ...] = (
 """A reset leaves a latched fault once its cause was acknowledged. It never starts motion."""
 
 ACKNOWLEDGE_RULES: tuple[Rule, ...] = (
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
     (Refusal.VOIDED_BY_STOP, _live),
+    (Refusal.EPOCH, lambda c: c.request.epoch == c.controller.epoch),
     (Refusal.WRONG_CAUSE, lambda c: c.request.cause is c.controller.cause),
     (
         Refusal.EMERGENCY_STOP,
@@ -270,3 +325,9 @@ ACKNOWLEDGE_RULES: tuple[Rule, ...] = (
     ),
 )
 """Only the cause that stands, once it is gone; the operator has to have seen it."""
+
+WITHDRAW_RULES: tuple[Rule, ...] = (
+    (Refusal.MAC_INVALID, _made_by_a_key_holder),
+    (Refusal.WRONG_SESSION, _place_of_the_session),
+)
+"""Also in a session that a stop has voided: a withdrawal enables nothing."""

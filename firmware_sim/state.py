@@ -1,5 +1,6 @@
 """What the simulated controller remembers, what can happen to it and what it answers."""
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from typing import Self
@@ -19,12 +20,15 @@ from cutgate.protocol.states import (
 
 @dataclass(frozen=True)
 class Identity:
-    """What makes this controller this one, for as long as it is powered."""
+    """What makes this controller this one, for as long as it is powered.
+
+    The key itself is the endpoint's, which says of every record whether its code fits.
+    """
 
     serial: str
-    key: bytes
-    boot_nonce: bytes
+    key_fingerprint: str
     protocol_version: int = records.PROTOCOL_VERSION
+    plant_speed_permille: int = 1000
 
 
 @dataclass(frozen=True)
@@ -44,34 +48,52 @@ class Memory:
     """What a loss of power does not take away.
 
     Attributes:
-        named: digests of all registrations that accepted OPENs have named since the bone last moved. An OPEN carries
-            no key, so that the last one alone could have been anybody's.
-        withdrawn: digests of registrations that may never be permitted again.
+        withdrawn: digests of the places of registrations that may never be permitted again.
+        earlier: digests of whole registrations that were withdrawn before places were remembered.
+        barrier_us: only a registration later than this counts, UTC microseconds since 1970; NO_TIME without a barrier.
+        withdrawal_due: the bone moved, or a registration was withdrawn, and no Withdraw has told the barrier yet.
+        log: how far the runtime's log was at the last start that was accepted.
         latched: the first-out cause of a latched fault, NONE without one.
     """
 
-    named: frozenset[bytes] = frozenset()
     withdrawn: frozenset[bytes] = frozenset()
+    earlier: frozenset[bytes] = frozenset()
+    barrier_us: int = records.NO_TIME
+    withdrawal_due: bool = False
+    log: records.TreeHead = records.NO_TREE_HEAD
     latched: StopCause = StopCause.NONE
 
-    def naming(self, registration: bytes) -> "Memory":
-        """With this registration named, unless it is known already."""
-        known = registration in self.named | self.withdrawn
-        return self if known else replace(self, named=self.named | {registration})
+    def with_motion(self, place: bytes | None) -> "Memory":
+        """The bone is elsewhere, or this place was withdrawn; None where no session names a place."""
+        withdrawn = self.withdrawn if place is None else self.withdrawn | {place}
+        return replace(self, withdrawn=withdrawn, withdrawal_due=True)
 
-    @property
-    def all_withdrawn(self) -> "Memory":
-        """Every registration that was named is withdrawn."""
-        return replace(self, named=frozenset(), withdrawn=self.withdrawn | self.named)
+    def with_barrier(self, place: bytes, barrier_us: int) -> "Memory":
+        """As a Withdraw says; NO_PLACE withdraws none in particular. A barrier is never lowered."""
+        named = frozenset() if place == records.NO_PLACE else frozenset({place})
+        return replace(
+            self,
+            withdrawn=self.withdrawn | named,
+            barrier_us=max(self.barrier_us, barrier_us),
+            withdrawal_due=False,
+        )
 
 
 @dataclass(frozen=True)
 class ControllerSession:
-    """One session with one runtime. ``live`` is false once a stop has voided it."""
+    """One session with one runtime, by the OPEN that asked for it.
+
+    Attributes:
+        live: false once a stop has voided it.
+        withdrawn: a withdrawal was heard from its runtime, and its stop: the same level in later heartbeats is no news.
+    """
 
     tag: int
     digest: bytes
+    announce_nonce: bytes
     registration: bytes
+    place: bytes
+    registration_time_us: int
     configuration: bytes
     verifier: str
     permit_lifetime_s: float
@@ -83,6 +105,30 @@ class ControllerSession:
     heartbeat_s: float
     timeout_s: float
     live: bool = True
+    withdrawn: bool = False
+
+    @classmethod
+    def of(cls, request: records.Open) -> Self:
+        """What an OPEN that passed every rule agrees on."""
+        named, timing = records.session_digest(request), request.timing
+        return cls(
+            tag=records.session_tag(named),
+            digest=named,
+            announce_nonce=request.announce_nonce,
+            registration=request.registration_digest,
+            place=request.place_digest,
+            registration_time_us=request.registration_time_us,
+            configuration=request.configuration_digest,
+            verifier=request.verifier_version,
+            permit_lifetime_s=timing.permit_lifetime_s,
+            start_lifetime_s=timing.start_lifetime_s,
+            start_tolerance_mm=timing.start_tolerance_mm,
+            start_tolerance_deg=timing.start_tolerance_deg,
+            approach_clearance_um=timing.approach_clearance_um,
+            approach_speed_percent=timing.approach_speed_percent,
+            heartbeat_s=timing.heartbeat_s,
+            timeout_s=timing.timeout_s,
+        )
 
 
 @dataclass(frozen=True)
@@ -116,6 +162,8 @@ class Controller:
 
     identity: Identity
     holdings: Holdings
+    announce_nonce: bytes
+    """What an OPEN must name; another one with every session that is opened, so that an OPEN opens once."""
     state: ControllerState = ControllerState.INHIBITED
     cause: StopCause = StopCause.NONE
     """First-out: the first stop cause since the last acknowledgement."""
@@ -132,6 +180,8 @@ class Controller:
     heartbeat_fresh: bool = False
     measured_u: tuple[int, ...] | None = None
     """Reported joints, 1e-6 deg | mm; None until measured since the last stop."""
+    moved_at_s: float | None = None
+    """When the bone moved, or a registration was withdrawn, while this is due; None after a power-up."""
     memory: Memory = Memory()
     """What must not be forgotten, from the moment in which it happens."""
     written: Memory | None = None
@@ -140,11 +190,13 @@ class Controller:
     """The request whose answer waits for non-volatile memory."""
 
     @classmethod
-    def powered_up(cls, identity: Identity, holdings: Holdings, memory: Memory) -> Self:
+    def powered_up(
+        cls, identity: Identity, holdings: Holdings, memory: Memory, announce_nonce: bytes
+    ) -> Self:
         """At power-up, with what non-volatile memory holds: a fault that was latched still is."""
         latched = memory.latched is not StopCause.NONE
         state = ControllerState.FAULT if latched else ControllerState.INHIBITED
-        return cls(identity, holdings, state, memory.latched, memory=memory, written=memory)
+        return cls(identity, holdings, announce_nonce, state, memory.latched, memory=memory, written=memory)
 
     @property
     def may_move(self) -> bool:
@@ -162,16 +214,30 @@ class Controller:
         """The cutter may spin only while permitted or cutting."""
         return self.state in (ControllerState.PERMITTED, ControllerState.CUTTING)
 
+    def motion_age_s(self, now_s: float) -> int:
+        """How long ago it was that the bone moved, whole seconds, rather too few than too many; AGE_UNKNOWN if unknown."""
+        age_s = math.nan if self.moved_at_s is None else now_s - self.moved_at_s
+        return math.floor(age_s) if 0.0 <= age_s < records.AGE_UNKNOWN else records.AGE_UNKNOWN
+
 
 # ---------------------------------------------------------------- events
 
 
 @dataclass(frozen=True)
 class OpenReceived:
-    """A runtime asks for a session; ``session`` is what it would be."""
+    """A runtime asks for a session.
 
-    request: records.Open
+    Attributes:
+        request: what it asks for; of another protocol version nothing but that.
+        sequence: which a reply names.
+        authentic: whether its code fits.
+        fresh: the next announce nonce, from the operating system's generator.
+    """
+
+    request: records.Open | records.OtherVersion
     sequence: int
+    authentic: bool
+    fresh: bytes
 
 
 @dataclass(frozen=True)
@@ -199,10 +265,11 @@ class NonceRequested:
 
 @dataclass(frozen=True)
 class PermitReceived:
-    """A permit, not yet believed."""
+    """A permit, not yet believed. ``authentic``: its code fits, as of everything that is signed."""
 
     permit: records.Permit
     sequence: int
+    authentic: bool
 
 
 @dataclass(frozen=True)
@@ -211,6 +278,7 @@ class StartReceived:
 
     start: records.Start
     sequence: int
+    authentic: bool
 
 
 @dataclass(frozen=True)
@@ -219,19 +287,30 @@ class ResetReceived:
 
     reset: records.Reset
     sequence: int
+    authentic: bool
 
 
 @dataclass(frozen=True)
 class AcknowledgeReceived:
     """The operator has seen the cause."""
 
-    cause: StopCause
+    acknowledge: records.Acknowledge
     sequence: int
+    authentic: bool
+
+
+@dataclass(frozen=True)
+class WithdrawReceived:
+    """The runtime withdraws a registration, or tells from when on one counts again."""
+
+    withdraw: records.Withdraw
+    sequence: int
+    authentic: bool
 
 
 @dataclass(frozen=True)
 class HeartbeatReceived:
-    """A checked runtime heartbeat. ``fresh``: its echo proves to the link that it is young."""
+    """A checked runtime heartbeat: a holder of the key made it. ``fresh``: its echo proves to the link that it is young."""
 
     code: RuntimeCode
     epoch: int
@@ -246,7 +325,7 @@ class HeartbeatLost:
 
 @dataclass(frozen=True)
 class StopReceived:
-    """A stop frame; a malformed one counts as STOP."""
+    """A stop frame, which may be anybody's; a malformed one counts as STOP."""
 
     code: StopCode
     cause: StopCause
@@ -309,9 +388,9 @@ class Tick:
 
 @dataclass(frozen=True)
 class Awaiting:
-    """A request that passed every rule and is answered once ``memory`` is durable."""
+    """A request that passed every rule and is carried out, or answered, once ``memory`` is durable."""
 
-    event: OpenReceived | ResetReceived
+    event: StartReceived | ResetReceived | WithdrawReceived
     memory: Memory
 
 
@@ -324,6 +403,7 @@ Event = (
     | StartReceived
     | ResetReceived
     | AcknowledgeReceived
+    | WithdrawReceived
     | HeartbeatReceived
     | HeartbeatLost
     | StopReceived
@@ -360,7 +440,7 @@ class SendFault:
 
 @dataclass(frozen=True)
 class OpenLink:
-    """Single frames are protected with this session tag from now on."""
+    """Records and single frames carry this session's tag and codes from now on."""
 
     session: ControllerSession
 

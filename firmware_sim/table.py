@@ -3,6 +3,9 @@
 Pure: no bus, no clock, no random number. ``cutgate.firmware_sim.loop`` feeds it events and carries out its effects.
 Everything that enables is judged here against what the controller holds at that moment (``rules``); everything
 that stops goes through :func:`stop`, which voids permit, nonces and transfers and starts a new epoch.
+
+Whatever enables, withdraws a registration or clears a cause carries a code that only a holder of the key can make; what
+carries none, as a stop frame, denies and withdraws nothing.
 """
 
 from collections.abc import Callable
@@ -13,8 +16,10 @@ from cutgate.firmware_sim.rules import (
     ACKNOWLEDGE_RULES,
     OPEN_RULES,
     PERMIT_RULES,
+    REGISTRATION_RULES,
     RESET_RULES,
     START_RULES,
+    WITHDRAW_RULES,
     RequestCase,
     at_start,
     first_refusal,
@@ -54,10 +59,12 @@ from cutgate.firmware_sim.state import (
     StartReceived,
     StopReceived,
     Tick,
+    WithdrawReceived,
 )
 from cutgate.protocol import records
 from cutgate.protocol.records import digest
 from cutgate.protocol.states import (
+    EPOCHS,
     LATCHING,
     WITHDRAWING,
     ControllerState,
@@ -109,7 +116,7 @@ def _void(state: Controller) -> Controller:
         state,
         cause=state.memory.latched if state.state is ControllerState.FAULT else state.cause,
         awaiting=None,
-        epoch=(state.epoch + 1) % 256,
+        epoch=(state.epoch + 1) % EPOCHS,
         session=replace(state.session, live=False) if state.session else None,
         issued=None,
         permit=None,
@@ -120,22 +127,12 @@ def _void(state: Controller) -> Controller:
     )
 
 
-def stop_and_withdraw(state: Controller, cause: StopCause) -> Outcome:
-    """Stop; if the cause says that the bone is elsewhere, no registration named before holds any more.
-
-    A withdrawal withdraws the earlier ones as well: it is the operator's only command for a bone that has moved, and then
-    they are no better. Too much costs another registration, too little a cut in the wrong place.
-    """
-    if cause in WITHDRAWING:
-        state = replace(state, memory=state.memory.all_withdrawn)
-    return stop(state, cause)
-
-
 def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
+    """It may be anybody's: its cause is recorded as claimed, and withdraws nothing."""
     is_end = event.code is StopCode.END and event.cause not in WITHDRAWING
     if is_end and state.state is not ControllerState.CUTTING:
         return end_session(state)
-    return stop_and_withdraw(state, event.cause)
+    return stop(state, event.cause)
 
 
 def end_session(state: Controller) -> Outcome:
@@ -149,17 +146,31 @@ def heartbeat_lost(state: Controller, _event: HeartbeatLost, _now_s: float) -> O
     if state.session is None:
         return state, ()
     if not state.session.live:  # the stop came first; now the peer is gone as well
-        return replace(state, session=None, heartbeat_fresh=False), (CloseLink(),)
+        return replace(state, session=None, heartbeat_fresh=False, awaiting=None), (CloseLink(),)
     stopped, effects = stop(state, StopCause.HEARTBEAT_LOST)
     return replace(stopped, session=None, heartbeat_fresh=False), (*effects, CloseLink())
 
 
 def fault(state: Controller, event: FaultArisen, _now_s: float) -> Outcome:
-    return stop_and_withdraw(state, event.cause)
+    return stop(state, event.cause)
 
 
-def bone_moved(state: Controller, _event: BoneMoved, _now_s: float) -> Outcome:
-    return stop_and_withdraw(state, StopCause.BONE_MOVED)
+def bone_moved(state: Controller, _event: BoneMoved, now_s: float) -> Outcome:
+    return stop(_with_motion(state, now_s), StopCause.BONE_MOVED)
+
+
+def _with_motion(state: Controller, now_s: float) -> Controller:
+    """The session's place is withdrawn, if there is a session, and nothing is permitted before a Withdraw tells a barrier.
+
+    What was registered before and is not named here is kept out by that barrier.
+    """
+    session = state.session
+    return replace(
+        state,
+        memory=state.memory.with_motion(session.place if session else None),
+        moved_at_s=now_s,
+        session=replace(session, withdrawn=True) if session else None,
+    )
 
 
 def limits_changed(state: Controller, event: LimitsChanged, _now_s: float) -> Outcome:
@@ -186,41 +197,35 @@ def _cycle(cycle: DeviceCycle, pressed: bool) -> DeviceCycle:
 
 
 def open_received(state: Controller, event: OpenReceived, now_s: float) -> Outcome:
-    """A session is opened once the name of its registration cannot be forgotten any more."""
-    refusal = first_refusal(OPEN_RULES, RequestCase(state, event.request, now_s))
+    """An OPEN that is refused changes nothing, whoever sent it; one that is accepted opens no second time."""
+    refusal = first_refusal(OPEN_RULES, RequestCase(state, event.request, now_s, event.authentic))
     if refusal is not Refusal.ACCEPTED:
-        return state, (_reply(state, event.request, event.sequence, refusal, session=0),)
-    memory = state.memory.naming(event.request.registration_digest)
-    return open_session(state, event) if memory == state.memory else _await_memory(state, event, memory)
-
-
-def open_session(state: Controller, event: OpenReceived) -> Outcome:
-    request = event.request
-    timing, nonces = request.timing, (state.identity.boot_nonce, request.runtime_nonce)
-    session = ControllerSession(
-        tag=records.session_tag(*nonces),
-        digest=records.session_digest(*nonces),
-        registration=request.registration_digest,
-        configuration=request.configuration_digest,
-        verifier=request.verifier_version,
-        permit_lifetime_s=timing.permit_lifetime_s,
-        start_lifetime_s=timing.start_lifetime_ms / 1000,
-        start_tolerance_mm=timing.start_tolerance_um / 1000,
-        start_tolerance_deg=timing.start_tolerance_mdeg / 1000,
-        approach_clearance_um=timing.approach_clearance_um,
-        approach_speed_percent=timing.approach_speed_percent,
-        heartbeat_s=timing.heartbeat_ms / 1000,
-        timeout_s=timing.timeout_ms / 1000,
-    )
+        return state, (_reply(state, records.Open.TYPE, event.sequence, refusal, session=0),)
+    assert isinstance(event.request, records.Open)  # noqa: S101 - PROTOCOL_VERSION stands in the rules
+    session = ControllerSession.of(event.request)
     latched = state.state is ControllerState.FAULT
     opened = replace(
         _void(state),
+        announce_nonce=event.fresh,
         state=ControllerState.FAULT if latched else ControllerState.OPEN,
         session=session,
         heartbeat_fresh=False,
     )
-    answer = records.Opened(epoch=opened.epoch, state=opened.state, cause=opened.cause)
-    return opened, (OpenLink(session), Send(answer, session.tag))
+    return opened, (OpenLink(session), Send(_opened(opened, now_s), session.tag))
+
+
+def _opened(state: Controller, now_s: float) -> records.Opened:
+    """How the controller stands, and what its memory says: of the last start, of the bone, of this registration."""
+    return records.Opened(
+        epoch=state.epoch,
+        state=state.state,
+        cause=state.cause,
+        log=state.memory.log,
+        withdrawal_due=int(state.memory.withdrawal_due),
+        motion_age_s=state.motion_age_s(now_s),
+        registration=first_refusal(REGISTRATION_RULES, RequestCase(state, None, now_s)),
+        barrier_us=state.memory.barrier_us,
+    )
 
 
 def collect(state: Controller, _event: CollectReceived, _now_s: float) -> Outcome:
@@ -261,7 +266,7 @@ def give_nonce(state: Controller, event: NonceRequested, now_s: float) -> Outcom
 
 
 def permit_received(state: Controller, event: PermitReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(PERMIT_RULES, RequestCase(state, event.permit, now_s))
+    refusal = first_refusal(PERMIT_RULES, RequestCase(state, event.permit, now_s, event.authentic))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.permit, event.sequence, refusal)
     assert state.issued is not None  # noqa: S101 - NO_NONCE stands in the rules
@@ -273,22 +278,30 @@ def permit_received(state: Controller, event: PermitReceived, now_s: float) -> O
         issued=None,
         device=DeviceCycle.UNSEEN if state.inputs.device_pressed else DeviceCycle.RELEASED,
     )
-    pressed = int(state.inputs.device_pressed)
-    return permitted, (_reply(permitted, event.permit, event.sequence, Refusal.ACCEPTED, detail=pressed),)
+    return permitted, (_accept(permitted, event.permit, event.sequence),)
 
 
 def start_received(state: Controller, event: StartReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(START_RULES, RequestCase(state, event.start, now_s))
+    """The controller is the log's witness: what the start says of it is durable before anything moves."""
+    refusal = first_refusal(START_RULES, RequestCase(state, event.start, now_s, event.authentic))
+    if refusal is not Refusal.ACCEPTED:
+        return _refuse(state, event.start, event.sequence, refusal)
+    return _await_memory(state, event, replace(state.memory, log=event.start.log))
+
+
+def begin_cut(state: Controller, event: StartReceived, now_s: float) -> Outcome:
+    """Its log is durable; that took time, so every rule is asked again."""
+    refusal = first_refusal(START_RULES, RequestCase(state, event.start, now_s, event.authentic))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.start, event.sequence, refusal)
     cutting = replace(
         state, state=ControllerState.CUTTING, issued=None, cut_ordered=False, started_at_s=now_s
     )
-    return cutting, (_reply(cutting, event.start, event.sequence, Refusal.ACCEPTED),)
+    return cutting, (_accept(cutting, event.start, event.sequence),)
 
 
 def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Outcome:
-    refusal = first_refusal(RESET_RULES, RequestCase(state, event.reset, now_s))
+    refusal = first_refusal(RESET_RULES, RequestCase(state, event.reset, now_s, event.authentic))
     if refusal is not Refusal.ACCEPTED:
         return _refuse(state, event.reset, event.sequence, refusal)
     unlatched = replace(state.memory, latched=StopCause.NONE)
@@ -297,42 +310,76 @@ def reset_received(state: Controller, event: ResetReceived, now_s: float) -> Out
 
 def leave_fault(state: Controller, event: ResetReceived) -> Outcome:
     reset = replace(state, state=ControllerState.OPEN)
-    return reset, (_reply(reset, event.reset, event.sequence, Refusal.ACCEPTED),)
+    return reset, (_accept(reset, event.reset, event.sequence),)
 
 
 def acknowledge_received(state: Controller, event: AcknowledgeReceived, now_s: float) -> Outcome:
     """Only the cause that stands is acknowledged, once it is gone; the operator has to have seen it."""
-    request = records.Acknowledge(cause=event.cause)
-    refusal = first_refusal(ACKNOWLEDGE_RULES, RequestCase(state, request, now_s))
+    request = event.acknowledge
+    refusal = first_refusal(ACKNOWLEDGE_RULES, RequestCase(state, request, now_s, event.authentic))
+    if refusal is Refusal.MAC_INVALID:
+        return _refuse(state, request, event.sequence, refusal)
     acknowledged = replace(state, cause=StopCause.NONE) if refusal is Refusal.ACCEPTED else state
-    return acknowledged, (_reply(acknowledged, request, event.sequence, refusal),)
+    return acknowledged, (_reply(acknowledged, request.TYPE, event.sequence, refusal),)
+
+
+# ---------------------------------------------------------------- withdrawing
+
+
+def withdraw_received(state: Controller, event: WithdrawReceived, now_s: float) -> Outcome:
+    """It is in force at once, and answered once it is durable. What was permitted before it does not go on."""
+    request = event.withdraw
+    refusal = first_refusal(WITHDRAW_RULES, RequestCase(state, request, now_s, event.authentic))
+    if refusal is Refusal.MAC_INVALID:
+        return _refuse(state, request, event.sequence, refusal)
+    if refusal is not Refusal.ACCEPTED:
+        return state, (_reply(state, request.TYPE, event.sequence, refusal),)
+    stopped, effects = stop(state, StopCause.REGISTRATION_WITHDRAWN) if state.cutting_mode else (state, ())
+    assert stopped.session is not None  # noqa: S101 - WRONG_SESSION stands in the rules
+    memory = stopped.memory.with_barrier(request.place_digest, request.barrier_us)
+    withdrawn = replace(
+        stopped,
+        memory=memory,
+        moved_at_s=None,
+        session=replace(stopped.session, withdrawn=not stopped.session.live),
+        awaiting=Awaiting(event, memory),
+    )
+    if memory == state.written:
+        return replace(withdrawn, awaiting=None), (*effects, _accept(withdrawn, request, event.sequence))
+    return withdrawn, effects
 
 
 # ---------------------------------------------------------------- what is remembered
 
 
-def _await_memory(state: Controller, event: OpenReceived | ResetReceived, memory: Memory) -> Outcome:
-    """What enables is answered once it is durable; until then nothing has changed."""
+def _await_memory(state: Controller, event: StartReceived | ResetReceived, memory: Memory) -> Outcome:
+    """What enables is carried out once it is durable; until then nothing has changed."""
     return replace(state, awaiting=Awaiting(event, memory)), (Persist(memory),)
 
 
-def persisted(state: Controller, event: Persisted, _now_s: float) -> Outcome:
+def persisted(state: Controller, event: Persisted, now_s: float) -> Outcome:
     """What waited for this is carried out; a stop in between has voided it."""
     known, awaiting = replace(state, written=event.memory), state.awaiting
     if awaiting is None or awaiting.memory != event.memory:
         return known, ()
     settled = replace(known, memory=event.memory, awaiting=None)
-    if isinstance(awaiting.event, OpenReceived):
-        return open_session(settled, awaiting.event)
-    return leave_fault(settled, awaiting.event)
+    match awaiting.event:
+        case StartReceived():
+            return begin_cut(settled, awaiting.event, now_s)
+        case ResetReceived():
+            return leave_fault(settled, awaiting.event)
+        case WithdrawReceived(withdraw, sequence):
+            return settled, (_accept(settled, withdraw, sequence),)
 
 
 def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:
     """What waited is refused; what must not be forgotten is written again in every cycle, and nothing starts before."""
     awaiting, unknown = state.awaiting, replace(state, awaiting=None, written=None)
     match awaiting.event if awaiting else None:
-        case OpenReceived(request, sequence) | ResetReceived(request, sequence):
-            return unknown, (_reply(state, request, sequence, Refusal.MEMORY_FAILED),)
+        case StartReceived(request, sequence) | ResetReceived(request, sequence):
+            return _refuse(unknown, request, sequence, Refusal.MEMORY_FAILED)
+        case WithdrawReceived(request, sequence):  # it stays in force, and is written again
+            return unknown, (_reply(unknown, request.TYPE, sequence, Refusal.MEMORY_FAILED),)
     if state.state is ControllerState.FAULT:
         return unknown, ()
     return stop(unknown, StopCause.INTERNAL_ERROR)
@@ -340,7 +387,7 @@ def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> O
 
 def _refuse(state: Controller, request: records.Record, sequence: int, refusal: Refusal) -> Outcome:
     """Refuse with the reason. A wrong authentication code is a masquerade and latches."""
-    answer = _reply(state, request, sequence, refusal)
+    answer = _reply(state, request.TYPE, sequence, refusal)
     used = replace(state, issued=None)
     if refusal is not Refusal.MAC_INVALID:
         return used, (answer,)
@@ -348,21 +395,20 @@ def _refuse(state: Controller, request: records.Record, sequence: int, refusal: 
     return stopped, (*effects, answer)
 
 
+def _accept(state: Controller, request: records.Record, sequence: int) -> Send:
+    return _reply(state, request.TYPE, sequence, Refusal.ACCEPTED)
+
+
 def _reply(
-    state: Controller,
-    request: records.Record,
-    sequence: int,
-    refusal: Refusal,
-    session: int | None = None,
-    detail: int = 0,
+    state: Controller, request_type: int, sequence: int, refusal: Refusal, session: int | None = None
 ) -> Send:
     tag = session if session is not None else state.session.tag if state.session else 0
     answer = records.Reply(
-        request_type=request.TYPE,
+        request_type=request_type,
         request_sequence=sequence,
         refusal=refusal,
         cause=state.cause,
-        detail=detail,
+        detail=0,
     )
     return Send(answer, tag)
 
@@ -370,10 +416,15 @@ def _reply(
 # ---------------------------------------------------------------- heartbeats and motion
 
 
-def heartbeat(state: Controller, event: HeartbeatReceived, _now_s: float) -> Outcome:
-    """A stop cause is a level in the runtime's heartbeat: it stops even when the stop frame was lost."""
+def heartbeat(state: Controller, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """A stop cause is a level in the runtime's heartbeat: it stops even when the stop frame was lost.
+
+    Only a holder of the key can say it: a withdrawing one withdraws, also after the stop that came first.
+    """
+    if event.cause in WITHDRAWING and state.session is not None and not state.session.withdrawn:
+        state = _with_motion(state, now_s)
     if event.cause is not StopCause.NONE and state.session is not None and state.session.live:
-        return stop_and_withdraw(state, event.cause)
+        return stop(state, event.cause)
     return replace(state, heartbeat_fresh=event.fresh), ()
 
 
@@ -460,6 +511,7 @@ EVERYWHERE: dict[type, Handler] = {
     StartReceived: start_received,
     ResetReceived: reset_received,
     AcknowledgeReceived: acknowledge_received,
+    WithdrawReceived: withdraw_received,
     HeartbeatReceived: heartbeat,
     JointsMeasured: measured,
     StopReceived: stop_received,

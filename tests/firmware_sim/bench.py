@@ -9,6 +9,7 @@ from cutgate.config.terminal import CommandReader
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
@@ -68,12 +69,13 @@ class Bench:
         reading, self.typing = os.pipe2(os.O_NONBLOCK)
         self.wake, self.waking = os.pipe2(os.O_NONBLOCK)
         self.descriptors = [self.bus.descriptor, reading, self.typing, self.wake, self.waking]
-        endpoint = Endpoint(Side.CONTROLLER, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+        endpoint = Endpoint(Side.CONTROLLER, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
         self.process = Process(
             Controller.powered_up(
-                Identity("SIM-1", KEY, bytes(16)),
+                Identity("SIM-1", fingerprint(KEY)),
                 Holdings(limits.body(), NOMINAL.body(), TOOL.body()),
                 Memory(),
+                bytes(16),
             ),
             Port(self.bus, endpoint),
             self.file,

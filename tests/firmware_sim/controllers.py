@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cutgate.firmware_sim import reports
 from cutgate.firmware_sim.approach import Ends
 from cutgate.firmware_sim.rules import RequestCase
 from cutgate.firmware_sim.state import (
@@ -40,18 +41,21 @@ from cutgate.firmware_sim.state import (
     StartReceived,
     StopReceived,
     Tick,
+    WithdrawReceived,
 )
 from cutgate.firmware_sim.table import step
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.states import Purpose, Refusal, RuntimeCode, StopCause, StopCode
 from tests.altering import altered
 
 NOW = 500.0
-KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
-BOOT_NONCE, RUNTIME_NONCE = b"b" * 16, b"r" * 16
+FINGERPRINT = "0123abcd"
+ANNOUNCE_NONCE, NEXT_NONCE, RUNTIME_NONCE = b"b" * 16, b"x" * 16, b"r" * 16
 PERMIT_NONCE, START_NONCE, RESET_NONCE = b"p" * 16, b"s" * 16, b"z" * 16
-REGISTRATION = records.digest(b"registration")
+REGISTRATION, PLACE = records.digest(b"registration"), records.digest(b"place")
+REGISTERED_US = 1_700_000_000_000_000
+PERMIT_LOG = records.TreeHead(b"l" * 16, 40, records.digest(b"tree at the permit"))
+START_LOG = records.TreeHead(b"l" * 16, 41, records.digest(b"tree at the start"))
 CONFIGURATION = records.digest(b"configuration")
 START_JOINTS = (10_000_000, 20_000_000, 100_000_000, 30_000_000, 40_000_000)
 ENDS = Ends(
@@ -77,11 +81,20 @@ PATH = records.Path.quantised(
     roll_turns=1,
 )
 
+POWERED_UP = Controller.powered_up(
+    Identity(serial="SIM-1", key_fingerprint=FINGERPRINT),
+    Holdings(LIMITS.body(), CALIBRATION.body(), TOOL.body()),
+    Memory(),
+    ANNOUNCE_NONCE,
+)
 OPEN = records.Open(
     protocol_version=records.PROTOCOL_VERSION,
-    boot_nonce=BOOT_NONCE,
+    announce_nonce=ANNOUNCE_NONCE,
     runtime_nonce=RUNTIME_NONCE,
+    identity_digest=reports.announcement(POWERED_UP).identity_digest,
     registration_digest=REGISTRATION,
+    place_digest=PLACE,
+    registration_time_us=REGISTERED_US,
     configuration_digest=CONFIGURATION,
     verifier_version="cutgate test",
     timing=records.Timing(
@@ -95,13 +108,31 @@ OPEN = records.Open(
         approach_speed_percent=25,
     ),
 )
-TAG = records.session_tag(BOOT_NONCE, RUNTIME_NONCE)
+SESSION = records.session_digest(OPEN)
+TAG = records.session_tag(SESSION)
 
-POWERED_UP = Controller.powered_up(
-    Identity(serial="SIM-1", key=KEY, boot_nonce=BOOT_NONCE),
-    Holdings(LIMITS.body(), CALIBRATION.body(), TOOL.body()),
-    Memory(),
-)
+
+def opening(request: records.Open = OPEN, *, fresh: bytes = NEXT_NONCE, **changes: Any) -> OpenReceived:
+    """An OPEN that a holder of the key made, with some of it changed."""
+    return OpenReceived(replace(request, **changes), 1, authentic=True, fresh=fresh)
+
+
+def reopening(state: Controller, **changes: Any) -> OpenReceived:
+    """An OPEN that names what this controller announces now."""
+    fresh = records.digest(state.announce_nonce)[:16]
+    return opening(announce_nonce=state.announce_nonce, fresh=fresh, **changes)
+
+
+def acknowledging(cause: StopCause, epoch: int, *, authentic: bool = True) -> AcknowledgeReceived:
+    """An acknowledgement of this cause, in this epoch."""
+    return AcknowledgeReceived(records.Acknowledge(epoch=epoch, cause=cause), 2, authentic)
+
+
+def withdrawing(
+    place: bytes = PLACE, barrier_us: int = REGISTERED_US, *, authentic: bool = True
+) -> WithdrawReceived:
+    """A Withdraw of this place with this barrier."""
+    return WithdrawReceived(records.Withdraw(place, barrier_us), 5, authentic)
 
 
 def settled(
@@ -133,14 +164,14 @@ EMERGENCY_STOP = InputsChanged(Inputs(device_pressed=True, emergency_stop_clear=
 ACCEPTED_PATH = PathChecked(PATH.body(), Refusal.ACCEPTED, 0, ENDS)
 STANDING = JointsMeasured(START_JOINTS)
 
-OPENED = fed(POWERED_UP, OpenReceived(OPEN, 1), alive())
+OPENED = fed(POWERED_UP, opening(), alive())
 LOADED = fed(OPENED, ACCEPTED_PATH, STANDING)
 ASKED = fed(LOADED, NonceRequested(Purpose.PERMIT, PERMIT_NONCE))
 
 PERMIT = records.Permit(
     nonce=PERMIT_NONCE,
-    boot_nonce=BOOT_NONCE,
-    session_digest=records.session_digest(BOOT_NONCE, RUNTIME_NONCE),
+    announce_nonce=ANNOUNCE_NONCE,
+    session_digest=SESSION,
     serial="SIM-1",
     protocol_version=records.PROTOCOL_VERSION,
     epoch=1,
@@ -157,6 +188,7 @@ PERMIT = records.Permit(
         ENDS.entry_um, ENDS.exit_um, ENDS.entry_joints_u, ENDS.exit_joints_u, speed_percent=25
     ),
     lifetime_s=120,
+    log=PERMIT_LOG,
 )
 START = records.Start(
     nonce=START_NONCE,
@@ -164,25 +196,28 @@ START = records.Start(
     session_digest=PERMIT.session_digest,
     permit_digest=records.digest(PERMIT.canonical()),
     start_joints_u=START_JOINTS,
+    log=START_LOG,
 )
 RESET = records.Reset(
     nonce=RESET_NONCE, epoch=1, cause=StopCause.SECOND_NODE, session_digest=PERMIT.session_digest
 )
-SIGNED_PERMIT, SIGNED_START = permits.sign(KEY, PERMIT), permits.sign(KEY, START)
+ASKING, STARTING = PermitReceived(PERMIT, 4, authentic=True), StartReceived(START, 5, authentic=True)
+"""What a holder of the key asks for next."""
 
-PERMITTED = fed(ASKED, PermitReceived(SIGNED_PERMIT, 4), alive(RuntimeCode.READY))
+PERMITTED = fed(ASKED, ASKING, alive(RuntimeCode.READY))
 CYCLED = fed(PERMITTED, RELEASE, HOLD, NonceRequested(Purpose.START, START_NONCE))
-STARTED = fed(CYCLED, StartReceived(SIGNED_START, 5))
+STARTED = fed(CYCLED, STARTING)
 CUTTING = fed(STARTED, alive(RuntimeCode.CUT))
 DONE = fed(CUTTING, PathFinished())
 
 LATCHED = fed(POWERED_UP, FaultArisen(StopCause.SECOND_NODE))
 """A latched fault without a session; epoch 1."""
-OPEN_LATCHED = fed(LATCHED, OpenReceived(OPEN, 1), alive(epoch=2))
+OPEN_LATCHED = fed(LATCHED, opening(), alive(epoch=2))
 """A session with a latched controller; epoch 2."""
-ACKNOWLEDGED = fed(OPEN_LATCHED, AcknowledgeReceived(StopCause.SECOND_NODE, 2))
+ACKNOWLEDGED = fed(OPEN_LATCHED, acknowledging(StopCause.SECOND_NODE, 2))
 RESETTING = fed(ACKNOWLEDGED, NonceRequested(Purpose.RESET, RESET_NONCE))
-SIGNED_RESET = permits.sign(KEY, replace(RESET, epoch=2))
+OWN_RESET = replace(RESET, epoch=2)
+LEAVING = ResetReceived(OWN_RESET, 6, authentic=True)
 
 EVERY_STATE: dict[str, Controller] = {
     "powered up": POWERED_UP,
@@ -205,11 +240,11 @@ EVERY_STATE: dict[str, Controller] = {
 STOPPING_EVENTS: dict[str, tuple[Event, StopCause]] = {
     "stop frame": (StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP), StopCause.OPERATOR_STOP),
     "stop without cause": (StopReceived(StopCode.STOP, StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
-    "withdrawal": (
+    "claimed withdrawal": (
         StopReceived(StopCode.STOP, StopCause.REGISTRATION_WITHDRAWN),
         StopCause.REGISTRATION_WITHDRAWN,
     ),
-    "withdrawal as end": (
+    "claimed withdrawal as end": (
         StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
         StopCause.REGISTRATION_WITHDRAWN,
     ),
@@ -222,29 +257,30 @@ STOPPING_EVENTS: dict[str, tuple[Event, StopCause]] = {
 }
 """Every event that must stop whatever the state, and its cause."""
 
-PERMIT_CASE = RequestCase(ASKED, SIGNED_PERMIT, NOW)
-START_CASE = RequestCase(CYCLED, SIGNED_START, NOW)
-RESET_CASE = RequestCase(RESETTING, SIGNED_RESET, NOW)
+PERMIT_CASE = RequestCase(ASKED, PERMIT, NOW, authentic=True)
+START_CASE = RequestCase(CYCLED, START, NOW, authentic=True)
+RESET_CASE = RequestCase(RESETTING, OWN_RESET, NOW, authentic=True)
 
 
 def changed(case: RequestCase, field: str, value: Any) -> RequestCase:
-    """The case with one field altered; a request that was altered is signed again, so that only the field differs."""
+    """The case with one field altered."""
     twin: RequestCase = altered(case, field, value)
-    if field.startswith("request.") and field != "request.mac":
-        twin = replace(twin, request=permits.sign(KEY, twin.request))
     return twin
 
 
-RECEIVED: dict[type, Callable[[Any], Event]] = {
-    records.Permit: lambda record: PermitReceived(record, 9),
-    records.Start: lambda record: StartReceived(record, 9),
-    records.Reset: lambda record: ResetReceived(record, 9),
+RECEIVED: dict[type, Callable[[Any, int, bool], Event]] = {
+    records.Permit: PermitReceived,
+    records.Start: StartReceived,
+    records.Reset: ResetReceived,
+    records.Acknowledge: AcknowledgeReceived,
+    records.Withdraw: WithdrawReceived,
 }
 
 
 def decide(case: RequestCase) -> tuple[Controller, tuple[Effect, ...]]:
     """What the table does with the case's request."""
-    return settled(case.controller, RECEIVED[type(case.request)](case.request), case.now_s)
+    event = RECEIVED[type(case.request)](case.request, 9, case.authentic)
+    return settled(case.controller, event, case.now_s)
 
 
 def replies(effects: tuple[Effect, ...]) -> list[Refusal]:
@@ -276,39 +312,49 @@ def is_void(state: Controller) -> bool:
 
 @cache
 def _requests(
-    epoch: int, nonce: bytes, given: records.Permit | None
+    epoch: int, nonce: bytes, given: records.Permit | None, session: tuple[bytes, bytes]
 ) -> tuple[records.Permit, records.Start, records.Reset]:
-    """Permit, start and reset for this epoch and nonce; the start names the permit that was given."""
-    start = replace(START, nonce=nonce, epoch=epoch)
+    """Permit, start and reset for this epoch, nonce and session; the start names the permit that was given."""
+    digest, announced = session
+    start = replace(START, nonce=nonce, epoch=epoch, session_digest=digest)
     if given is not None:
         start = replace(start, permit_digest=records.digest(given.canonical()))
     return (
-        permits.sign(KEY, replace(PERMIT, nonce=nonce, epoch=epoch)),
-        permits.sign(KEY, start),
-        permits.sign(KEY, replace(RESET, nonce=nonce, epoch=epoch)),
+        replace(PERMIT, nonce=nonce, epoch=epoch, session_digest=digest, announce_nonce=announced),
+        start,
+        replace(RESET, nonce=nonce, epoch=epoch, session_digest=digest),
     )
 
 
 def events(state: Controller) -> list[Event]:
     """At least one of every kind of event, each as tempting as it can be in ``state``."""
     epoch, nonce = state.epoch, state.issued.nonce if state.issued else PERMIT_NONCE
-    permit, start, reset = _requests(epoch, nonce, state.permit)
+    session = (state.session.digest, state.session.announce_nonce) if state.session else (SESSION, bytes(16))
+    permit, start, reset = _requests(epoch, nonce, state.permit, session)
     return [
-        OpenReceived(OPEN, 1),
+        reopening(state),
+        replace(reopening(state), authentic=False),
+        opening(),
+        OpenReceived(records.OtherVersion(records.Open.TYPE, 3), 1, authentic=True, fresh=b"v" * 16),
         CollectReceived(),
         ACCEPTED_PATH,
         PathChecked(PATH.body(), Refusal.POSE_OUTSIDE_LIMITS, 1, None),
         *(NonceRequested(purpose, purpose.name.encode().ljust(16, b".")) for purpose in Purpose),
-        PermitReceived(permit, 2),
-        PermitReceived(replace(permit, mac=bytes(16)), 2),
-        StartReceived(start, 3),
-        ResetReceived(reset, 4),
-        AcknowledgeReceived(state.cause, 5),
-        AcknowledgeReceived(StopCause.OPERATOR_QUIT, 5),
+        PermitReceived(permit, 2, authentic=True),
+        PermitReceived(permit, 2, authentic=False),
+        StartReceived(start, 3, authentic=True),
+        ResetReceived(reset, 4, authentic=True),
+        acknowledging(state.cause, epoch),
+        acknowledging(StopCause.OPERATOR_QUIT, epoch),
+        acknowledging(state.cause, epoch, authentic=False),
+        withdrawing(),
+        withdrawing(records.NO_PLACE, 1),
+        withdrawing(authentic=False),
         *(alive(code, epoch) for code in RuntimeCode),
         alive(RuntimeCode.CUT, epoch + 1),
         alive(RuntimeCode.CUT, epoch, fresh=False),
         alive(RuntimeCode.INHIBIT, epoch, cause=StopCause.AUDIT_FAILED),
+        alive(RuntimeCode.INHIBIT, epoch, cause=StopCause.BONE_MOVED),
         HeartbeatLost(),
         StopReceived(StopCode.END, StopCause.SESSION_ENDED),
         HOLD,

@@ -17,6 +17,7 @@ from cutgate.firmware_sim.state import (
     ResetReceived,
     StartReceived,
     StopReceived,
+    WithdrawReceived,
 )
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import RecordReceived
@@ -24,14 +25,16 @@ from cutgate.protocol.frames import ControllerFault, RuntimeHeartbeat, RuntimeSt
 from cutgate.protocol.link import Accepted, Violation
 from cutgate.protocol.records import Channel, Side
 from cutgate.protocol.states import FaultCode, Purpose, RuntimeCode, StopCause, StopCode
-from tests.firmware_sim.controllers import OPEN, OPENED, SIGNED_PERMIT, SIGNED_RESET, SIGNED_START, TAG
+from tests.firmware_sim.controllers import OPEN, OPENED, OWN_RESET, PERMIT, PLACE, START, TAG
 
 BEAT = RuntimeHeartbeat(RuntimeCode.CUT, 7, StopCause.OPERATOR_STOP)
 BLOCK = records.split(bytes(100))[0]
+OTHER_VERSION = records.OtherVersion(records.Open.TYPE, 3)
+ACKNOWLEDGE, WITHDRAW = records.Acknowledge(3, StopCause.SECOND_NODE), records.Withdraw(PLACE, 17)
 
 
-def received(record, *, session=TAG, sequence=9):
-    return RecordReceived(record, record.CHANNEL, session, sequence, 20, bytes(32))
+def received(record, *, session=TAG, sequence=9, authentic=True):
+    return RecordReceived(record, record.CHANNEL, session, sequence, 20, bytes(32), authentic)
 
 
 def no_random(_count):
@@ -70,6 +73,10 @@ def test_what_is_late_is_a_lost_peer_or_a_fault_of_its_cause(cause):
         (records.Collect(), TAG, None, False),
         (OPEN, 0, None, True),
         (OPEN, 0, OPENED.session, True),
+        (OTHER_VERSION, 0, None, True),
+        (OTHER_VERSION, 0, OPENED.session, True),
+        (WITHDRAW, TAG, OPENED.session, True),
+        (WITHDRAW, TAG + 1, OPENED.session, False),
         (BLOCK, TAG, OPENED.session, True),
         (BLOCK, TAG, None, False),
     ],
@@ -87,17 +94,33 @@ def test_a_record_of_a_session_that_a_stop_has_voided_still_belongs():
 @pytest.mark.parametrize(
     ("record", "event"),
     [
-        (OPEN, OpenReceived(OPEN, 9)),
-        (records.Collect(), CollectReceived()),
-        (SIGNED_PERMIT, PermitReceived(SIGNED_PERMIT, 9)),
-        (SIGNED_START, StartReceived(SIGNED_START, 9)),
-        (SIGNED_RESET, ResetReceived(SIGNED_RESET, 9)),
-        (records.Acknowledge(StopCause.SECOND_NODE), AcknowledgeReceived(StopCause.SECOND_NODE, 9)),
+        (PERMIT, PermitReceived),
+        (START, StartReceived),
+        (OWN_RESET, ResetReceived),
+        (ACKNOWLEDGE, AcknowledgeReceived),
+        (WITHDRAW, WithdrawReceived),
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_each_record_is_its_event_with_its_sequence(record, event):
-    assert arrivals.of_record(received(record), no_random) == event
+@pytest.mark.parametrize("authentic", [True, False])
+def test_each_record_is_its_event_with_its_sequence_and_whether_its_code_fits(record, event, authentic):
+    item = received(record, authentic=authentic)
+    assert arrivals.of_record(item, no_random) == event(record, 9, authentic)
+
+
+def test_what_carries_no_code_says_nothing_of_one():
+    assert arrivals.of_record(received(records.Collect()), no_random) == CollectReceived()
+
+
+@pytest.mark.parametrize("record", [OPEN, OTHER_VERSION], ids=["open", "other version"])
+@pytest.mark.parametrize("authentic", [True, False])
+def test_an_open_comes_with_the_next_nonce_to_announce(record, authentic):
+    asked = []
+    event = arrivals.of_record(
+        received(record, session=0, authentic=authentic), lambda count: asked.append(count) or b"n" * count
+    )
+    assert event == OpenReceived(record, 9, authentic, b"n" * 16)
+    assert asked == [16]
 
 
 @pytest.mark.parametrize("purpose", Purpose)
@@ -116,7 +139,7 @@ def test_a_block_of_a_path_is_no_event():
 
 def test_every_record_of_the_runtime_but_a_block_has_its_event():
     sent = {kind for kind in records.RECORDS.values() if kind.SENDER is Side.RUNTIME}
-    assert {*arrivals.OF_RECORD, records.NonceRequest, records.PathBlock} == sent
+    assert {*arrivals.OF_RECORD, records.Open, records.NonceRequest, records.PathBlock} == sent
     assert {kind.CHANNEL for kind in arrivals.OF_RECORD} == {Channel.CONTROL}
 
 

@@ -1,10 +1,13 @@
 """The command line of the simulated controller: what it refuses, and with which exit code it ends."""
 
+import hashlib
+import json
 import math
 import os
 import re
 import shutil
 import signal
+import time
 from pathlib import Path
 
 import can
@@ -15,6 +18,7 @@ from cutgate.config.load import SHIPPED
 from cutgate.firmware_sim import __main__ as entry
 from cutgate.firmware_sim import command, memory
 from cutgate.firmware_sim.state import Memory
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.frames import IDS, RuntimeHeartbeat
 from cutgate.protocol.states import StopCause
 
@@ -117,19 +121,46 @@ def test_every_boot_has_a_nonce_of_its_own(given):
     arguments, processes = given
     command.main(arguments)
     command.main(arguments)
-    first, second = (process.controller.identity.boot_nonce for process, _ in processes)
+    first, second = (process.controller.announce_nonce for process, _ in processes)
     assert first != second
+    assert len(first) == 16
 
 
 def test_the_memory_beside_the_key_is_read(given, capfd):
     arguments, processes = given
     file = memory.beside(Path(arguments[3]))
-    remembered = Memory(named=frozenset({b"n" * 32}), withdrawn=frozenset({b"r" * 32}))
+    remembered = Memory(withdrawn=frozenset({b"n" * 32}), earlier=frozenset({b"r" * 32}), barrier_us=17)
     memory.save(file, remembered)
     command.main(arguments)
     assert processes[0][0].controller.memory == remembered
     file.write_text("{")
     refused(capfd, arguments, file.name)
+
+
+def test_a_memory_of_the_schema_before_is_converted_now_and_written(given):
+    arguments, processes = given
+    file = memory.beside(Path(arguments[3]))
+    content = {"named": [], "withdrawn": ["aa" * 32], "latched": "NONE"}
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    document = {"schema": "cutgate.sim-memory/1", "content": content, "sha256": digest}
+    file.write_text(json.dumps(document), encoding="ascii")
+    file.chmod(0o600)
+    before_us = time.time_ns() // 1000
+    command.main(arguments)
+    remembered = processes[0][0].controller.memory
+    assert before_us <= remembered.barrier_us <= time.time_ns() // 1000
+    assert remembered == Memory(earlier=frozenset({b"\xaa" * 32}), barrier_us=remembered.barrier_us)
+    assert memory.load(file, now_us=0) == remembered
+
+
+def test_the_controller_and_its_endpoint_have_the_key_of_the_file(given, capfd):
+    arguments, processes = given
+    command.main(arguments)
+    ((process, _),) = processes
+    own = fingerprint(bytes(range(32)))
+    assert process.controller.identity.key_fingerprint == own
+    assert f"key {arguments[3]}, fingerprint {own}" in capfd.readouterr().out
+    assert process.port.endpoint._key.fingerprint == own
 
 
 def test_a_memory_that_cannot_be_written_stops_the_start(given, capfd, monkeypatch):

@@ -7,11 +7,10 @@ import pytest
 from cutgate.firmware_sim import console
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.state import BoneMoved, Inputs, InputsChanged, LimitsChanged
-from cutgate.protocol import permit, records
+from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
-from tests.firmware_sim.controllers import KEY, LIMITS, POWERED_UP
+from tests.firmware_sim.controllers import FINGERPRINT, LIMITS, POWERED_UP
 
-OWN = permit.fingerprint(KEY)
 PRESSED_AND_STOPPED = replace(POWERED_UP, inputs=Inputs(device_pressed=True, emergency_stop_clear=False))
 
 
@@ -67,8 +66,12 @@ def test_what_was_executed_is_shown_in_whole_percent():
     [
         (Refusal.NO_NONCE, "refused: NO_NONCE"),
         (
+            Refusal.PROTOCOL_VERSION,
+            "refused: PROTOCOL_VERSION: this controller speaks version 4 of the protocol; update it and the runtime to one release",
+        ),
+        (
             Refusal.MAC_INVALID,
-            f"refused: MAC_INVALID: the runtime has another key file; this one's fingerprint is {OWN}, compare it with the runtime's",
+            f"refused: MAC_INVALID: the runtime has another key file; this one's fingerprint is {FINGERPRINT}, compare it with the runtime's",
         ),
         (
             Refusal.EMERGENCY_STOP,
@@ -81,9 +84,9 @@ def test_what_was_executed_is_shown_in_whole_percent():
     ],
 )
 def test_a_refusal_says_what_the_person_at_the_controller_can_do(refusal, line):
-    assert console.refusal_line(refusal, KEY) == line
+    assert console.refusal_line(refusal, POWERED_UP.identity) == line
 
 
 def test_every_refusal_is_named():
     for refusal in Refusal:
-        assert console.refusal_line(refusal, KEY).startswith(f"refused: {refusal.name}")
+        assert console.refusal_line(refusal, POWERED_UP.identity).startswith(f"refused: {refusal.name}")

@@ -18,12 +18,11 @@ from cutgate.firmware_sim.loop import Options
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import (
     BoneMoved,
-    ControllerSession,
     FaultArisen,
     Memory,
     PathChecked,
 )
-from cutgate.protocol import permit, records
+from cutgate.protocol import records
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerFault
 from cutgate.protocol.port import RETRY_S
@@ -31,6 +30,7 @@ from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from tests.firmware_sim.arms import LIMITS, PATH, line_path, pocket
 from tests.firmware_sim.bench import KEY
+from tests.firmware_sim.controllers import OPENED, PLACE, TAG
 
 HIGH = line_path((500.0, 0.0, 200.0), (500.0, 20.0, 200.0), polar=(30, 30), azimuth=(0, 0))
 """200 mm further along the tool the slide is beyond its upper limit."""
@@ -38,7 +38,7 @@ HIGH = line_path((500.0, 0.0, 200.0), (500.0, 20.0, 200.0), polar=(30, 30), azim
 
 def announced(bench):
     """The announcement that is on the bus, heard whole by a runtime that answers its flow control."""
-    runtime = Endpoint(Side.RUNTIME, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
+    runtime = Endpoint(Side.RUNTIME, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=2.0)
     items, controller = [], bench.process.port.endpoint
     for _ in range(10):
         for message in bench.bus.sent:
@@ -124,7 +124,8 @@ def test_while_the_bus_takes_no_more_the_loop_turns_again_soon(bench, monkeypatc
 def test_the_last_word_is_tried_until_there_is_room(bench, monkeypatch, fails):
     one = bench()
     one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.link.open(1, 0.0)
+    one.process.port.endpoint.use_session(OPENED.session.digest)
+    one.process.port.endpoint.open_link(0.0)
     pauses, flush_last = [], one.process.port.flush_last
     one.bus.room = 0
 
@@ -158,11 +159,11 @@ def test_words_change_the_wired_inputs(bench):
     assert one.process.controller.cause is StopCause.EMERGENCY_STOP
 
 
-def test_bone_motion_without_a_session_withdraws_nothing_there_is(bench):
+def test_bone_motion_without_a_session_is_due_and_withdraws_nothing_there_is(bench):
     one = bench()
     one.process.act(ConsoleCommand.BONE_MOTION)
     assert one.process.controller.cause is StopCause.BONE_MOVED
-    assert memory.load(one.file) == Memory()
+    assert memory.load(one.file, now_us=0) == Memory(withdrawal_due=True)
 
 
 def test_a_changed_limit_is_one_degree_narrower(bench):
@@ -176,9 +177,9 @@ def test_a_changed_limit_is_one_degree_narrower(bench):
 
 def test_a_withdrawn_registration_is_in_the_memory_before_anything_else_happens(bench):
     one = bench()
-    one.process.controller = _with_registration(one.process.controller)
+    one.process.controller = _stopped(one.process.controller)
     one.process._feed(BoneMoved())
-    assert memory.load(one.file).withdrawn == {b"r" * 32}
+    assert memory.load(one.file, now_us=0).withdrawn == {PLACE}
 
 
 def failing(monkeypatch, one):
@@ -197,7 +198,8 @@ def test_a_stop_leaves_before_the_memory_is_written(bench, monkeypatch):
     one = bench()
     attempts = failing(monkeypatch, one)
     one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.link.open(1, 0.0)
+    one.process.port.endpoint.use_session(OPENED.session.digest)
+    one.process.port.endpoint.open_link(0.0)
     one.process._feed(FaultArisen(StopCause.SECOND_NODE))
     assert IDS[ControllerFault] in attempts[0]
 
@@ -207,7 +209,7 @@ def test_a_memory_that_cannot_be_written_is_said_once_latches_and_is_written_as_
 ):
     one = bench()
     attempts = failing(monkeypatch, one)
-    one.process.controller = _with_registration(one.process.controller)
+    one.process.controller = _stopped(one.process.controller)
     one.process._feed(BoneMoved())
     for _ in range(3):
         one.process.run_cycle()
@@ -218,9 +220,9 @@ def test_a_memory_that_cannot_be_written_is_said_once_latches_and_is_written_as_
     monkeypatch.undo()
     one.process.run_cycle()
     assert (
-        memory.load(one.file)
+        memory.load(one.file, now_us=0)
         == controller.memory
-        == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
+        == Memory(frozenset({PLACE}), withdrawal_due=True, latched=StopCause.BONE_MOVED)
     )
 
 
@@ -229,22 +231,23 @@ def test_an_error_of_the_program_itself_is_remembered(bench, monkeypatch):
     monkeypatch.setattr(one.process, "_move", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         one.process.run_cycle()
-    assert memory.load(one.file).latched is StopCause.INTERNAL_ERROR
+    assert memory.load(one.file, now_us=0).latched is StopCause.INTERNAL_ERROR
 
 
 def test_what_is_remembered_over_a_loss_of_power_is_what_was_written(bench, monkeypatch):
     one = bench()
-    one.process.controller = _with_registration(one.process.controller)
+    one.process.controller = _stopped(one.process.controller)
     one.process._feed(BoneMoved())
     one.process._feed(FaultArisen(StopCause.SECOND_NODE))
     one.process._happen(FaultName.REBOOT)
     controller = one.process.controller
-    assert controller.memory == Memory(withdrawn=frozenset({b"r" * 32}), latched=StopCause.BONE_MOVED)
+    assert controller.memory == Memory(frozenset({PLACE}), withdrawal_due=True, latched=StopCause.BONE_MOVED)
     assert (controller.state, controller.cause) == (ControllerState.FAULT, StopCause.BONE_MOVED)
 
 
-def _with_registration(controller):
-    return replace(controller, memory=Memory(named=frozenset({b"r" * 32})))
+def _stopped(controller):
+    """A session that a stop has voided."""
+    return replace(controller, session=replace(OPENED.session, live=False))
 
 
 def test_a_stored_path_does_not_move_the_arm(bench):
@@ -268,7 +271,7 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
         opened = _opened(one.process.controller)
         session = replace(opened.session, approach_clearance_um=clearance_um)
         one.process.controller = replace(opened, session=session)
-        one.process.port.endpoint.use_session(1)
+        one.process.port.endpoint.use_session(OPENED.session.digest)
         for block in records.split(HIGH.body()):
             one.process._block(block)
         while one.process.upload.check is not None:
@@ -282,16 +285,13 @@ def test_an_entry_that_the_arm_cannot_reach_is_said_and_leaves_no_approach(bench
 
 
 def _opened(controller):
-    session = ControllerSession(
-        1, bytes(32), bytes(32), bytes(32), "test", 120.0, 2.0, 0.5, 0.2, 10_000, 25, 0.02, 0.1
-    )
-    return replace(controller, state=ControllerState.OPEN, session=session)
+    return replace(controller, state=ControllerState.OPEN, session=OPENED.session)
 
 
 def in_session(one):
     """The bench, with a session open; nothing else of it has happened."""
     one.process.controller = _opened(one.process.controller)
-    one.process.port.endpoint.use_session(1)
+    one.process.port.endpoint.use_session(OPENED.session.digest)
     return one
 
 
@@ -356,8 +356,8 @@ def test_where_the_arm_stands_is_measured_anew_for_a_start(bench):
     one.process._measure()
     q0, *rest = one.process.arm.state.joints
     one.process.arm.state = replace(one.process.arm.state, joints=(q0 + math.radians(2.0), *rest))
-    start = permit.sign(KEY, records.Start(bytes(16), 1, bytes(32), bytes(32), (0,) * 5))
-    one.process._record(RecordReceived(start, records.Channel.CONTROL, 1, 1, 20, bytes(32)))
+    start = records.Start(bytes(16), 1, bytes(32), bytes(32), (0,) * 5)
+    one.process._record(RecordReceived(start, records.Channel.CONTROL, TAG, 1, 20, bytes(32)))
     assert one.process.controller.measured_u == (2_000_000, 72_500_000, 250_000_000, 0, 55_000_000)
 
 

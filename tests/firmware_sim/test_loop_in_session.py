@@ -6,15 +6,15 @@ from dataclasses import replace
 import can
 import pytest
 
-from cutgate.firmware_sim import memory
+from cutgate.firmware_sim import memory, reports
 from cutgate.firmware_sim.approach import own_ends
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import FaultArisen, Memory, OpenLink
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import (
     IDS,
@@ -38,14 +38,11 @@ from cutgate.protocol.states import (
 )
 from tests.firmware_sim.arms import LIMITS, NOMINAL, PATH, TOOL, TOOL_MM, pocket
 from tests.firmware_sim.bench import KEY
-from tests.firmware_sim.controllers import OPEN, PERMIT
+from tests.firmware_sim.controllers import OPEN, PERMIT, PERMIT_LOG, PLACE, REGISTERED_US, START_LOG
 
 STEP_S = 0.005
 HEARTBEAT_S = 0.02
-RUNTIME_NONCE = OPEN.runtime_nonce
-OPENING = replace(OPEN, boot_nonce=bytes(16))
-TAG = records.session_tag(bytes(16), RUNTIME_NONCE)
-
+OTHER_KEY = bytes(31) + b"x"
 
 FITTING = {ControllerState.PERMITTED: RuntimeCode.READY, ControllerState.CUTTING: RuntimeCode.CUT}
 """What a sound runtime says in its heartbeat then; else INHIBIT."""
@@ -64,11 +61,13 @@ class Clock:
 class Runtime:
     """The other end of a bench's bus, by hand: it keeps up its heartbeat and does what a test says."""
 
-    def __init__(self, bench, **options):
+    def __init__(self, bench, *, key=KEY, **options):
         self.clock = Clock()
         self.bench = bench(clock=self.clock, **options)
         self.process = self.bench.process
-        self.endpoint = Endpoint(Side.RUNTIME, heartbeat_s=HEARTBEAT_S, timeout_s=0.1, transfer_timeout_s=2.0)
+        self.endpoint = Endpoint(
+            Side.RUNTIME, key, heartbeat_s=HEARTBEAT_S, timeout_s=0.1, transfer_timeout_s=2.0
+        )
         self.code, self.beats, self.next_s = None, True, 0.0
         self.items = []
 
@@ -113,24 +112,41 @@ class Runtime:
     def ask(self, record, *, session=None):
         """Send a record; the records that come back."""
         self.items.clear()
-        sequence, _ = self.endpoint.send_record(record, self.clock.now_s, session=session)
+        sent = self.endpoint.send_record(record, self.clock.now_s, session=session)
         self.run(0.1)
         for answer in self.received:
             if isinstance(answer, records.Reply):
-                assert answer.request_sequence == sequence
+                assert answer.request_sequence == sent.sequence
         return self.received
 
-    def open(self):
+    def opening(self, **changes):
+        """An OPEN that names what the controller announces now."""
+        announced = reports.announcement(self.controller)
+        named = replace(
+            OPEN, announce_nonce=announced.announce_nonce, identity_digest=announced.identity_digest
+        )
+        return replace(named, **changes)
+
+    def open(self, **changes):
         self.step()
         self.hear()
         self.items.clear()
         self.endpoint.abort()
-        self.endpoint.use_session(TAG)
-        self.endpoint.send_record(OPENING, self.clock.now_s, session=0)
-        while self.process.port.endpoint.session != TAG:
+        self.request = self.opening(**changes)
+        digest = records.session_digest(self.request)
+        self.endpoint.use_session(digest)
+        self.endpoint.send_record(self.request, self.clock.now_s, session=0)
+        while self.process.port.endpoint.session != records.session_tag(digest):
             self.step()
-        self.endpoint.link.open(TAG, self.clock.now_s)
+        self.endpoint.open_link(self.clock.now_s)
         self.run(0.1)
+        return self
+
+    def end(self):
+        self.endpoint.send_frame(RuntimeStop(StopCode.END, StopCause.SESSION_ENDED), self.clock.now_s)
+        self.step()
+        self.endpoint.end_session()
+        self.items.clear()
         return self
 
     def load(self, path=PATH):
@@ -140,28 +156,25 @@ class Runtime:
 
     def permit(self, start_u):
         (nonce,) = self.ask(records.NonceRequest(Purpose.PERMIT))
-        session = records.session_digest(bytes(16), RUNTIME_NONCE)
         ends = self.controller.holdings.ends
         holdings = self.controller.holdings
         bound = records.Approach(
             ends.entry_um, ends.exit_um, ends.entry_joints_u, ends.exit_joints_u, speed_percent=25
         )
-        permit = permits.sign(
-            KEY,
-            replace(
-                PERMIT,
-                nonce=nonce.nonce,
-                boot_nonce=bytes(16),
-                session_digest=session,
-                epoch=nonce.epoch,
-                limits_digest=records.digest(holdings.limits),
-                calibration_digest=records.digest(holdings.calibration),
-                tool_digest=records.digest(holdings.tool),
-                path_digest=records.digest(holdings.path),
-                start_joints_u=start_u,
-                branch=records.Branch("right", 0, 0),
-                approach=bound,
-            ),
+        permit = replace(
+            PERMIT,
+            nonce=nonce.nonce,
+            announce_nonce=self.request.announce_nonce,
+            session_digest=records.session_digest(self.request),
+            epoch=nonce.epoch,
+            limits_digest=records.digest(holdings.limits),
+            calibration_digest=records.digest(holdings.calibration),
+            tool_digest=records.digest(holdings.tool),
+            path_digest=records.digest(holdings.path),
+            start_joints_u=start_u,
+            branch=records.Branch("right", 0, 0),
+            approach=bound,
+            log=PERMIT_LOG,
         )
         self.answer = self.ask(permit)
         self.permitted = permit
@@ -177,8 +190,9 @@ class Runtime:
             self.permitted.session_digest,
             self.permitted.digest,
             self.permitted.start_joints_u,
+            START_LOG,
         )
-        self.answer = self.ask(permits.sign(KEY, start))
+        self.answer = self.ask(start)
         return self
 
 
@@ -204,10 +218,13 @@ def runtime(bench):
 
 def test_an_open_is_answered_and_its_timing_is_taken_over(runtime):
     one = runtime().open()
-    assert one.received == [records.Opened(1, ControllerState.OPEN, StopCause.NONE)]
+    (item,) = [item for item in one.items if isinstance(item, RecordReceived)]
+    opened = records.Opened(1, ControllerState.OPEN, StopCause.NONE)
+    assert (replace(item.record, mac=records.NO_MAC), item.authentic) == (opened, True)
     link = one.process.port.endpoint.link
     assert (link.heartbeat_s, link.timeout_s) == (0.02, 0.1)
-    assert (one.controller.session.tag, link.tag) == (TAG, TAG)
+    tag = records.session_tag(records.session_digest(one.request))
+    assert (one.controller.session.tag, link.tag) == (tag, tag)
     assert one.bench.shown == ["state OPEN"]
     assert one.controller.heartbeat_fresh
 
@@ -215,23 +232,104 @@ def test_an_open_is_answered_and_its_timing_is_taken_over(runtime):
 def test_a_refused_open_is_answered_outside_a_session_and_not_cut_off_by_an_announcement(runtime):
     one = runtime(announce_s=0.05).run(0.03)
     assert [type(record) for record in one.received] == [records.Announce]
-    one.endpoint.send_record(replace(OPENING, boot_nonce=b"x" * 16), one.clock.now_s)
+    one.endpoint.send_record(one.opening(announce_nonce=b"x" * 16), one.clock.now_s)
     while not one.bench.shown:
         one.step()
     refused_s = one.clock.now_s
-    assert one.bench.shown == ["refused: WRONG_BOOT"]
+    assert one.bench.shown == ["refused: ANNOUNCE_NONCE"]
     assert one.process._next_announce_s == pytest.approx(refused_s + 0.05, abs=STEP_S)
     one.run(0.04)
     (reply,) = [record for record in one.received if isinstance(record, records.Reply)]
-    assert reply.refusal is Refusal.WRONG_BOOT
+    assert reply.refusal is Refusal.ANNOUNCE_NONCE
     assert one.controller.session is None
+
+
+def _asks_to_open(one, **changes):
+    """Sends an OPEN whose like may have been sent before, and waits for its answer."""
+    one.items.clear()
+    one.endpoint.send_record(
+        one.opening(runtime_nonce=one.clock.now_s.hex().encode()[-16:], **changes), one.clock.now_s
+    )
+    one.run(0.05)
+    return [record.refusal for record in one.received if isinstance(record, records.Reply)]
+
+
+def test_an_open_that_no_holder_of_the_key_made_changes_nothing_and_is_shown_once(runtime):
+    one = runtime(key=OTHER_KEY, announce_s=5.0).run(0.03)
+    before = one.controller
+    for _ in range(3):
+        assert _asks_to_open(one) == [Refusal.MAC_INVALID]
+    assert one.controller == before
+    own = fingerprint(KEY)
+    assert [own in line for line in one.bench.shown] == [True]
+
+
+def test_two_reasons_by_turns_are_shown_once_each_until_something_else_happens(runtime):
+    one = runtime(key=OTHER_KEY, announce_s=5.0).run(0.03)
+    other = records.OtherVersion(records.Open.TYPE, 3)
+    for _ in range(3):
+        _asks_to_open(one)
+        one.process._record(RecordReceived(other, Channel.CONTROL, 0, 1, 20, bytes(32)))
+    assert [line.split(":")[1] for line in one.bench.shown] == [" MAC_INVALID", " PROTOCOL_VERSION"]
+    one.process.act(ConsoleCommand.BONE_MOTION)
+    _asks_to_open(one)
+    assert one.bench.shown[-1].startswith("refused: MAC_INVALID")
+
+
+def test_another_refusal_is_shown_each_time(runtime):
+    one = runtime().open()
+    for _ in range(2):
+        one.ask(records.Acknowledge(1, StopCause.BONE_MOVED))
+    assert one.bench.shown[-2:] == ["refused: WRONG_CAUSE"] * 2
+
+
+def test_a_recorded_open_opens_no_second_time(runtime):
+    one = runtime(announce_s=5.0).open()
+    assert one.controller.announce_nonce == b"n" * 16
+    recorded = one.request
+    one.end()
+    one.process.port.endpoint._opening = b""  # as after so many others in between
+    one.endpoint.send_record(recorded, one.clock.now_s)
+    one.run(0.05)
+    (reply,) = [record for record in one.received if isinstance(record, records.Reply)]
+    assert (reply.refusal, one.controller.session) == (Refusal.ANNOUNCE_NONCE, None)
+
+
+def test_a_withdraw_is_durable_before_it_is_answered(runtime):
+    one = runtime().open()
+    one.process.act(ConsoleCommand.BONE_MOTION)
+    assert memory.load(one.bench.file, now_us=0) == Memory(frozenset({PLACE}), withdrawal_due=True)
+    (reply,) = one.ask(records.Withdraw(PLACE, REGISTERED_US))
+    assert (reply.request_type, reply.refusal) == (records.Withdraw.TYPE, Refusal.ACCEPTED)
+    assert memory.load(one.bench.file, now_us=0) == Memory(frozenset({PLACE}), barrier_us=REGISTERED_US)
+
+
+def test_who_opens_after_the_bone_moved_is_told_how_long_ago(runtime):
+    one = runtime(announce_s=5.0)
+    one.process.act(ConsoleCommand.BONE_MOTION)
+    one.clock.now_s += 7.5
+    one.open()
+    (opened,) = [record for record in one.received if isinstance(record, records.Opened)]
+    assert (opened.withdrawal_due, opened.motion_age_s) == (1, 7)
+
+
+def test_a_recorded_acknowledgement_clears_nothing(runtime):
+    one = runtime().open()
+    one.process._feed(FaultArisen(StopCause.OPERATOR_QUIT))
+    signed = replace(records.Acknowledge(2, StopCause.OPERATOR_QUIT), mac=b"m" * 16)
+    tag = one.controller.session.tag
+    payload = records.pack(signed, tag, 99)
+    items = one.process.port.endpoint._record(payload, Channel.CONTROL)
+    assert [item.authentic for item in items] == [False]
+    one.process._item(items[0])
+    assert (one.controller.state, one.controller.cause) == (ControllerState.FAULT, StopCause.OPERATOR_QUIT)
 
 
 def test_while_an_open_comes_in_nothing_is_announced(runtime):
     one = runtime(announce_s=0.01)
     one.step()
     one.process.port.endpoint.stop_sending()
-    one.endpoint.send_record(OPENING, one.clock.now_s)
+    one.endpoint.send_record(one.opening(), one.clock.now_s)
     one.process._next_announce_s = math.inf
     one.step()
     assert one.process.port.endpoint.receiving
@@ -334,10 +432,13 @@ def test_a_permit_is_refused_where_the_arm_does_not_stand_at_its_start(runtime):
 
 def test_a_request_that_is_not_accepted_says_what_to_do(runtime):
     one = runtime().open().load().permit(START_U)
+    one.endpoint._codes = Endpoint(
+        Side.RUNTIME, OTHER_KEY, heartbeat_s=HEARTBEAT_S, timeout_s=0.1, transfer_timeout_s=2.0
+    )._key.session(records.session_digest(one.request))
     start = records.Start(bytes(16), 1, bytes(32), bytes(32), START_U)
-    (reply,) = one.ask(permits.sign(bytes(31) + b"x", start))
+    (reply,) = one.ask(start)
     assert reply.refusal is Refusal.MAC_INVALID
-    own = permits.fingerprint(KEY)
+    own = fingerprint(KEY)
     assert any(f"this one's fingerprint is {own}" in line for line in one.bench.shown)
 
 
@@ -348,6 +449,7 @@ def test_a_whole_life_ends_where_it_began(runtime):
     one.start()
     (reply,) = one.answer
     assert (reply.refusal, one.controller.state) == (Refusal.ACCEPTED, ControllerState.CUTTING)
+    assert memory.load(one.bench.file, now_us=0) == Memory(log=START_LOG)
     one.items.clear()
     one.process.controller = replace(one.controller, measured_u=None)
     for _ in range(1000):
@@ -453,9 +555,7 @@ def test_a_second_node_is_refused_and_latches(runtime):
     one.step()
     assert one.bench.shown[1] == f"refused: received on our own identifier {IDS[ControllerHeartbeat]:#05x}"
     assert (one.controller.state, one.controller.cause) == (ControllerState.FAULT, StopCause.SECOND_NODE)
-    assert memory.load(one.bench.file) == Memory(
-        named=frozenset({OPEN.registration_digest}), latched=StopCause.SECOND_NODE
-    )
+    assert memory.load(one.bench.file, now_us=0) == Memory(latched=StopCause.SECOND_NODE)
 
 
 def test_a_frame_that_says_nothing_to_the_table_changes_nothing(runtime):
@@ -493,7 +593,7 @@ def test_a_silent_controller_writes_its_memory_and_sends_nothing(runtime):
     one.process._happen(FaultName.SILENT)
     one.process._feed_any(None)
     one.process.act(ConsoleCommand.BONE_MOTION)
-    assert memory.load(one.bench.file).withdrawn == {OPEN.registration_digest}
+    assert memory.load(one.bench.file, now_us=0).withdrawn == {PLACE}
     assert one.bench.bus.sent == []
     one.process._cycle.late = lambda: 1 / 0
     with pytest.raises(ZeroDivisionError):
@@ -504,14 +604,17 @@ def test_a_silent_controller_writes_its_memory_and_sends_nothing(runtime):
 
 def test_a_reboot_is_another_boot_with_nothing_loaded_and_what_was_remembered(runtime):
     one = runtime().open().load()
+    one.process._feed(FaultArisen(StopCause.SECOND_NODE))
+    one.process._random = b"m".__mul__
     one.process._happen(FaultName.REBOOT)
-    assert one.controller.identity.boot_nonce == b"n" * 16
+    assert one.controller.announce_nonce == b"m" * 16
+    assert one.controller.identity.plant_speed_permille == 1000
     assert one.controller.holdings.path is None
     assert one.controller.holdings.ends is None
     assert one.controller.holdings.limits == LIMITS.body()
     assert one.process.arm.path is None
-    assert one.controller.state is ControllerState.INHIBITED
-    assert one.controller.memory == Memory(named=frozenset({OPEN.registration_digest}))
+    assert one.controller.state is ControllerState.FAULT
+    assert one.controller.memory == Memory(latched=StopCause.SECOND_NODE)
     assert one.process._next_announce_s == one.clock.now_s
     assert not one.process.port.endpoint.link.is_open
 

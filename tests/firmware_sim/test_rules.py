@@ -10,15 +10,16 @@ from cutgate.firmware_sim.rules import (
     ACKNOWLEDGE_RULES,
     OPEN_RULES,
     PERMIT_RULES,
+    REGISTRATION_RULES,
     RESET_RULES,
     START_RULES,
+    WITHDRAW_RULES,
     RequestCase,
     at_start,
     first_refusal,
 )
-from cutgate.firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory, OpenReceived
+from cutgate.firmware_sim.state import Awaiting, DeviceCycle, LimitsChanged, Memory
 from cutgate.firmware_sim.table import step
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 from tests.altering import altered
@@ -28,22 +29,25 @@ from tests.firmware_sim.controllers import (
     CUTTING,
     CYCLED,
     ENDS,
-    KEY,
     LOADED,
     NOW,
     OPEN,
     OPENED,
-    OTHER_KEY,
     OTHER_LIMITS,
     PATH,
     PERMIT,
     PERMIT_CASE,
+    PERMIT_LOG,
     PERMIT_NONCE,
+    PLACE,
     POWERED_UP,
+    REGISTERED_US,
     REGISTRATION,
     RESET_CASE,
     START_CASE,
     START_JOINTS,
+    START_LOG,
+    STARTING,
     changed,
     decide,
     replies,
@@ -82,7 +86,11 @@ HOLDINGS = [
     ("controller.holdings.tool", b"other", Refusal.TOOL_DIGEST),
     ("controller.holdings.path", FLIPPED_PATH, Refusal.PATH_DIGEST),
     ("controller.holdings.path", None, Refusal.PATH_DIGEST),
-    ("controller.memory.withdrawn", frozenset({REGISTRATION}), Refusal.REGISTRATION_WITHDRAWN),
+    ("controller.memory.withdrawal_due", True, Refusal.WITHDRAWAL_DUE),
+    ("controller.memory.withdrawn", frozenset({OTHER, PLACE}), Refusal.REGISTRATION_WITHDRAWN),
+    ("controller.memory.earlier", frozenset({OTHER, REGISTRATION}), Refusal.REGISTRATION_WITHDRAWN),
+    ("controller.memory.barrier_us", REGISTERED_US, Refusal.REGISTRATION_TOO_EARLY),
+    ("controller.memory.barrier_us", REGISTERED_US + 1, Refusal.REGISTRATION_TOO_EARLY),
 ]
 
 ALIVE = [
@@ -93,8 +101,7 @@ ALIVE = [
     ("request.nonce", b"older".ljust(16), Refusal.NONCE_MISMATCH),
     ("now_s", NOW - 0.1, Refusal.NONCE_EXPIRED),
     ("now_s", math.nan, Refusal.NONCE_EXPIRED),
-    ("request.mac", bytes(16), Refusal.MAC_INVALID),
-    ("controller.identity.key", OTHER_KEY, Refusal.MAC_INVALID),
+    ("authentic", False, Refusal.MAC_INVALID),
     ("controller.session.live", False, Refusal.VOIDED_BY_STOP),
     ("controller.session", None, Refusal.VOIDED_BY_STOP),
     ("request.session_digest", OTHER, Refusal.WRONG_SESSION),
@@ -104,8 +111,8 @@ ALIVE = [
 PERMIT_CASES = [
     *HOLDINGS,
     *ALIVE,
-    ("request.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
-    ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("request.announce_nonce", bytes(16), Refusal.ANNOUNCE_NONCE),
+    ("controller.session.announce_nonce", bytes(16), Refusal.ANNOUNCE_NONCE),
     ("request.serial", "SIM-2", Refusal.WRONG_SERIAL),
     ("controller.identity.serial", "SIM-2", Refusal.WRONG_SERIAL),
     ("request.protocol_version", 1, Refusal.PROTOCOL_VERSION),
@@ -133,6 +140,8 @@ PERMIT_CASES = [
     ("controller.session.verifier", "cutgate other", Refusal.VERIFIER),
     ("request.lifetime_s", 121, Refusal.TIMING_OUT_OF_BOUNDS),
     ("controller.session.permit_lifetime_s", 600.0, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("request.log", records.NO_TREE_HEAD, Refusal.LOG_NOT_CONTINUED),
+    ("request.log.size", 0, Refusal.LOG_NOT_CONTINUED),
     ("request.branch.elbow", "left", Refusal.BRANCH),
     ("request.branch.q0_turns", 1, Refusal.BRANCH),
     ("request.branch.roll_turns", 0, Refusal.BRANCH),
@@ -186,6 +195,11 @@ START_CASES = [
     ("request.permit_digest", OTHER, Refusal.PERMIT_MISMATCH),
     ("controller.permit.configuration_digest", OTHER, Refusal.PERMIT_MISMATCH),
     ("request.start_joints_u", _joints(0, 1), Refusal.START_JOINTS),
+    ("controller.awaiting", Awaiting(STARTING, Memory(log=START_LOG)), Refusal.NOT_IN_STATE),
+    ("request.log.log_id", b"m" * 16, Refusal.LOG_NOT_CONTINUED),
+    ("request.log.size", PERMIT_LOG.size, Refusal.LOG_NOT_CONTINUED),
+    ("request.log.size", PERMIT_LOG.size - 1, Refusal.LOG_NOT_CONTINUED),
+    ("request.log", records.NO_TREE_HEAD, Refusal.LOG_NOT_CONTINUED),
     ("controller.device", DeviceCycle.UNSEEN, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
     ("controller.device", DeviceCycle.RELEASED, Refusal.DEVICE_NOT_RELEASED_AND_PRESSED),
     *((field, value, Refusal.NOT_AT_START) for field, value, _ in OFF_START),
@@ -263,27 +277,33 @@ def test_one_altered_field_is_refused_with_its_own_reason(case, rules, field, va
         assert vars(after) == expected, "identity first: the altered field may be NaN"
 
 
-OPEN_CASE = RequestCase(POWERED_UP, OPEN, NOW)
+OPEN_CASE = RequestCase(POWERED_UP, OPEN, NOW, authentic=True)
 ACKNOWLEDGE_CASE = RequestCase(
-    controllers.OPEN_LATCHED, records.Acknowledge(cause=StopCause.SECOND_NODE), NOW
+    controllers.OPEN_LATCHED, records.Acknowledge(2, StopCause.SECOND_NODE), NOW, authentic=True
 )
+WITHDRAW_CASE = RequestCase(OPENED, records.Withdraw(PLACE, REGISTERED_US), NOW, authentic=True)
 ALMOST_FULL = frozenset(number.to_bytes(32, "big") for number in range(1, REGISTRATIONS_MAX))
 OPEN_CASES = [
-    ("controller.session", OPENED.session, Refusal.SESSION_IN_USE),
+    ("request.protocol_version", 3, Refusal.PROTOCOL_VERSION),
+    ("request.protocol_version", 5, Refusal.PROTOCOL_VERSION),
+    ("request", records.OtherVersion(records.Open.TYPE, 3), Refusal.PROTOCOL_VERSION),
     (
-        "controller.awaiting",
-        Awaiting(OpenReceived(OPEN, 1), Memory(named=frozenset({REGISTRATION}))),
-        Refusal.SESSION_IN_USE,
+        "request",
+        records.OtherVersion(records.Open.TYPE, records.PROTOCOL_VERSION),
+        Refusal.PROTOCOL_VERSION,
     ),
-    ("request.protocol_version", 2, Refusal.PROTOCOL_VERSION),
-    ("request.protocol_version", 4, Refusal.PROTOCOL_VERSION),
-    ("request.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
-    ("controller.identity.boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("controller.session", OPENED.session, Refusal.SESSION_IN_USE),
+    ("authentic", False, Refusal.MAC_INVALID),
+    ("request.announce_nonce", bytes(16), Refusal.ANNOUNCE_NONCE),
+    ("controller.announce_nonce", bytes(16), Refusal.ANNOUNCE_NONCE),
+    ("request.identity_digest", OTHER, Refusal.IDENTITY_DIGEST),
+    ("controller.identity.serial", "SIM-2", Refusal.IDENTITY_DIGEST),
+    ("controller.identity.plant_speed_permille", 2000, Refusal.IDENTITY_DIGEST),
     *(
         (f"request.timing.{name}", value, Refusal.TIMING_OUT_OF_BOUNDS)
         for name, values in {
             "heartbeat_ms": (4, 101, 34),
-            "timeout_ms": (59, 1001),
+            "timeout_ms": (79, 1001),
             "permit_lifetime_s": (9, 601),
             "start_lifetime_ms": (499, 5001),
             "start_tolerance_um": (49, 2001),
@@ -293,10 +313,13 @@ OPEN_CASES = [
         }.items()
         for value in values
     ),
-    ("controller.memory.named", ALMOST_FULL | {OTHER}, Refusal.MEMORY_FULL),
     ("controller.memory.withdrawn", ALMOST_FULL | {OTHER}, Refusal.MEMORY_FULL),
 ]
 ACKNOWLEDGE_CASES = [
+    ("authentic", False, Refusal.MAC_INVALID),
+    ("request.epoch", 1, Refusal.EPOCH),
+    ("request.epoch", 3, Refusal.EPOCH),
+    ("controller.epoch", 3, Refusal.EPOCH),
     ("controller.session", None, Refusal.VOIDED_BY_STOP),
     ("controller.session.live", False, Refusal.VOIDED_BY_STOP),
     *(
@@ -305,18 +328,25 @@ ACKNOWLEDGE_CASES = [
         if cause is not StopCause.SECOND_NODE
     ),
 ]
-UNSIGNED = [
+WITHDRAW_CASES = [
+    ("authentic", False, Refusal.MAC_INVALID),
+    ("request.place_digest", records.digest(b"another place"), Refusal.WRONG_SESSION),
+    ("controller.session.place", records.digest(b"another place"), Refusal.WRONG_SESSION),
+    ("controller.session", None, Refusal.WRONG_SESSION),
+]
+WITHOUT_NONCE = [
     *((OPEN_CASE, OPEN_RULES, *one) for one in OPEN_CASES),
     *((ACKNOWLEDGE_CASE, ACKNOWLEDGE_RULES, *one) for one in ACKNOWLEDGE_CASES),
+    *((WITHDRAW_CASE, WITHDRAW_RULES, *one) for one in WITHDRAW_CASES),
 ]
 
 
 @pytest.mark.parametrize(
     ("case", "rules", "field", "value", "refusal"),
-    UNSIGNED,
-    ids=[f"{number}-{one[-1].name}-{one[2]}" for number, one in enumerate(UNSIGNED)],
+    WITHOUT_NONCE,
+    ids=[f"{number}-{one[-1].name}-{one[2]}" for number, one in enumerate(WITHOUT_NONCE)],
 )
-def test_one_altered_field_of_a_request_without_a_code_is_refused(case, rules, field, value, refusal):
+def test_one_altered_field_of_a_request_without_a_nonce_is_refused(case, rules, field, value, refusal):
     assert first_refusal(rules, case) is Refusal.ACCEPTED
     assert first_refusal(rules, altered(case, field, value)) is refusal
 
@@ -324,11 +354,11 @@ def test_one_altered_field_of_a_request_without_a_code_is_refused(case, rules, f
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("controller.memory.named", ALMOST_FULL),
-        ("controller.memory.named", ALMOST_FULL | {REGISTRATION}),
-        ("controller.memory.withdrawn", ALMOST_FULL | {REGISTRATION}),
+        ("controller.memory.withdrawn", ALMOST_FULL),
+        ("controller.memory.withdrawn", ALMOST_FULL | {PLACE}),
+        ("controller.memory.earlier", ALMOST_FULL | {OTHER}),
         ("request.timing.approach_clearance_um", 200_000),
-        ("request.timing.timeout_ms", 60),
+        ("request.timing.timeout_ms", 80),
     ],
 )
 def test_the_bounds_of_an_open_are_inside(field, value):
@@ -336,8 +366,68 @@ def test_the_bounds_of_an_open_are_inside(field, value):
 
 
 def test_a_nonce_that_makes_the_tag_of_no_session_is_refused(monkeypatch):
-    monkeypatch.setattr("firmware_sim.rules.records.nonce_serves", lambda *_nonces: False)
+    monkeypatch.setattr("firmware_sim.rules.records.opens", lambda _request: False)
     assert first_refusal(OPEN_RULES, OPEN_CASE) is Refusal.WRONG_SESSION
+
+
+def test_of_two_reasons_against_an_open_the_earlier_one_is_given():
+    """Only a holder of the key learns more than that a session is in use, or which version is spoken."""
+    assert [refusal for refusal, _ in OPEN_RULES] == [
+        Refusal.PROTOCOL_VERSION,
+        Refusal.SESSION_IN_USE,
+        Refusal.MAC_INVALID,
+        Refusal.ANNOUNCE_NONCE,
+        Refusal.IDENTITY_DIGEST,
+        Refusal.WRONG_SESSION,
+        Refusal.TIMING_OUT_OF_BOUNDS,
+        Refusal.MEMORY_FULL,
+    ]
+
+
+def test_what_nobody_says_is_authentic_is_not():
+    assert not RequestCase(OPENED, None, NOW).authentic
+    for rules in (OPEN_RULES, PERMIT_RULES, START_RULES, RESET_RULES, ACKNOWLEDGE_RULES, WITHDRAW_RULES):
+        assert not dict(rules)[Refusal.MAC_INVALID](RequestCase(OPENED, None, NOW))
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_withdrawal_of_no_place_in_particular_is_of_any_session_live_or_not(live):
+    case = altered(WITHDRAW_CASE, "controller.session.live", live)
+    assert first_refusal(WITHDRAW_RULES, case) is Refusal.ACCEPTED
+    case = altered(case, "request.place_digest", records.NO_PLACE)
+    assert first_refusal(WITHDRAW_RULES, case) is Refusal.ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("registered_us", "barrier_us", "refusal"),
+    [
+        (REGISTERED_US, records.NO_TIME, Refusal.ACCEPTED),
+        (records.NO_TIME, records.NO_TIME, Refusal.ACCEPTED),
+        (REGISTERED_US, REGISTERED_US - 1, Refusal.ACCEPTED),
+        (REGISTERED_US, REGISTERED_US, Refusal.REGISTRATION_TOO_EARLY),
+        (records.NO_TIME, 1, Refusal.REGISTRATION_TOO_EARLY),
+        (-1, records.NO_TIME, Refusal.ACCEPTED),
+        (-1, 1, Refusal.REGISTRATION_TOO_EARLY),
+    ],
+)
+def test_only_a_registration_later_than_the_barrier_counts(registered_us, barrier_us, refusal):
+    for case, rules in ((PERMIT_CASE, PERMIT_RULES), (START_CASE, START_RULES)):
+        twin = altered(case, "controller.session.registration_time_us", registered_us)
+        twin = altered(twin, "controller.memory.barrier_us", barrier_us)
+        assert first_refusal(rules, twin) is refusal
+        assert first_refusal(REGISTRATION_RULES, twin) is refusal
+
+
+def test_a_withdrawn_registration_that_is_too_early_as_well_is_said_to_be_withdrawn():
+    memory = Memory(withdrawn=frozenset({PLACE}), barrier_us=REGISTERED_US)
+    case = altered(PERMIT_CASE, "controller.memory", memory)
+    assert first_refusal(REGISTRATION_RULES, case) is Refusal.REGISTRATION_WITHDRAWN
+
+
+def test_a_start_may_be_one_record_further_on_than_its_permit():
+    assert START_LOG.size == PERMIT_LOG.size + 1
+    case = changed(START_CASE, "request.log.size", PERMIT_LOG.size + 100)
+    assert first_refusal(START_RULES, case) is Refusal.ACCEPTED
 
 
 @pytest.mark.parametrize("clear", [True, False])
@@ -351,8 +441,15 @@ def test_an_emergency_stop_is_acknowledged_once_it_is_released(cause, clear):
 
 @pytest.mark.parametrize(
     ("rules", "cases"),
-    [(PERMIT_RULES, PERMIT_CASES), (START_RULES, START_CASES), (RESET_RULES, RESET_CASES)],
-    ids=NAMES,
+    [
+        (PERMIT_RULES, PERMIT_CASES),
+        (START_RULES, START_CASES),
+        (RESET_RULES, RESET_CASES),
+        (OPEN_RULES, [*OPEN_CASES, (Refusal.WRONG_SESSION,)]),
+        (ACKNOWLEDGE_RULES, [*ACKNOWLEDGE_CASES, (Refusal.EMERGENCY_STOP,)]),
+        (WITHDRAW_RULES, WITHDRAW_CASES),
+    ],
+    ids=[*NAMES, "open", "acknowledge", "withdraw"],
 )
 def test_no_reason_is_left_untested(rules, cases):
     assert {refusal for refusal, _ in rules} == {refusal for *_, refusal in cases}
@@ -360,11 +457,12 @@ def test_no_reason_is_left_untested(rules, cases):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("configuration_digest", OTHER), ("verifier_version", "cutgate other")]
+    ("case", "rules"), [*PASSING, (OPEN_CASE, OPEN_RULES), (ACKNOWLEDGE_CASE, ACKNOWLEDGE_RULES)]
 )
-def test_configuration_and_verifier_are_bound_by_the_code_as_well(field, value):
-    twin = replace(PERMIT_CASE, request=replace(PERMIT_CASE.request, **{field: value}))
-    assert first_refusal(PERMIT_RULES, twin) is Refusal.MAC_INVALID
+def test_without_a_code_that_fits_nothing_else_is_looked_at(case, rules):
+    """What the record says, configuration and verifier included, is bound by the code; the endpoint judges it."""
+    twin = replace(case, authentic=False, now_s=math.nan)
+    assert first_refusal(rules, twin) is Refusal.MAC_INVALID
 
 
 @pytest.mark.parametrize("joint", range(5))
@@ -423,15 +521,6 @@ def test_the_bound_itself_is_inside(case, rules, field, value):
     assert first_refusal(rules, changed(case, field, value)) is Refusal.ACCEPTED
 
 
-def test_another_direction_s_key_or_domain_does_not_sign():
-    """A code made for a start does not make a permit, and the other way round."""
-    signed = permits.sign(KEY, START_CASE.request)
-    assert (
-        first_refusal(PERMIT_RULES, replace(PERMIT_CASE, request=PERMIT.with_mac(signed.mac)))
-        is Refusal.MAC_INVALID
-    )
-
-
 def test_a_permit_is_refused_the_second_time():
     after, _ = decide(PERMIT_CASE)
     _, effects = decide(replace(PERMIT_CASE, controller=after))
@@ -442,6 +531,12 @@ def test_a_start_is_refused_the_second_time_and_does_not_disturb_the_cut():
     after, effects = decide(replace(START_CASE, controller=CUTTING))
     assert replies(effects) == [Refusal.NOT_IN_STATE]
     assert after == CUTTING
+
+
+def test_a_start_is_refused_while_another_one_waits_for_the_memory():
+    waiting, _ = step(CYCLED, STARTING, NOW)
+    case = replace(START_CASE, controller=waiting)
+    assert first_refusal(START_RULES, case) is Refusal.NOT_IN_STATE
 
 
 def test_a_start_without_a_permit_is_refused_whatever_else_holds():
@@ -470,6 +565,7 @@ def test_an_accepted_start_still_names_the_permit_that_was_accepted():
 
 R = Refusal
 WITHOUT_ITS_SESSION = {R.VOIDED_BY_STOP, R.WRONG_SESSION, R.NONCE_EXPIRED}
+OF_ITS_REGISTRATION = {R.REGISTRATION_WITHDRAWN, R.REGISTRATION_TOO_EARLY}
 WITHOUT_ITS_NONCE = {R.NO_NONCE, R.NONCE_MISMATCH, R.NONCE_EXPIRED}
 OF_THE_SESSION = {R.REGISTRATION_DIGEST, R.CONFIGURATION_DIGEST, R.VERIFIER, R.TIMING_OUT_OF_BOUNDS}
 MISSING = [
@@ -479,7 +575,10 @@ MISSING = [
         PERMIT_CASE,
         PERMIT_RULES,
         "controller.session",
-        WITHOUT_ITS_SESSION | OF_THE_SESSION | {R.APPROACH_SPEED, R.START_JOINTS},
+        WITHOUT_ITS_SESSION
+        | OF_ITS_REGISTRATION
+        | OF_THE_SESSION
+        | {R.ANNOUNCE_NONCE, R.APPROACH_SPEED, R.START_JOINTS},
     ),
     (START_CASE, START_RULES, "controller.holdings.path", {R.PATH_DIGEST}),
     (START_CASE, START_RULES, "controller.issued", WITHOUT_ITS_NONCE),
@@ -487,10 +586,12 @@ MISSING = [
         START_CASE,
         START_RULES,
         "controller.session",
-        WITHOUT_ITS_SESSION | {R.PERMIT_EXPIRED, R.NOT_AT_START},
+        WITHOUT_ITS_SESSION | OF_ITS_REGISTRATION | {R.PERMIT_EXPIRED, R.NOT_AT_START},
     ),
     (RESET_CASE, RESET_RULES, "controller.issued", WITHOUT_ITS_NONCE),
     (RESET_CASE, RESET_RULES, "controller.session", WITHOUT_ITS_SESSION),
+    (ACKNOWLEDGE_CASE, ACKNOWLEDGE_RULES, "controller.session", {R.VOIDED_BY_STOP}),
+    (WITHDRAW_CASE, WITHDRAW_RULES, "controller.session", {R.WRONG_SESSION}),
 ]
 
 

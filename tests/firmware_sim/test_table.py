@@ -32,6 +32,7 @@ from cutgate.firmware_sim.state import (
     PathFinished,
     PermitReceived,
     Persist,
+    Persisted,
     ResetReceived,
     Send,
     SendFault,
@@ -40,10 +41,11 @@ from cutgate.firmware_sim.state import (
     Tick,
 )
 from cutgate.firmware_sim.table import EVERYWHERE, TABLE, step
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.states import (
+    EPOCHS,
     LATCHING,
+    WITHDRAWING,
     ControllerState,
     FaultCode,
     Purpose,
@@ -57,7 +59,7 @@ from tests.firmware_sim.controllers import (
     ACCEPTED_PATH,
     ACKNOWLEDGED,
     ASKED,
-    BOOT_NONCE,
+    ASKING,
     CALIBRATION,
     CUTTING,
     CYCLED,
@@ -66,41 +68,48 @@ from tests.firmware_sim.controllers import (
     ENDS,
     EVERY_STATE,
     HOLD,
-    KEY,
     LATCHED,
+    LEAVING,
     LIMITS,
     LOADED,
+    NEXT_NONCE,
     NOW,
     OPEN,
     OPEN_LATCHED,
     OPENED,
     OTHER_LIMITS,
+    OWN_RESET,
     PATH,
     PERMIT,
     PERMITTED,
+    PLACE,
     POWERED_UP,
+    REGISTERED_US,
     REGISTRATION,
     RELEASE,
     RESET,
     RESETTING,
-    RUNTIME_NONCE,
-    SIGNED_PERMIT,
-    SIGNED_RESET,
-    SIGNED_START,
+    SESSION,
     STANDING,
     START,
     START_JOINTS,
+    START_LOG,
     STARTED,
+    STARTING,
     STOPPING_EVENTS,
     TAG,
     TOOL,
+    acknowledging,
     alive,
     events,
     faults,
     fed,
     is_void,
+    opening,
+    reopening,
     replies,
     settled,
+    withdrawing,
 )
 
 C = ControllerState
@@ -148,9 +157,9 @@ def test_what_was_overtaken_by_a_stop_is_dead_on_arrival(name, stopping):
 @pytest.mark.parametrize(
     ("before", "arriving"),
     [
-        (ASKED, PermitReceived(SIGNED_PERMIT, 4)),
-        (CYCLED, StartReceived(SIGNED_START, 5)),
-        (RESETTING, ResetReceived(SIGNED_RESET, 6)),
+        (ASKED, ASKING),
+        (CYCLED, STARTING),
+        (RESETTING, LEAVING),
     ],
     ids=["permit", "start", "reset"],
 )
@@ -163,20 +172,18 @@ def test_a_request_that_would_pass_is_void_after_a_stop(before, arriving):
 
 
 def test_a_permit_of_the_session_before_the_stop_does_not_serve_the_next():
-    again = replace(OPEN, runtime_nonce=b"R" * 16)
+    stopped = fed(ASKED, StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP), HeartbeatLost())
     state = fed(
-        ASKED,
-        StopReceived(StopCode.STOP, StopCause.OPERATOR_STOP),
-        HeartbeatLost(),
-        OpenReceived(again, 1),
+        stopped,
+        reopening(stopped),
         alive(epoch=3),
-        AcknowledgeReceived(StopCause.OPERATOR_STOP, 2),
+        acknowledging(StopCause.OPERATOR_STOP, 3),
         ACCEPTED_PATH,
         STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
     )
     assert state.state is C.LOADED
-    _, effects = step(state, PermitReceived(SIGNED_PERMIT, 4), NOW)
+    _, effects = step(state, ASKING, NOW)
     assert replies(effects) == [Refusal.WRONG_SESSION]
 
 
@@ -193,9 +200,10 @@ def test_the_first_cause_is_kept_until_it_is_acknowledged():
     assert state.state is C.FAULT
 
 
-def test_the_epoch_wraps_at_eight_bits():
-    after = fed(replace(CUTTING, epoch=255), FaultArisen(StopCause.BUS_FAILED))
-    assert after.epoch == 0
+def test_the_epoch_wraps_at_five_bits():
+    assert EPOCHS == 32
+    assert fed(replace(CUTTING, epoch=30), FaultArisen(StopCause.BUS_FAILED)).epoch == 31
+    assert fed(replace(CUTTING, epoch=31), FaultArisen(StopCause.BUS_FAILED)).epoch == 0
 
 
 @each_state
@@ -233,25 +241,25 @@ def test_a_lost_heartbeat_stops_and_frees_the_controller_for_another_session(nam
         assert after.cause is (state.memory.latched or state.cause or StopCause.HEARTBEAT_LOST)
     else:
         assert (after.cause, after.epoch, effects) == (state.cause, state.epoch, (CloseLink(),))
-    assert fed(after, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1)).session is not None
+    assert fed(after, reopening(after)).session is not None
 
 
 # ---------------------------------------------------------------- the wired inputs
 
 
 def test_the_device_is_seen_released_and_then_pressed_after_the_permit():
-    held_throughout = fed(ASKED, HOLD, PermitReceived(SIGNED_PERMIT, 4))
+    held_throughout = fed(ASKED, HOLD, ASKING)
     assert held_throughout.device is DeviceCycle.UNSEEN
     assert fed(held_throughout, HOLD).device is DeviceCycle.UNSEEN
     released = fed(held_throughout, RELEASE)
     assert released.device is DeviceCycle.RELEASED
     assert fed(released, HOLD).device is DeviceCycle.PRESSED
     assert fed(released, HOLD, RELEASE).device is DeviceCycle.RELEASED
-    assert fed(ASKED, PermitReceived(SIGNED_PERMIT, 4)).device is DeviceCycle.RELEASED
+    assert fed(ASKED, ASKING).device is DeviceCycle.RELEASED
 
 
 def test_a_cycle_before_the_permit_does_not_count():
-    state = fed(ASKED, HOLD, RELEASE, HOLD, PermitReceived(SIGNED_PERMIT, 4))
+    state = fed(ASKED, HOLD, RELEASE, HOLD, ASKING)
     assert state.device is DeviceCycle.UNSEEN
 
 
@@ -290,69 +298,232 @@ def test_emergency_stop_and_device_at_once_name_the_emergency_stop():
 
 WITHDRAWALS: dict[str, Event] = {
     "bone motion": BoneMoved(),
-    "stop frame": StopReceived(StopCode.STOP, StopCause.REGISTRATION_WITHDRAWN),
-    "end frame": StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
-    "bone motion seen by the runtime": StopReceived(StopCode.STOP, StopCause.BONE_MOVED),
-    "heartbeat, the frame was lost": alive(cause=StopCause.REGISTRATION_WITHDRAWN),
-    "fault": FaultArisen(StopCause.BONE_MOVED),
+    "heartbeat of a withdrawal": alive(cause=StopCause.REGISTRATION_WITHDRAWN),
+    "heartbeat of bone motion": alive(cause=StopCause.BONE_MOVED),
 }
+"""The wired input, and what only a holder of the key can say."""
+CLAIMS: dict[str, Event] = {
+    f"{code.name} frame of {cause.name}": StopReceived(code, cause)
+    for code in StopCode
+    for cause in WITHDRAWING
+} | {f"fault of {cause.name}": FaultArisen(cause) for cause in WITHDRAWING}
+"""What may be anybody's."""
+MOVED = Memory(withdrawn=frozenset({PLACE}), withdrawal_due=True)
 
 
 @pytest.mark.parametrize("state", [OPENED, LOADED, PERMITTED, CUTTING, DONE], ids=lambda s: s.state.name)
 @pytest.mark.parametrize("withdrawal", WITHDRAWALS)
-def test_a_withdrawal_lists_the_registration_by_whatever_way_it_comes(state, withdrawal):
-    after, effects = step(state, WITHDRAWALS[withdrawal], NOW)
-    assert after.memory == Memory(withdrawn=frozenset({REGISTRATION}))
+def test_a_withdrawal_lists_the_place_by_whatever_way_it_comes(state, withdrawal):
+    after, effects = step(state, WITHDRAWALS[withdrawal], NOW + 7)
+    assert after.memory == replace(state.memory, withdrawn=frozenset({PLACE}), withdrawal_due=True)
+    assert after.moved_at_s == NOW + 7
     assert isinstance(effects[0], SendFault)
     assert effects[-1] == Persist(after.memory), "the stop leaves before the memory is written"
     assert is_void(after)
+    assert after.cause in WITHDRAWING
 
 
-def test_bone_motion_after_the_session_still_withdraws_its_registration():
+@pytest.mark.parametrize("claim", CLAIMS)
+@each_state
+def test_a_claimed_withdrawal_stops_and_withdraws_nothing(name, claim):
+    state = EVERY_STATE[name]
+    after, effects = step(state, CLAIMS[claim], NOW)
+    assert faults(effects)
+    assert is_void(after)
+    assert after.memory == state.memory
+    assert after.moved_at_s is None
+    assert after.session is None or not after.session.withdrawn
+
+
+@pytest.mark.parametrize("cause", sorted(WITHDRAWING), ids=lambda cause: cause.name)
+def test_a_heartbeat_withdraws_also_after_the_stop_that_came_first_and_only_once(cause):
+    stopped = fed(CUTTING, StopReceived(StopCode.STOP, cause))
+    assert not stopped.memory.withdrawal_due
+    beat = alive(epoch=stopped.epoch, cause=cause)
+    after, effects = settled(stopped, beat, NOW + 1)
+    assert after.memory == replace(stopped.memory, withdrawn=frozenset({PLACE}), withdrawal_due=True)
+    assert (after.moved_at_s, after.epoch, faults(effects)) == (NOW + 1, stopped.epoch, []), "no second stop"
+
+    told = fed(after, withdrawing())
+    again, effects = step(told, beat, NOW + 2)
+    assert (again, effects) == (told, ()), "the level that stays is no news"
+
+
+def test_a_withdraw_that_overtakes_the_heartbeats_of_its_stop_is_not_undone_by_them():
+    stopped = fed(CUTTING, StopReceived(StopCode.STOP, StopCause.BONE_MOVED), withdrawing())
+    after = fed(stopped, alive(epoch=stopped.epoch, cause=StopCause.BONE_MOVED))
+    assert after == stopped
+    assert not after.memory.withdrawal_due
+
+
+def test_a_withdraw_in_a_live_session_does_not_hide_a_bone_that_moves_afterwards():
+    told = fed(OPENED, withdrawing(records.NO_PLACE))
+    stopped = fed(told, StopReceived(StopCode.STOP, StopCause.BONE_MOVED))
+    after = fed(stopped, alive(epoch=stopped.epoch, cause=StopCause.BONE_MOVED))
+    assert after.memory.withdrawn == {PLACE}
+    assert after.memory.withdrawal_due
+
+
+def test_a_bone_that_moves_again_is_due_again():
+    told = fed(fed(CUTTING, BoneMoved()), withdrawing())
+    assert not told.memory.withdrawal_due
+    after = fed(told, BoneMoved(), now_s=NOW + 60)
+    assert (after.memory.withdrawal_due, after.moved_at_s) == (True, NOW + 60)
+
+
+def test_other_causes_in_a_heartbeat_withdraw_nothing():
+    for cause in set(StopCause) - WITHDRAWING:
+        assert fed(CUTTING, alive(cause=cause)).memory.withdrawn == frozenset()
+
+
+@pytest.mark.parametrize("cause", sorted(WITHDRAWING), ids=lambda cause: cause.name)
+def test_a_heartbeat_without_a_session_withdraws_nothing(cause):
+    assert not fed(POWERED_UP, alive(cause=cause)).memory.withdrawal_due
+
+
+def test_bone_motion_after_the_session_is_due_and_names_no_place():
     ended = fed(DONE, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
     after, effects = step(ended, BoneMoved(), NOW)
-    assert after.memory.withdrawn == {REGISTRATION}
+    assert after.memory == replace(ended.memory, withdrawal_due=True)
     assert effects[-1] == Persist(after.memory)
 
 
-def test_bone_motion_before_any_session_stops_and_has_nothing_to_withdraw():
+def test_bone_motion_before_any_session_stops_and_is_due():
     after, effects = step(POWERED_UP, BoneMoved(), NOW)
-    assert (after.cause, after.memory.withdrawn) == (StopCause.BONE_MOVED, frozenset())
-    assert not any(isinstance(effect, Persist) for effect in effects)
+    assert (after.cause, after.memory) == (StopCause.BONE_MOVED, Memory(withdrawal_due=True))
+    assert effects[-1] == Persist(after.memory)
 
 
-def test_the_list_grows_and_only_another_registration_is_permitted():
-    remembered = Memory(withdrawn=frozenset({REGISTRATION}))
-    state = replace(POWERED_UP, memory=remembered, written=remembered)
+def _permit_answer(state: Controller, **changes):
+    """How a permit is answered in a session that this controller opens."""
     asked = fed(
         state,
-        OpenReceived(OPEN, 1),
+        opening(**changes),
         alive(),
         ACCEPTED_PATH,
         STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
     )
-    _, effects = step(asked, PermitReceived(SIGNED_PERMIT, 4), NOW)
-    assert replies(effects) == [Refusal.REGISTRATION_WITHDRAWN]
-
-    other = records.digest(b"registered again")
-    asked = fed(
-        state,
-        OpenReceived(replace(OPEN, registration_digest=other), 1),
-        alive(),
-        ACCEPTED_PATH,
-        STANDING,
-        NonceRequested(Purpose.PERMIT, PERMIT.nonce),
+    named = replace(
+        PERMIT,
+        session_digest=asked.session.digest,
+        registration_digest=asked.session.registration,
     )
-    signed = permits.sign(KEY, replace(PERMIT, registration_digest=other))
-    after, effects = step(asked, PermitReceived(signed, 4), NOW)
-    assert replies(effects) == [Refusal.ACCEPTED]
-    assert fed(after, BoneMoved()).memory.withdrawn == {REGISTRATION, other}
+    after, effects = step(asked, PermitReceived(named, 4, authentic=True), NOW)
+    return after, replies(effects)[0]
+
+
+def _remembering(memory: Memory) -> Controller:
+    return replace(POWERED_UP, memory=memory, written=memory)
+
+
+def test_the_list_grows_and_only_another_place_is_permitted():
+    state = _remembering(Memory(withdrawn=frozenset({PLACE})))
+    _, refusal = _permit_answer(state)
+    assert refusal is Refusal.REGISTRATION_WITHDRAWN
+    again = {"registration_digest": records.digest(b"the same place again"), "registration_time_us": 1 << 60}
+    _, refusal = _permit_answer(state, **again)
+    assert refusal is Refusal.REGISTRATION_WITHDRAWN, "another id or time does not bring it back"
+
+    other = records.digest(b"another place")
+    after, refusal = _permit_answer(state, place_digest=other)
+    assert refusal is Refusal.ACCEPTED
+    assert fed(after, BoneMoved()).memory.withdrawn == {PLACE, other}
+
+
+def test_a_registration_that_was_withdrawn_before_places_were_remembered_stays_withdrawn():
+    state = _remembering(Memory(earlier=frozenset({REGISTRATION})))
+    assert _permit_answer(state)[1] is Refusal.REGISTRATION_WITHDRAWN
+    other = records.digest(b"another registration")
+    assert _permit_answer(state, registration_digest=other)[1] is Refusal.ACCEPTED
+
+
+def test_nothing_is_permitted_before_a_withdraw_tells_the_barrier():
+    assert _permit_answer(_remembering(Memory(withdrawal_due=True)))[1] is Refusal.WITHDRAWAL_DUE
 
 
 def test_other_stops_withdraw_nothing():
-    for cause in set(StopCause) - {StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED}:
-        assert fed(CUTTING, FaultArisen(cause)).memory.withdrawn == frozenset()
+    for cause in StopCause:
+        after = fed(CUTTING, FaultArisen(cause))
+        assert after.memory.withdrawn == frozenset()
+        assert not after.memory.withdrawal_due
+
+
+# ---------------------------------------------------------------- Withdraw
+
+STOPPED = EVERY_STATE["stopped"]
+WITHDRAWN = [OPENED, LOADED, DONE, STOPPED, OPEN_LATCHED]
+
+
+@pytest.mark.parametrize("state", WITHDRAWN, ids=lambda s: s.state.name)
+@pytest.mark.parametrize(
+    ("place", "listed"), [(PLACE, {PLACE}), (records.NO_PLACE, set())], ids=["its place", "no place"]
+)
+def test_a_withdraw_is_in_force_at_once_and_answered_once_it_is_durable(state, place, listed):
+    due = replace(state, memory=replace(state.memory, withdrawal_due=True), moved_at_s=NOW - 9)
+    after, effects = step(due, withdrawing(place, 17), NOW)
+    wanted = replace(state.memory, withdrawn=frozenset(listed), barrier_us=17)
+    assert after.memory == wanted
+    assert (after.moved_at_s, after.state, after.cause) == (None, state.state, state.cause)
+    assert effects == (Persist(wanted),), "no answer yet"
+
+    told, effects = step(after, Persisted(wanted), NOW)
+    (send,) = effects
+    assert (send.record.request_type, send.record.request_sequence) == (records.Withdraw.TYPE, 5)
+    assert (send.session, send.record.refusal) == (TAG, Refusal.ACCEPTED)
+    assert (told.memory, told.written, told.awaiting) == (wanted, wanted, None)
+
+
+@pytest.mark.parametrize(
+    "state", [PERMITTED, CYCLED, STARTED, CUTTING], ids=["permitted", "cycled", "started", "cutting"]
+)
+def test_what_was_permitted_before_a_withdraw_does_not_go_on(state):
+    after, effects = settled(state, withdrawing(records.NO_PLACE, 17), NOW)
+    assert (after.state, after.cause) == (C.INHIBITED, StopCause.REGISTRATION_WITHDRAWN)
+    assert is_void(after)
+    assert effects[0] == SendFault(FaultCode.STOPPED, StopCause.REGISTRATION_WITHDRAWN)
+    assert replies(effects) == [Refusal.ACCEPTED]
+    assert (after.memory.barrier_us, after.memory.withdrawn) == (17, frozenset())
+
+
+def test_the_barrier_is_never_lowered():
+    after = fed(OPENED, withdrawing(barrier_us=17), withdrawing(barrier_us=16))
+    assert after.memory.barrier_us == 17
+    assert fed(after, withdrawing(barrier_us=18)).memory.barrier_us == 18
+
+
+def test_a_withdraw_that_changes_nothing_is_answered_at_once():
+    told = fed(OPENED, withdrawing(barrier_us=17))
+    after, effects = step(told, withdrawing(barrier_us=17), NOW)
+    assert replies(effects) == [Refusal.ACCEPTED]
+    assert (after.memory, after.awaiting) == (told.memory, None)
+    assert not any(isinstance(effect, Persist) for effect in effects)
+
+
+def test_a_withdraw_that_is_not_written_yet_is_answered_when_it_is():
+    unwritten = replace(fed(OPENED, withdrawing(barrier_us=17)), written=None)
+    waiting, effects = step(unwritten, withdrawing(barrier_us=17), NOW)
+    assert effects == ()
+    _, effects = settled(waiting, Tick(), NOW)
+    assert replies(effects) == [Refusal.ACCEPTED]
+
+
+def test_a_withdraw_of_another_place_changes_nothing():
+    after, effects = step(OPENED, withdrawing(records.digest(b"another place")), NOW)
+    assert after == OPENED
+    (send,) = effects
+    assert (send.record.request_type, send.record.request_sequence) == (records.Withdraw.TYPE, 5)
+    assert send.record.refusal is Refusal.WRONG_SESSION
+
+
+def test_after_a_withdraw_a_later_registration_of_another_place_is_permitted():
+    stopped = fed(CUTTING, BoneMoved(), withdrawing(barrier_us=REGISTERED_US), HeartbeatLost())
+    state = replace(POWERED_UP, memory=stopped.memory, written=stopped.memory)
+    other = records.digest(b"another place")
+    assert _permit_answer(state, place_digest=other)[1] is Refusal.REGISTRATION_TOO_EARLY
+    later = {"place_digest": other, "registration_time_us": REGISTERED_US + 1}
+    assert _permit_answer(state, **later)[1] is Refusal.ACCEPTED
+    assert _permit_answer(state, **(later | {"place_digest": PLACE}))[1] is Refusal.REGISTRATION_WITHDRAWN
 
 
 def test_a_changed_limit_is_held_and_stops():
@@ -364,29 +535,96 @@ def test_a_changed_limit_is_held_and_stops():
 
 
 def test_a_session_is_opened_with_what_both_sides_said():
-    remembered = Memory(named=frozenset({REGISTRATION}))
-    named = replace(POWERED_UP, memory=remembered, written=remembered, heartbeat_fresh=True)
-    after, effects = step(named, OpenReceived(OPEN, 7), NOW)
+    state = replace(POWERED_UP, heartbeat_fresh=True)
+    after, effects = step(state, replace(opening(), sequence=7), NOW)
     assert (after.state, after.epoch, after.heartbeat_fresh) == (C.OPEN, 1, False)
     session = after.session
     assert session is not None
-    assert (session.tag, session.digest) == (TAG, records.session_digest(BOOT_NONCE, RUNTIME_NONCE))
+    assert (session.tag, session.digest) == (TAG, SESSION)
+    assert (session.registration, session.place) == (REGISTRATION, PLACE)
+    assert session.registration_time_us == REGISTERED_US
+    assert session.announce_nonce == OPEN.announce_nonce
     assert (session.permit_lifetime_s, session.start_lifetime_s) == (120, 2.0)
     assert (session.start_tolerance_mm, session.start_tolerance_deg) == (0.5, 0.2)
     assert (session.heartbeat_s, session.timeout_s) == (0.02, 0.1)
     assert effects == (
         OpenLink(session),
         Send(records.Opened(epoch=1, state=C.OPEN, cause=StopCause.NONE), TAG),
-    )
+    ), "and nothing is written"
+
+
+def _opened_by(state: Controller, *, now_s: float = NOW, **changes) -> records.Opened:
+    """What the controller says of itself to whom it opens a session."""
+    _, effects = step(state, opening(**changes), now_s)
+    return effects[-1].record
+
+
+def test_who_opens_is_told_the_last_start_and_how_the_bone_stands():
+    remembered = Memory(barrier_us=17, withdrawal_due=True, log=START_LOG)
+    told = _opened_by(replace(_remembering(remembered), moved_at_s=NOW - 3.9))
+    assert told == records.Opened(1, C.OPEN, StopCause.NONE, START_LOG, 1, 3, Refusal.ACCEPTED, 17)
+    assert _opened_by(_remembering(remembered)).motion_age_s == records.AGE_UNKNOWN, "after a power-up"
+
+
+@pytest.mark.parametrize(
+    ("memory", "registration"),
+    [
+        (Memory(), Refusal.ACCEPTED),
+        (Memory(withdrawal_due=True), Refusal.ACCEPTED),
+        (Memory(withdrawn=frozenset({PLACE})), Refusal.REGISTRATION_WITHDRAWN),
+        (Memory(earlier=frozenset({REGISTRATION})), Refusal.REGISTRATION_WITHDRAWN),
+        (Memory(barrier_us=REGISTERED_US), Refusal.REGISTRATION_TOO_EARLY),
+        (Memory(frozenset({PLACE}), barrier_us=REGISTERED_US), Refusal.REGISTRATION_WITHDRAWN),
+        (Memory(barrier_us=REGISTERED_US - 1), Refusal.ACCEPTED),
+    ],
+)
+def test_who_opens_is_told_what_the_list_says_of_its_registration(memory, registration):
+    assert _opened_by(_remembering(memory)).registration is registration
+
+
+@pytest.mark.parametrize("again", [opening(), replace(opening(), sequence=9, fresh=b"y" * 16)])
+def test_the_same_open_opens_once(again):
+    opened = fed(POWERED_UP, opening())
+    assert opened.announce_nonce == NEXT_NONCE
+    ended = fed(opened, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
+    after, effects = step(ended, again, NOW)
+    assert after == ended
+    assert replies(effects) == [Refusal.ANNOUNCE_NONCE]
+    assert fed(ended, reopening(ended)).session is not None
+
+
+@each_state
+@pytest.mark.parametrize("authentic", [True, False])
+def test_a_refused_open_changes_no_state_and_uses_no_nonce_up(name, authentic):
+    """Least of all one that no holder of the key made: no stop, no latch."""
+    state = EVERY_STATE[name]
+    wrong = replace(reopening(state, identity_digest=bytes(32)), authentic=authentic)
+    after, effects = step(state, wrong, NOW)
+    assert after == state
+    (send,) = effects
+    expected = Refusal.IDENTITY_DIGEST if authentic else Refusal.MAC_INVALID
+    assert send.record.refusal is (Refusal.SESSION_IN_USE if state.session else expected)
+    assert send.session == 0
+
+
+def test_another_version_is_refused_in_words_whatever_else_it_says():
+    other = OpenReceived(records.OtherVersion(records.Open.TYPE, 3), 7, authentic=True, fresh=b"y" * 16)
+    for state in (POWERED_UP, OPENED):
+        after, effects = step(state, other, NOW)
+        assert after == state
+        (send,) = effects
+        assert (send.session, send.record.refusal) == (0, Refusal.PROTOCOL_VERSION)
+        assert (send.record.request_type, send.record.request_sequence) == (records.Open.TYPE, 7)
 
 
 OPEN_REFUSED = [
     ("protocol_version", 1, Refusal.PROTOCOL_VERSION),
-    ("boot_nonce", bytes(16), Refusal.WRONG_BOOT),
+    ("announce_nonce", bytes(16), Refusal.ANNOUNCE_NONCE),
+    ("identity_digest", bytes(32), Refusal.IDENTITY_DIGEST),
     ("timing.heartbeat_ms", 4, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.heartbeat_ms", 101, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.heartbeat_ms", 34, Refusal.TIMING_OUT_OF_BOUNDS),
-    ("timing.timeout_ms", 59, Refusal.TIMING_OUT_OF_BOUNDS),
+    ("timing.timeout_ms", 79, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.timeout_ms", 1001, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.permit_lifetime_s", 9, Refusal.TIMING_OUT_OF_BOUNDS),
     ("timing.permit_lifetime_s", 601, Refusal.TIMING_OUT_OF_BOUNDS),
@@ -401,7 +639,7 @@ OPEN_REFUSED = [
     ("field", "value", "refusal"), OPEN_REFUSED, ids=[f"{field}={value}" for field, value, _ in OPEN_REFUSED]
 )
 def test_a_session_that_does_not_fit_is_refused(field, value, refusal):
-    after, effects = step(POWERED_UP, OpenReceived(altered(OPEN, field, value), 7), NOW)
+    after, effects = step(POWERED_UP, replace(opening(altered(OPEN, field, value)), sequence=7), NOW)
     assert after == POWERED_UP
     (send,) = effects
     assert (send.session, send.record.refusal) == (0, refusal)
@@ -423,15 +661,15 @@ def test_the_bounds_are_those_of_the_table_of_constants():
 
 
 def test_nonces_that_make_the_tag_of_no_session_are_refused(monkeypatch):
-    monkeypatch.setattr("firmware_sim.rules.records.nonce_serves", lambda *_nonces: False)
-    _, effects = step(POWERED_UP, OpenReceived(OPEN, 1), NOW)
+    monkeypatch.setattr("firmware_sim.rules.records.opens", lambda _request: False)
+    _, effects = step(POWERED_UP, opening(), NOW)
     assert replies(effects) == [Refusal.WRONG_SESSION]
 
 
 @each_state
 def test_one_session_at_a_time(name):
     state = EVERY_STATE[name]
-    after, effects = settled(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), NOW)
+    after, effects = settled(state, reopening(state), NOW)
     if state.session is None:
         assert after.session is not None
     else:
@@ -444,19 +682,12 @@ def test_one_session_at_a_time(name):
 
 
 def test_a_latched_fault_is_left_only_by_acknowledge_and_then_reset():
-    reset = ResetReceived(SIGNED_RESET, 3)
+    acknowledge = acknowledging(StopCause.SECOND_NODE, 2)
     for sequence, wanted in (
         ((), C.FAULT),
-        ((AcknowledgeReceived(StopCause.SECOND_NODE, 2),), C.FAULT),
-        ((NonceRequested(Purpose.RESET, SIGNED_RESET.nonce), reset), C.FAULT),
-        (
-            (
-                AcknowledgeReceived(StopCause.SECOND_NODE, 2),
-                NonceRequested(Purpose.RESET, SIGNED_RESET.nonce),
-                reset,
-            ),
-            C.OPEN,
-        ),
+        ((acknowledge,), C.FAULT),
+        ((NonceRequested(Purpose.RESET, OWN_RESET.nonce), LEAVING), C.FAULT),
+        ((acknowledge, NonceRequested(Purpose.RESET, OWN_RESET.nonce), LEAVING), C.OPEN),
     ):
         after = fed(OPEN_LATCHED, *sequence)
         assert after.state is wanted
@@ -476,7 +707,7 @@ def test_no_other_single_event_leaves_a_latched_fault(name):
 
 
 def test_a_session_opened_with_a_latched_controller_says_so():
-    _, effects = settled(LATCHED, OpenReceived(OPEN, 1), NOW)
+    _, effects = settled(LATCHED, opening(), NOW)
     assert effects[-1].record == records.Opened(epoch=2, state=C.FAULT, cause=StopCause.SECOND_NODE)
 
 
@@ -490,8 +721,9 @@ def test_a_session_opened_with_a_latched_controller_says_so():
     ],
 )
 def test_only_the_standing_cause_is_acknowledged_in_a_live_session(state, cause, refusal):
-    after, effects = step(state, AcknowledgeReceived(cause, 9), NOW)
+    after, effects = step(state, acknowledging(cause, state.epoch), NOW)
     assert replies(effects) == [refusal]
+    assert [effect.record.request_sequence for effect in effects] == [2]
     assert after.cause is (StopCause.NONE if refusal is Refusal.ACCEPTED else state.cause)
     assert after.state is state.state
 
@@ -500,33 +732,43 @@ def test_an_emergency_stop_is_not_acknowledged_while_it_is_pressed():
     state = fed(
         POWERED_UP,
         InputsChanged(Inputs(emergency_stop_clear=False)),
-        OpenReceived(OPEN, 1),
+        opening(),
         alive(),
     )
-    after, effects = step(state, AcknowledgeReceived(StopCause.EMERGENCY_STOP, 2), NOW)
+    after, effects = step(state, acknowledging(StopCause.EMERGENCY_STOP, 2), NOW)
     assert (after, replies(effects)) == (state, [Refusal.EMERGENCY_STOP])
-    after = fed(state, RELEASE, AcknowledgeReceived(StopCause.EMERGENCY_STOP, 2))
+    after = fed(state, RELEASE, acknowledging(StopCause.EMERGENCY_STOP, 2))
     assert after.cause is StopCause.NONE
+
+
+def test_an_acknowledgement_of_another_epoch_is_not_of_the_stop_that_stands():
+    """The same cause may stand for a stop that the operator has not seen."""
+    for epoch in (1, 3):
+        after, effects = step(OPEN_LATCHED, acknowledging(StopCause.SECOND_NODE, epoch), NOW)
+        assert (after, replies(effects)) == (OPEN_LATCHED, [Refusal.EPOCH])
 
 
 def test_a_wrong_key_latches_from_every_state():
     for state in EVERY_STATE.values():
         for event in (
-            PermitReceived(replace(SIGNED_PERMIT, mac=bytes(16)), 1),
-            StartReceived(replace(SIGNED_START, mac=bytes(16)), 1),
-            ResetReceived(replace(SIGNED_RESET, mac=bytes(16)), 1),
+            replace(ASKING, authentic=False),
+            replace(STARTING, authentic=False),
+            replace(LEAVING, authentic=False),
+            acknowledging(state.cause, state.epoch, authentic=False),
+            withdrawing(authentic=False),
         ):
             after, effects = step(state, event, NOW)
             assert (after.state, is_void(after)) == (C.FAULT, True)
             assert after.cause is (state.memory.latched or state.cause or StopCause.AUTHENTICATION_FAILED)
             assert faults(effects) == [SendFault(FaultCode.LATCHED, StopCause.AUTHENTICATION_FAILED)]
+            assert after.memory == replace(state.memory, latched=after.cause), "it withdraws nothing"
             assert replies(effects) == [Refusal.MAC_INVALID]
 
 
 REFUSED = [
-    (ASKED, PermitReceived(permits.sign(KEY, replace(PERMIT, epoch=7)), 9), Refusal.EPOCH),
-    (CYCLED, StartReceived(permits.sign(KEY, replace(START, epoch=7)), 9), Refusal.EPOCH),
-    (RESETTING, ResetReceived(permits.sign(KEY, replace(RESET, epoch=7)), 9), Refusal.EPOCH),
+    (ASKED, PermitReceived(replace(PERMIT, epoch=7), 9, authentic=True), Refusal.EPOCH),
+    (CYCLED, StartReceived(replace(START, epoch=7), 9, authentic=True), Refusal.EPOCH),
+    (RESETTING, ResetReceived(replace(RESET, epoch=7), 9, authentic=True), Refusal.EPOCH),
 ]
 
 
@@ -541,7 +783,7 @@ def test_a_refused_request_uses_its_nonce_up_and_stops_nothing(state, event, ref
 
 
 def test_a_request_without_a_session_is_answered_outside_any():
-    _, (send,) = step(POWERED_UP, PermitReceived(SIGNED_PERMIT, 9), NOW)
+    _, (send,) = step(POWERED_UP, ASKING, NOW)
     assert (send.session, send.record.refusal) == (0, Refusal.VOIDED_BY_STOP)
 
 
@@ -599,7 +841,7 @@ def test_a_new_nonce_voids_the_old(purpose):
         NOW + 1,
     )
     assert effects == (Send(records.Nonce(purpose=purpose, nonce=b"new".ljust(16), epoch=1), TAG),)
-    _, effects = step(after, PermitReceived(SIGNED_PERMIT, 4), NOW + 1)
+    _, effects = step(after, ASKING, NOW + 1)
     assert replies(effects)[0] in (Refusal.NONCE_MISMATCH, Refusal.NO_NONCE)
 
 
@@ -607,18 +849,18 @@ def test_a_new_nonce_voids_the_old(purpose):
 
 
 def test_a_permit_enables_the_cutter_and_no_motion():
-    after, effects = step(ASKED, PermitReceived(SIGNED_PERMIT, 4), NOW + 3)
-    assert (after.state, after.permit, after.issued) == (C.PERMITTED, SIGNED_PERMIT, None)
+    after, effects = step(ASKED, ASKING, NOW + 3)
+    assert (after.state, after.permit, after.issued) == (C.PERMITTED, PERMIT, None)
     assert after.permit_issued_at_s == NOW, "its life began with its nonce"
     assert (after.cutting_mode, after.may_move) == (True, False)
     assert replies(effects) == [Refusal.ACCEPTED]
 
 
-@pytest.mark.parametrize(("device", "pressed"), [(HOLD, 1), (RELEASE, 0)], ids=["held", "released"])
-def test_the_answer_to_a_permit_says_whether_the_device_was_pressed(device, pressed):
-    """The runtime's last heartbeat may be older than the permit; the answer is not."""
-    _, effects = step(fed(ASKED, device), PermitReceived(SIGNED_PERMIT, 4), NOW)
-    assert [effect.record.detail for effect in effects] == [pressed]
+@pytest.mark.parametrize("device", [HOLD, RELEASE], ids=["held", "released"])
+def test_the_answer_to_a_permit_says_nothing_of_the_device(device):
+    """An answer may be anybody's; the heartbeat says it."""
+    _, effects = step(fed(ASKED, device), ASKING, NOW)
+    assert [effect.record.detail for effect in effects] == [0]
 
 
 def test_a_permit_ages_from_its_nonce():
@@ -631,7 +873,7 @@ def test_a_permit_ages_from_its_nonce():
 
 @pytest.mark.parametrize("ordered_before", [False, True])
 def test_a_start_alone_moves_nothing(ordered_before):
-    after, effects = step(replace(CYCLED, cut_ordered=ordered_before), StartReceived(SIGNED_START, 5), NOW)
+    after, effects = settled(replace(CYCLED, cut_ordered=ordered_before), STARTING, NOW)
     assert (after.state, after.may_move, after.issued) == (C.CUTTING, False, None)
     assert replies(effects) == [Refusal.ACCEPTED]
 
@@ -775,19 +1017,19 @@ def test_measurements_are_kept():
 def test_the_whole_way_from_power_up_to_the_next_session():
     state = fed(DONE, RELEASE, StopReceived(StopCode.END, StopCause.SESSION_ENDED))
     assert (state.state, state.cause, state.session) == (C.INHIBITED, StopCause.NONE, None)
-    state = fed(state, OpenReceived(replace(OPEN, runtime_nonce=b"R" * 16), 1), alive(epoch=3))
+    state = fed(state, reopening(state), alive(epoch=3))
     assert (state.state, state.epoch, state.cause) == (C.OPEN, 3, StopCause.NONE)
 
 
 def test_a_reset_controller_can_be_loaded_and_permitted():
     state = fed(
         ACKNOWLEDGED,
-        NonceRequested(Purpose.RESET, SIGNED_RESET.nonce),
-        ResetReceived(SIGNED_RESET, 3),
+        NonceRequested(Purpose.RESET, OWN_RESET.nonce),
+        LEAVING,
         ACCEPTED_PATH,
         STANDING,
         NonceRequested(Purpose.PERMIT, PERMIT.nonce),
-        PermitReceived(permits.sign(KEY, replace(PERMIT, epoch=2)), 4),
+        PermitReceived(replace(PERMIT, epoch=2), 4, authentic=True),
     )
     assert state.state is C.PERMITTED
 
@@ -838,10 +1080,19 @@ class Watch:
                 permit.calibration_digest,
                 permit.tool_digest,
             ) == tuple(records.digest(data) for data in (held.path, held.limits, held.calibration, held.tool))
-            assert permit.registration_digest not in after.memory.withdrawn
+            memory = after.memory
+            assert permit.registration_digest == session.registration
+            assert session.place not in memory.withdrawn
+            assert session.registration not in memory.earlier
+            assert not memory.withdrawal_due
+            assert memory.barrier_us == records.NO_TIME or session.registration_time_us > memory.barrier_us
             assert (permit.session_digest, permit.epoch) == (session.digest, after.epoch)
             assert after.inputs.emergency_stop_clear
             assert after.cause is StopCause.NONE
+        if after.state is C.CUTTING:
+            assert after.memory.log == after.written.log != records.NO_TREE_HEAD, (
+                "its witness, before it moves"
+            )
         if after.may_move:
             assert self.started
             assert self.ordered
@@ -854,8 +1105,8 @@ class Watch:
         if faults(effects):
             assert is_void(after)
             assert after.cause is not StopCause.NONE
-            assert after.epoch == (before.epoch + 1) % 256
-        assert before.memory.named <= after.memory.named | after.memory.withdrawn
+            assert after.epoch == (before.epoch + 1) % EPOCHS
+        assert before.memory.barrier_us <= after.memory.barrier_us
         assert (after.state is C.FAULT) == (after.memory.latched is not StopCause.NONE)
         if after.memory != before.memory:
             assert Persist(after.memory) in effects

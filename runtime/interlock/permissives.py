@@ -6,13 +6,14 @@ reason at once. Comparisons ask "inside?": anything unknown or undefined does no
 
 import math
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 
 from cutgate.protocol import records
 from cutgate.protocol.differences import Parameters, differences
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.refusals import MEANING
-from cutgate.runtime.interlock.state import DeviceCycle, Interlock
+from cutgate.runtime.interlock.state import WITNESS, DeviceCycle, Interlock
 
 Evaluate = Callable[[Interlock, float], Permissive]
 
@@ -40,7 +41,7 @@ def _digest(data: bytes | None) -> bytes | None:
 
 
 def protocol_version(state: Interlock, _now_s: float) -> Permissive:
-    version = state.session.protocol_version if state.session else None
+    version = state.announced_version
     return _fact(
         "protocol version",
         version == records.PROTOCOL_VERSION,
@@ -258,14 +259,52 @@ def registration_residual(state: Interlock, _now_s: float) -> Permissive:
 
 
 def registration_stands(state: Interlock, _now_s: float) -> Permissive:
-    withdrawn = "withdrawn" if state.registration_withdrawn else ""
+    against = _against_registration(state)
     return _fact(
         "registration stands",
-        not (state.registration_withdrawn or state.job.withdrawal),
-        state.job.withdrawal or withdrawn or "not withdrawn",
+        not against,
+        against or "not withdrawn",
         "not withdrawn, and later than every withdrawal",
         "the bone may have moved: register it again",
     )
+
+
+def _against_registration(state: Interlock) -> str:
+    """Why the registration must not be used, by this site's list, this session and the controller's list; else empty."""
+    opened, time_us = state.opened, state.job.registration_time_us
+    if state.job.withdrawal or state.registration_withdrawn:
+        return state.job.withdrawal or "withdrawn"
+    if opened is None:
+        return "the controller has not yet said what it knows of it"
+    barriers = [barrier for barrier in (opened.barrier_us, state.barrier_us) if barrier != records.NO_TIME]
+    from_when = f"; what is taken from {utc(max(barriers) + SECOND_US)} on counts" if barriers else ""
+    if opened.registration is Refusal.REGISTRATION_WITHDRAWN:
+        return f"withdrawn at the controller{from_when}"
+    if opened.withdrawal_due and state.barrier_us == records.NO_TIME:
+        return (
+            "the bone moved while no session ran, and the controller is not yet told from when on one counts"
+        )
+    late_enough = not barriers or (time_us != records.NO_TIME and time_us > max(barriers))
+    if late_enough and opened.registration is Refusal.ACCEPTED:
+        return ""
+    which = "without a time" if time_us == records.NO_TIME else f"of {utc(time_us)}"
+    return f"one {which} is not surely later than the last withdrawal that the controller knows{from_when}"
+
+
+SECOND_US = 1_000_000
+_BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def utc(time_us: int) -> str:
+    """A time as people read it, in whole seconds.
+
+    Args:
+        time_us: since 1970, UTC.
+    """
+    try:
+        return f"{_BEGINNING + timedelta(microseconds=time_us):%Y-%m-%d %H:%M:%S} UTC"
+    except OverflowError:  # the controller may say anything
+        return f"{time_us} us since 1970"
 
 
 # ---------------------------------------------------------------- the audit log
@@ -290,6 +329,31 @@ def log_space(state: Interlock, _now_s: float) -> Permissive:
         f">= {2 * state.log.needed_bytes} bytes",
         "free space in the log directory, then start a new session",
     )
+
+
+def controllers_witness(state: Interlock, _now_s: float) -> Permissive:
+    """The controller keeps how far the log was at the last start: a log that is gone or was cut off does not pass unseen."""
+    return _fact("controller's witness", *_of_witness(state))
+
+
+def _of_witness(state: Interlock) -> tuple[bool, str, str, str]:
+    bound = "the log that it saw last is found, or the operator has confirmed"
+    find = f"bring that log back, or find out who took it; only if it is meant, say confirm {WITNESS}"
+    if state.opened is None:
+        return False, "not known", bound, "wait for the session"
+    if state.opened.log == records.NO_TREE_HEAD:
+        return True, "it has seen no start yet", bound, find
+    if state.witness is None:
+        return False, "being looked up", bound, "wait for the disk"
+    confirmed = not state.witness.found and WITNESS in state.confirmed
+    text = f"confirmed: {state.witness.text}" if confirmed else state.witness.text
+    return state.witness.found or confirmed, text, bound, find
+
+
+def awaiting_confirmation(state: Interlock) -> tuple[str, ...]:
+    """What the operator was shown and may confirm: the warnings, and a log that was not found."""
+    missed = state.witness is not None and not state.witness.found and WITNESS not in state.confirmed
+    return (*unconfirmed(state), *((WITNESS,) if missed else ()))
 
 
 # ---------------------------------------------------------------- the controller now
@@ -495,6 +559,7 @@ AT_START: tuple[Evaluate, ...] = (start_distance, start_angle)
 FOR_PERMIT: tuple[Evaluate, ...] = (
     *FINAL,
     warnings_confirmed,
+    controllers_witness,
     heartbeat_fresh,
     no_stop_cause,
     not_latched,

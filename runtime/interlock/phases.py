@@ -121,7 +121,11 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.RESETTING: PhaseRow(
         "the answer to the reset is awaited",
-        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the reset"),
+        Deadline(
+            lambda job: job.deadlines.reply_timeout_s,
+            S.TRANSFER_FAILED,
+            "the controller did not report that its fault is reset",
+        ),
         signed=True,
     ),
     P.COLLECTING: PhaseRow(
@@ -184,7 +188,11 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.PERMITTING: PhaseRow(
         "the answer to the permit is awaited",
-        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the permit"),
+        Deadline(
+            lambda job: job.deadlines.reply_timeout_s,
+            S.TRANSFER_FAILED,
+            "the controller did not report that it is permitted",
+        ),
         expected=_on(C.LOADED, C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         announced="record durable, permit sent",
@@ -195,7 +203,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
         Deadline(
             lambda job: float(job.timing.permit_lifetime_s), S.PERMIT_EXPIRED, "the operator did not start"
         ),
-        expected=_on(C.LOADED, C.PERMITTED),  # a heartbeat may have left before the permit arrived
+        expected=_on(C.PERMITTED),
         heartbeat=RuntimeCode.READY,
         permissives=FOR_START,
         announced="permitted: cutting mode is on. Release the enabling device, hold it, then say start",
@@ -222,7 +230,11 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.STARTING: PhaseRow(
         "the answer to the start is awaited",
-        Deadline(lambda job: job.deadlines.reply_timeout_s, S.TRANSFER_FAILED, "no answer to the start"),
+        Deadline(
+            lambda job: job.deadlines.reply_timeout_s,
+            S.TRANSFER_FAILED,
+            "the controller did not report that it cuts",
+        ),
         expected=_on(C.PERMITTED, C.CUTTING, C.DONE),
         heartbeat=RuntimeCode.CUT,
         announced="record durable, start sent",
@@ -231,7 +243,7 @@ PHASES: Final[dict[Phase, PhaseRow]] = {
     ),
     P.CUTTING: PhaseRow(
         "the arm moves",
-        expected=_on(C.PERMITTED, C.CUTTING, C.DONE),
+        expected=_on(C.CUTTING, C.DONE),
         heartbeat=RuntimeCode.CUT,
         announced="moving: approach, then cutting",
         moving=True,

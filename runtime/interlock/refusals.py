@@ -17,7 +17,7 @@ MEANING: Final = MappingProxyType(
         Refusal.SESSION_IN_USE: "it is in another session: end that one first",
         Refusal.TIMING_OUT_OF_BOUNDS: "its own bounds are narrower than what site.toml asks for: take timing, lifetimes, "
         "tolerances and approach from the controller's data",
-        Refusal.WRONG_BOOT: f"it has started anew since it announced itself: {_ANEW}",
+        Refusal.ANNOUNCE_NONCE: f"it has started anew, or opened a session, since it announced itself: {_ANEW}",
         Refusal.WRONG_SESSION: f"this belongs to another session: {_ANEW}",
         Refusal.WRONG_SERIAL: "another controller answers than the one that announced itself: leave one on the bus",
         Refusal.NOT_IN_STATE: f"its state does not allow this: {_ANEW}",
@@ -60,6 +60,14 @@ MEANING: Final = MappingProxyType(
         Refusal.WRONG_CAUSE: "another cause stands by now: read it, then try again",
         Refusal.MEMORY_FULL: "it remembers as many registrations as it can: give it a new key, when none of them is needed",
         Refusal.MEMORY_FAILED: "its memory cannot be written: have it repaired",
+        Refusal.IDENTITY_DIGEST: "somebody else has announced himself in its name, or changed what it said on the way: leave "
+        "one controller on the bus, and look what else is on it",
+        Refusal.WITHDRAWAL_DUE: "the bone moved, or a registration was withdrawn, and it does not know yet from when on one "
+        f"counts: {_ANEW}, which tells it",
+        Refusal.REGISTRATION_TOO_EARLY: "this registration is not surely later than the last time that the bone moved or a "
+        "registration was withdrawn: register the bone anew",
+        Refusal.LOG_NOT_CONTINUED: f"the start does not name the audit log that its permit named, further on: {_ANEW}; if it "
+        "stays so, have the runtime looked at",
     }
 )  # fmt: skip
 """Of every refusal: what is wrong, where the code does not say it, and what to do."""

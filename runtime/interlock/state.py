@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
 from functools import cached_property
+from typing import Final
 
 from cutgate.protocol import records
 from cutgate.protocol.states import (
@@ -113,6 +114,10 @@ class Job:
     registration_max_age_s: float | None = None
     registration_residual_mm: float | None = None
     registration_max_residual_mm: float | None = None
+    place: bytes = records.NO_PLACE
+    """Digest of where the registration says that the bone is; NO_PLACE for a plan in robot coordinates."""
+    registration_time_us: int = records.NO_TIME
+    """When it was made, since 1970, UTC; NO_TIME where there is none."""
     withdrawal: str = ""
     """Why the registration must not be used, as this site's own list says; empty where it may."""
     simulation_allowed_by: str = ""
@@ -133,16 +138,28 @@ class Job:
 
 @dataclass(frozen=True)
 class SessionIdentity:
-    """The session both sides derive from their nonces."""
+    """The session that an OPEN names."""
 
-    boot_nonce: bytes
-    runtime_nonce: bytes
+    request: records.Open
+    """As the table builds it, without its code."""
     serial: str
-    protocol_version: int
-    digest: bytes
-    tag: int
     time_scale: float = 1.0
     """Seconds of the plant in one of the clock; 1 on a real controller."""
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Names the session, 32 bytes."""
+        return records.session_digest(self.request)
+
+    @property
+    def tag(self) -> int:
+        """The digest's first four bytes."""
+        return records.session_tag(self.digest)
+
+    @property
+    def announce_nonce(self) -> bytes:
+        """The controller's, which this OPEN uses up."""
+        return self.request.announce_nonce
 
 
 @dataclass(frozen=True)
@@ -212,6 +229,18 @@ class LogHealth:
     needed_bytes: int = 1
 
 
+WITNESS: Final = "WITNESS"
+"""What the operator confirms where the log that the controller saw last is not found."""
+
+
+@dataclass(frozen=True)
+class WitnessSought:
+    """Whether the log that the controller saw last is here, and what is to be said of it."""
+
+    found: bool
+    text: str
+
+
 @dataclass(frozen=True)
 class Interlock:
     """The whole state of the runtime's decisions."""
@@ -222,7 +251,12 @@ class Interlock:
     """When this phase was entered."""
     began_s: float | None = None
     """When the first event came."""
+    announced_version: int | None = None
+    """Of the protocol, by the controller's last announcement."""
     session: SessionIdentity | None = None
+    opened: records.Opened | None = None
+    """What the controller said when it opened the session."""
+    witness: WitnessSought | None = None
     epoch: int = 0
     controller: ControllerView | None = None
     heartbeat_fresh: bool = False
@@ -248,6 +282,10 @@ class Interlock:
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     """In this session; what an earlier one withdrew stands in the job."""
+    withdraw_due: bool = False
+    """A Withdraw of this session's registration has left; the controller's Reply to it is awaited."""
+    barrier_us: int = records.NO_TIME
+    """Of the last Withdraw that left, since 1970, UTC: only a registration later than it counts."""
     acknowledged: StopCause = StopCause.NONE
     """The controller's cause that the operator acknowledged in this session; what a reset names."""
     cause: StopCause = StopCause.NONE
@@ -271,12 +309,18 @@ class Announced:
 
 
 @dataclass(frozen=True)
-class SessionOpened:
-    """The controller accepted our OPEN."""
+class OtherVersionAnnounced:
+    """A controller announces itself that speaks another version of the protocol."""
 
-    epoch: int
-    state: ControllerState
-    cause: StopCause
+    version: int
+
+
+@dataclass(frozen=True)
+class SessionOpened:
+    """Somebody says that our OPEN was accepted; ``authentic``: a holder of the key says so."""
+
+    opened: records.Opened
+    authentic: bool
 
 
 @dataclass(frozen=True)
@@ -318,15 +362,11 @@ class NonceReceived:
 
 @dataclass(frozen=True)
 class ReplyReceived:
-    """The controller's answer to one of our requests.
-
-    ``device_pressed`` counts in the answer to a permit only: the enabling device at the moment of acceptance.
-    """
+    """An answer to one of our requests. It carries no code: it may deny, and enables nothing."""
 
     request_type: int
     refusal: Refusal
     cause: StopCause
-    device_pressed: bool = True
 
 
 @dataclass(frozen=True)
@@ -350,7 +390,7 @@ class HeartbeatLost:
 
 @dataclass(frozen=True)
 class FaultReceived:
-    """A fault frame of the controller; ``paused_ms`` as of `HeartbeatLost`."""
+    """A fault frame, which carries no code: its cause is claimed. ``paused_ms`` as of `HeartbeatLost`."""
 
     code: FaultCode
     cause: StopCause
@@ -375,9 +415,17 @@ class ProgressReported:
 
 @dataclass(frozen=True)
 class RecordDurable:
-    """The record named by ``token`` has reached the disk."""
+    """The record named by ``token`` has reached the disk; ``log`` is the tree up to it."""
 
     token: int
+    log: records.TreeHead
+
+
+@dataclass(frozen=True)
+class WithdrawalSent:
+    """A Withdraw has left with this barrier, since 1970, UTC."""
+
+    barrier_us: int
 
 
 @dataclass(frozen=True)
@@ -418,7 +466,9 @@ class Tick:
 
 Event = (
     Announced
+    | OtherVersionAnnounced
     | SessionOpened
+    | WitnessSought
     | ParameterReceived
     | BlockConfirmed
     | PathConfirmed
@@ -431,6 +481,7 @@ Event = (
     | JointsMeasured
     | ProgressReported
     | RecordDurable
+    | WithdrawalSent
     | LogChanged
     | Failed
     | Gone
@@ -444,7 +495,7 @@ Event = (
 
 @dataclass(frozen=True)
 class Send:
-    """A record to the controller. Permit, start and reset are signed by the shell on their way out."""
+    """A record to the controller. What is to be signed gets its code from the shell, on its way out."""
 
     record: records.Record
 
@@ -462,6 +513,26 @@ class SendStop:
 
     code: StopCode
     cause: StopCause
+
+
+@dataclass(frozen=True)
+class SendWithdraw:
+    """Withdraw this place; the shell knows the time and so the barrier, and answers ``WithdrawalSent``.
+
+    Attributes:
+        place: its digest; NO_PLACE where nobody knows which it was.
+        motion_age_s: how long ago the bone moved; None where that is now, or nobody knows.
+    """
+
+    place: bytes
+    motion_age_s: int | None = None
+
+
+@dataclass(frozen=True)
+class SeekWitness:
+    """Look up the log that the controller saw last, then answer ``WitnessSought``."""
+
+    log: records.TreeHead
 
 
 @dataclass(frozen=True)
@@ -521,6 +592,8 @@ Effect = (
     Send
     | SendBlock
     | SendStop
+    | SendWithdraw
+    | SeekWitness
     | UseSession
     | OpenLink
     | Verify

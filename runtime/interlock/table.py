@@ -6,6 +6,9 @@ Pure: no bus, no disk, no clock, no random number. Two rules stand above all oth
   committed, and only :class:`RecordDurable` with the pending token, after every permissive has been judged again
   at that moment, lets it leave.
 * What disables leaves in the same step, from every phase.
+
+What carries no code (a reply, a nonce, a receipt, a fault frame) may be anybody's. It denies; that a permit, a start or a
+reset was accepted is believed by the controller's heartbeat alone.
 """
 
 from collections.abc import Callable
@@ -25,9 +28,10 @@ from cutgate.runtime.interlock.permissives import (
     IDENTITY,
     Evaluate,
     all_hold,
+    awaiting_confirmation,
     failing,
     measured_now,
-    unconfirmed,
+    protocol_version,
     unrecoverable,
 )
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED, MOVING, PHASES, SIGNED
@@ -54,6 +58,7 @@ from cutgate.runtime.interlock.state import (
     NonceReceived,
     OpenLink,
     OperatorCommand,
+    OtherVersionAnnounced,
     ParameterReceived,
     PathConfirmed,
     Phase,
@@ -61,16 +66,20 @@ from cutgate.runtime.interlock.state import (
     RecordDurable,
     Refused,
     ReplyReceived,
+    SeekWitness,
     Send,
     SendBlock,
     SendStop,
+    SendWithdraw,
     SessionIdentity,
     SessionOpened,
     Tick,
     UseSession,
     VerdictReady,
     Verify,
+    WithdrawalSent,
     Withheld,
+    WitnessSought,
 )
 from cutgate.runtime.interlock.tracking import Deviation, TrackingMonitor
 
@@ -101,15 +110,16 @@ def _enter(state: Interlock, phase: Phase, now_s: float, **changes: Any) -> Inte
 def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
     """Stop at once. Permit, nonce and pending record are void; the first cause is kept.
 
-    A later cause leaves as well, once: it may latch or withdraw. A lost frame is made good by the heartbeat's level.
+    A later cause leaves as well, once: it may latch. A lost frame is made good by the heartbeat's level. Each stop voids
+    what waits behind it: a Withdraw that was not answered leaves again.
     """
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
     sent = state.stops_sent | {cause}
-    state = _withdrawn_by(state, cause)
+    withdraw = (SendWithdraw(state.job.place),) if state.withdraw_due else ()
     if state.phase is Phase.STOPPING:
         news = sent != state.stops_sent
-        return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause),) if news else ()
+        return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause), *withdraw) if news else ()
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
     stopped = _enter(
@@ -124,7 +134,19 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
         stops_sent=sent,
         answer_due=cause is StopCause.AUTHENTICATION_FAILED and state.phase in SIGNED,
     )
-    return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withheld)
+    return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withdraw, *withheld)
+
+
+def _withdrawn(state: Interlock) -> Interlock:
+    """The registration may never be permitted again; a controller with a session is told, behind the stop, and answers."""
+    if state.registration_withdrawn:
+        return state
+    return replace(state, registration_withdrawn=True, withdraw_due=state.session is not None)
+
+
+def _stopped_by(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
+    """A cause that the controller's heartbeat names, under its tag; it may withdraw."""
+    return stop(_withdrawn(state) if cause in WITHDRAWING else state, cause, reason, now_s)
 
 
 def _link(state: Interlock) -> tuple[Effect, ...]:
@@ -154,6 +176,7 @@ def heartbeat_lost(state: Interlock, event: HeartbeatLost, now_s: float) -> Outc
 
 
 def fault_received(state: Interlock, event: FaultReceived, now_s: float) -> Outcome:
+    """It carries no code: it stops, and withdraws nothing whatever it claims."""
     late = _late(event) if event.cause is StopCause.HEARTBEAT_LOST else ""
     return stop(state, event.cause, f"the controller reports {event.cause.name}{late}", now_s)
 
@@ -165,7 +188,7 @@ def _late(event: HeartbeatLost | FaultReceived) -> str:
     return "; this computer was not late"
 
 
-def rebooted(state: Interlock, _event: Announced, now_s: float) -> Outcome:
+def rebooted(state: Interlock, _event: Announced | OtherVersionAnnounced, now_s: float) -> Outcome:
     return stop(
         state, StopCause.PEER_REBOOTED, "the controller announced itself anew during the session", now_s
     )
@@ -184,7 +207,8 @@ def command_given(state: Interlock, event: CommandGiven, now_s: float) -> Outcom
         case OperatorCommand.STOP:
             return stop(state, StopCause.OPERATOR_STOP, "the operator said stop", now_s)
         case OperatorCommand.WITHDRAW:
-            return stop(state, StopCause.REGISTRATION_WITHDRAWN, "the registration was withdrawn", now_s)
+            reason = "the registration was withdrawn"
+            return stop(_withdrawn(state), StopCause.REGISTRATION_WITHDRAWN, reason, now_s)
         case OperatorCommand.QUIT:
             return quit_session(state, now_s, event.what)
     return state, (
@@ -207,30 +231,32 @@ def quit_session(state: Interlock, now_s: float, signal: str = "") -> Outcome:
 
 def announced(state: Interlock, event: Announced, now_s: float) -> Outcome:
     announce = event.announce
-    session = SessionIdentity(
-        boot_nonce=announce.boot_nonce,
-        runtime_nonce=event.nonce,
-        serial=announce.serial,
-        protocol_version=announce.protocol_version,
-        digest=records.session_digest(announce.boot_nonce, event.nonce),
-        tag=records.session_tag(announce.boot_nonce, event.nonce),
-        time_scale=announce.time_scale,
-    )
-    if not records.nonce_serves(announce.boot_nonce, event.nonce):
+    request = _open(state.job, announce, event.nonce)
+    if not records.opens(request):
         return state, ()  # the next announcement brings another nonce
-    seen = replace(state, session=session)
+    session = SessionIdentity(request, announce.serial, announce.time_scale)
+    seen = replace(state, session=session, announced_version=announce.protocol_version)
     refusing = failing(IDENTITY, seen, now_s)
     if refusing:
         return refuse(seen, _reasons(refusing), now_s)
-    return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(_open(state.job, session)))
+    return _enter(seen, Phase.OPENING, now_s), (UseSession(session), Send(request))
 
 
-def _open(job: Job, session: SessionIdentity) -> records.Open:
+def other_version(state: Interlock, event: OtherVersionAnnounced, now_s: float) -> Outcome:
+    """Nothing but its version can be read."""
+    seen = replace(state, announced_version=event.version)
+    return refuse(seen, _reasons(failing((protocol_version,), seen, now_s)), now_s)
+
+
+def _open(job: Job, announce: records.Announce, nonce: bytes) -> records.Open:
     return records.Open(
         protocol_version=records.PROTOCOL_VERSION,
-        boot_nonce=session.boot_nonce,
-        runtime_nonce=session.runtime_nonce,
+        announce_nonce=announce.announce_nonce,
+        runtime_nonce=nonce,
+        identity_digest=announce.identity_digest,
         registration_digest=job.registration,
+        place_digest=job.place,
+        registration_time_us=job.registration_time_us,
         configuration_digest=job.configuration,
         verifier_version=job.verifier,
         timing=job.timing,
@@ -238,17 +264,32 @@ def _open(job: Job, session: SessionIdentity) -> records.Open:
 
 
 def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
+    """What its code does not prove opens nothing. A bone that moved while no session ran is withdrawn at once."""
     assert state.session is not None  # noqa: S101 - OPENING has a session
-    link = OpenLink(state.session)
-    if event.state is ControllerState.OPEN and event.cause is StopCause.NONE:
-        return _enter(state, Phase.COLLECTING, now_s, epoch=event.epoch), (link, Send(records.Collect()))
-    return _enter(state, Phase.HELD, now_s, epoch=event.epoch), (link,)
+    if not event.authentic:
+        return state, (Dropped(f"an OPENED that no holder of the key made{_our_key(state)}"),)
+    said = event.opened
+    seen = replace(state, opened=said, epoch=said.epoch)
+    effects: tuple[Effect, ...] = (OpenLink(state.session),)
+    if said.withdrawal_due:
+        age_s = None if said.motion_age_s == records.AGE_UNKNOWN else said.motion_age_s
+        effects = (*effects, SendWithdraw(records.NO_PLACE, age_s))
+    if said.log != records.NO_TREE_HEAD:
+        effects = (*effects, SeekWitness(said.log))
+    if said.state is ControllerState.OPEN and said.cause is StopCause.NONE:
+        return _enter(seen, Phase.COLLECTING, now_s), (*effects, Send(records.Collect()))
+    return _enter(seen, Phase.HELD, now_s), effects
 
 
 def open_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
     if event.request_type != records.Open.TYPE:
-        return _drop_reply(state)
-    return refuse(state, f"the controller refused the session: {told(event.refusal)}", now_s)
+        return not_pending(state, event, now_s)
+    key = _our_key(state) if event.refusal is Refusal.MAC_INVALID else ""
+    return refuse(state, f"the controller refused the session: {told(event.refusal)}{key}", now_s)
+
+
+def _our_key(state: Interlock) -> str:
+    return f" (this side's has the fingerprint {state.job.key_fingerprint})"
 
 
 def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome:
@@ -257,11 +298,19 @@ def announced_again(state: Interlock, event: Announced, now_s: float) -> Outcome
     Two on their way at the same time would disturb each other's transfer; half the reply's time rules that out.
     """
     assert state.session is not None  # noqa: S101 - OPENING has a session
-    if event.announce.boot_nonce != state.session.boot_nonce:
+    if event.announce.announce_nonce != state.session.announce_nonce:
         return announced(state, event, now_s)
     if not now_s - state.since_s >= state.job.deadlines.reply_timeout_s / 2:
         return state, ()
-    return state, (Send(_open(state.job, state.session)),)
+    return state, (Send(state.session.request),)
+
+
+def withdrawal_sent(state: Interlock, event: WithdrawalSent, _now_s: float) -> Outcome:
+    return replace(state, barrier_us=event.barrier_us), ()
+
+
+def witness_sought(state: Interlock, event: WitnessSought, _now_s: float) -> Outcome:
+    return replace(state, witness=event), ()
 
 
 # ---------------------------------------------------------------- a controller that is held
@@ -286,16 +335,17 @@ def acknowledge(state: Interlock, view: ControllerView | None) -> Outcome:
     elif view.cause is StopCause.NONE:
         reason = "it is acknowledged already: say reset"
     else:
-        return replace(state, acknowledged=view.cause), (Send(records.Acknowledge(cause=view.cause)),)
+        acknowledgement = records.Acknowledge(epoch=state.epoch, cause=view.cause)
+        return replace(state, acknowledged=view.cause), (Send(acknowledgement),)
     return state, (Refused(OperatorCommand.ACKNOWLEDGE, reason),)
 
 
-def acknowledge_answered(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
-    if event.request_type != records.Acknowledge.TYPE:
-        return _drop_reply(state)
-    if event.refusal is Refusal.ACCEPTED:
-        return state, ()
-    return state, (Refused(OperatorCommand.ACKNOWLEDGE, f"the controller refused: {told(event.refusal)}"),)
+def acknowledge_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if _denies(event, records.Acknowledge):
+        return state, (
+            Refused(OperatorCommand.ACKNOWLEDGE, f"the controller refused: {told(event.refusal)}"),
+        )
+    return not_pending(state, event, now_s)
 
 
 def heartbeat_while_resetting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -304,8 +354,7 @@ def heartbeat_while_resetting(state: Interlock, event: HeartbeatReceived, now_s:
     if view.epoch == state.epoch:
         return seen, ()
     reason = f"the controller's epoch is {view.epoch}, the session's {state.epoch}"
-    cause = StopCause.PROTOCOL_VIOLATION if view.cause is StopCause.NONE else view.cause
-    return stop(seen, cause, reason, now_s)
+    return _stopped_by(seen, view.cause, reason, now_s)
 
 
 def heartbeat_while_held(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -341,13 +390,19 @@ def reset_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
     return _enter(state, Phase.RESETTING, now_s), (Send(_reset(state, state.nonce)),)
 
 
-def reset_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
-    if event.request_type != records.Reset.TYPE:
-        return _drop_reply(state)
-    held = _enter(state, Phase.HELD, now_s, nonce=None)
-    if event.refusal is Refusal.ACCEPTED:
-        return held, ()
-    return held, (Refused(OperatorCommand.RESET, f"the controller refused the reset: {told(event.refusal)}"),)
+def reset_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if not _denies(event, records.Reset):
+        return not_pending(state, event, now_s)
+    reason = f"the controller refused the reset: {told(event.refusal)}"
+    return _enter(state, Phase.HELD, now_s, nonce=None), (Refused(OperatorCommand.RESET, reason),)
+
+
+def heartbeat_after_reset(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """It was accepted once the controller has left its fault."""
+    seen, effects = heartbeat_while_resetting(state, event, now_s)
+    if seen.phase is not Phase.RESETTING or event.view.state is ControllerState.FAULT:
+        return seen, effects
+    return heartbeat_while_held(_enter(seen, Phase.HELD, now_s, nonce=None), event, now_s)
 
 
 # ---------------------------------------------------------------- collecting, uploading, verifying
@@ -432,12 +487,17 @@ def command_while_admitted(state: Interlock, event: CommandGiven, now_s: float) 
     """A warning counts as confirmed only by its own name, and only here, where it has been shown."""
     if event.command is not OperatorCommand.CONFIRM:
         return command_given(state, event, now_s)
-    awaited = unconfirmed(state)
+    awaited = awaiting_confirmation(state)
     if event.what not in awaited:
         waits = f"say confirm {awaited[0]}" if awaited else "none waits"
         named = f"{event.what} is no warning that waits to be confirmed" if event.what else "name the warning"
         return state, (Refused(event.command, f"{named}; {waits}"),)
     return offer_permit(replace(state, confirmed=state.confirmed | {event.what}), now_s)
+
+
+def witness_sought_while_admitted(state: Interlock, event: WitnessSought, now_s: float) -> Outcome:
+    seen, _ = witness_sought(state, event, now_s)
+    return offer_permit(seen, now_s)
 
 
 # ---------------------------------------------------------------- permit
@@ -457,10 +517,10 @@ def _permit(state: Interlock, nonce: bytes) -> records.Permit:
     assert verdict.approach is not None  # noqa: S101 - likewise
     return records.Permit(
         nonce=nonce,
-        boot_nonce=session.boot_nonce,
+        announce_nonce=session.announce_nonce,
         session_digest=session.digest,
         serial=session.serial,
-        protocol_version=session.protocol_version,
+        protocol_version=records.PROTOCOL_VERSION,
         epoch=state.epoch,
         limits_digest=verdict.limits,
         calibration_digest=verdict.calibration,
@@ -482,18 +542,22 @@ def permit_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outc
     if nothing_leaves:
         return nothing_leaves
     assert state.nonce is not None  # noqa: S101 - set by permit_nonce
-    permit = _permit(state, state.nonce)
+    permit = replace(_permit(state, state.nonce), log=event.log)
     return _enter(state, Phase.PERMITTING, now_s, permit=permit), (Send(permit),)
 
 
-def permit_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
-    if event.request_type != records.Permit.TYPE:
-        return _drop_reply(state)
-    if event.refusal is not Refusal.ACCEPTED:
-        return refuse(state, f"the controller refused the permit: {told(event.refusal)}", now_s)
-    # heartbeats seen so far may be older than the permit; the answer is not
-    device = DeviceCycle.UNSEEN if event.device_pressed else DeviceCycle.RELEASED
-    return _enter(state, Phase.PERMITTED, now_s, device=device), ()
+def permit_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if not _denies(event, records.Permit):
+        return not_pending(state, event, now_s)
+    return refuse(state, f"the controller refused the permit: {told(event.refusal)}", now_s)
+
+
+def heartbeat_after_permit(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
+    """It was accepted once the controller reports so. The enabling device's cycle begins with that heartbeat."""
+    seen, effects = heartbeat(state, event, now_s)
+    if seen.phase is not Phase.PERMITTING or event.view.state is not ControllerState.PERMITTED:
+        return seen, effects
+    return _enter(seen, Phase.PERMITTED, now_s, device=_cycle(DeviceCycle.UNSEEN, event.view)), ()
 
 
 # ---------------------------------------------------------------- start
@@ -536,7 +600,8 @@ def start_durable(state: Interlock, event: RecordDurable, now_s: float) -> Outco
     assert state.verdict is not None and state.verdict.trajectory is not None  # noqa: S101, PT018 - permissives
     scale, trajectory = state.session.time_scale, state.verdict.trajectory
     monitor = TrackingMonitor.begin(trajectory, state.job.timing, state.job.tracking, scale, now_s)
-    return _enter(state, Phase.STARTING, now_s, tracking=monitor), (Send(_start(state, state.nonce)),)
+    start = replace(_start(state, state.nonce), log=event.log)
+    return _enter(state, Phase.STARTING, now_s, tracking=monitor), (Send(start),)
 
 
 def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
@@ -550,11 +615,9 @@ def heartbeat_before_start(state: Interlock, event: HeartbeatReceived, now_s: fl
     return back, (Refused(OperatorCommand.START, reason), *withheld)
 
 
-def start_answered(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
-    if event.request_type != records.Start.TYPE:
-        return _drop_reply(state)
-    if event.refusal is Refusal.ACCEPTED:
-        return _enter(state, Phase.CUTTING, now_s), ()
+def start_refused(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if not _denies(event, records.Start):
+        return not_pending(state, event, now_s)
     refused = _enter(state, Phase.PERMITTED, now_s, nonce=None, tracking=None)
     return refused, (
         Refused(OperatorCommand.START, f"the controller refused the start: {told(event.refusal)}"),
@@ -569,7 +632,7 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
     seen = _see(state, event)
     view = event.view
     if view.cause is not StopCause.NONE:
-        return stop(seen, view.cause, f"the controller stopped: {view.cause.name}", now_s)
+        return _stopped_by(seen, view.cause, f"the controller stopped: {view.cause.name}", now_s)
     if view.epoch != state.epoch:
         reason = f"the controller's epoch is {view.epoch}, the session's {state.epoch}"
         return stop(seen, StopCause.PROTOCOL_VIOLATION, reason, now_s)
@@ -587,6 +650,8 @@ def heartbeat(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outco
 def heartbeat_while_cutting(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
     """The controller's word for the end is not enough: the joints it measures from then on decide."""
     seen, effects = heartbeat(state, event, now_s)
+    if seen.phase is Phase.STARTING and event.view.state is ControllerState.CUTTING:
+        return _enter(seen, Phase.CUTTING, now_s), effects
     if seen.phase is not state.phase or event.view.state is not ControllerState.DONE:
         return seen, effects
     too_early = _monitor(state).finished(now_s)
@@ -637,30 +702,29 @@ def measured_while_finishing(state: Interlock, event: JointsMeasured, now_s: flo
 
 
 def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: float) -> Outcome:
-    """At rest is confirmed; a Reply that is on its way may still say why, until the deadline."""
+    """At rest is confirmed; until the deadline a Reply that is on its way may say why, or that a Withdraw has arrived."""
     news = state.controller is not None and state.controller.cause is StopCause.NONE  # else it stood before
-    seen = _withdrawn_by(_see(state, event), event.view.cause if news else StopCause.NONE)
+    seen = _see(state, event)
+    if news and event.view.cause in WITHDRAWING and not seen.registration_withdrawn:
+        return _withdrawn(seen), (SendWithdraw(state.job.place),)
     at_rest = event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT)
-    if at_rest and not state.answer_due:
+    if at_rest and not state.answer_due and not state.withdraw_due:
         return _enter(seen, Phase.STOPPED, now_s), ()
     return seen, ()
 
 
-def fault_while_stopping(state: Interlock, event: FaultReceived, _now_s: float) -> Outcome:
-    """It answers our stop, and answering it again would never end; or it crossed it: then a withdrawal counts."""
-    return _withdrawn_by(state, event.cause), ()
-
-
-def _withdrawn_by(state: Interlock, cause: StopCause) -> Interlock:
-    return replace(state, registration_withdrawn=state.registration_withdrawn or cause in WITHDRAWING)
-
-
-def reply_while_stopping(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
+def reply_while_stopping(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:
+    if event.request_type == records.Withdraw.TYPE:
+        answered = replace(state, withdraw_due=False)
+        return answered, () if event.refusal is Refusal.ACCEPTED else (Dropped(_withdraw_refused(event)),)
     if not state.answer_due or event.refusal is not Refusal.MAC_INVALID:
-        return _drop_reply(state)
-    key = f" (this side's has the fingerprint {state.job.key_fingerprint})"
-    reason = f"{state.reason}: it refused with {told(event.refusal)}{key}"
+        return not_pending(state, event, now_s)
+    reason = f"{state.reason}: it refused with {told(event.refusal)}{_our_key(state)}"
     return replace(state, answer_due=False, reason=reason), ()
+
+
+def _withdraw_refused(event: ReplyReceived) -> str:
+    return f"a withdrawal, which the controller refused: {told(event.refusal)}"
 
 
 def _see(state: Interlock, event: HeartbeatReceived) -> Interlock:
@@ -732,7 +796,17 @@ def _withhold(
     return None
 
 
-def _drop_reply(state: Interlock) -> Outcome:
+def _denies(event: ReplyReceived, request: type[records.Record]) -> bool:
+    """Whether it refuses a request of this type; anybody may."""
+    return event.request_type == request.TYPE and event.refusal is not Refusal.ACCEPTED
+
+
+def not_pending(state: Interlock, event: ReplyReceived, _now_s: float) -> Outcome:
+    """That something was accepted changes nothing; a refusal of what is not awaited is told."""
+    if event.refusal is Refusal.ACCEPTED:
+        return state, ()
+    if event.request_type == records.Withdraw.TYPE:
+        return state, (Dropped(_withdraw_refused(event)),)
     return state, (Dropped(f"a reply to something else while {state.phase}"),)
 
 
@@ -753,7 +827,9 @@ P = Phase
 
 TABLE: dict[tuple[Phase, type], Handler] = {
     (P.WAITING, Announced): announced,
+    (P.WAITING, OtherVersionAnnounced): other_version,
     (P.OPENING, Announced): announced_again,
+    (P.OPENING, OtherVersionAnnounced): other_version,
     (P.OPENING, SessionOpened): opened,
     (P.OPENING, ReplyReceived): open_refused,
     (P.OPENING, HeartbeatReceived): lambda state, event, _now_s: (_see(state, event), ()),
@@ -764,8 +840,8 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.NONCE_RESET, HeartbeatReceived): heartbeat_while_resetting,
     (P.AUTHORISING_RESET, RecordDurable): reset_durable,
     (P.AUTHORISING_RESET, HeartbeatReceived): heartbeat_while_resetting,
-    (P.RESETTING, ReplyReceived): reset_answered,
-    (P.RESETTING, HeartbeatReceived): heartbeat_while_resetting,
+    (P.RESETTING, ReplyReceived): reset_refused,
+    (P.RESETTING, HeartbeatReceived): heartbeat_after_reset,
     (P.COLLECTING, ParameterReceived): parameter,
     (P.UPLOADING, BlockConfirmed): block_stored,
     (P.UPLOADING, PathConfirmed): path_stored,
@@ -773,15 +849,17 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.VERIFYING, VerdictReady): verdict_ready,
     (P.ADMITTED, HeartbeatReceived): heartbeat_while_admitted,
     (P.ADMITTED, CommandGiven): command_while_admitted,
+    (P.ADMITTED, WitnessSought): witness_sought_while_admitted,
     (P.NONCE_PERMIT, NonceReceived): permit_nonce,
     (P.AUTHORISING_PERMIT, RecordDurable): permit_durable,
-    (P.PERMITTING, ReplyReceived): permit_answered,
+    (P.PERMITTING, ReplyReceived): permit_refused,
+    (P.PERMITTING, HeartbeatReceived): heartbeat_after_permit,
     (P.PERMITTED, CommandGiven): start_commanded,
     (P.NONCE_START, NonceReceived): start_nonce,
     (P.NONCE_START, HeartbeatReceived): heartbeat_before_start,
     (P.AUTHORISING_START, RecordDurable): start_durable,
     (P.AUTHORISING_START, HeartbeatReceived): heartbeat_before_start,
-    (P.STARTING, ReplyReceived): start_answered,
+    (P.STARTING, ReplyReceived): start_refused,
     (P.STARTING, HeartbeatReceived): heartbeat_while_cutting,
     (P.STARTING, JointsMeasured): measured_while_moving,
     (P.STARTING, ProgressReported): progress_while_moving,
@@ -795,7 +873,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.FINISHING, Tick): tick_while_moving,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
     (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
-    (P.STOPPING, FaultReceived): fault_while_stopping,
+    (P.STOPPING, FaultReceived): lambda state, _event, _now_s: (state, ()),  # answered, it would never end
     (P.STOPPING, ReplyReceived): reply_while_stopping,
     (P.STOPPING, CommandGiven): command_while_stopping,
 }
@@ -803,19 +881,22 @@ TABLE: dict[tuple[Phase, type], Handler] = {
 
 EVERYWHERE: dict[type, Handler] = {
     Announced: rebooted,
+    OtherVersionAnnounced: rebooted,
     SessionOpened: dropped,
+    WitnessSought: witness_sought,
     ParameterReceived: parameter_changed,
     BlockConfirmed: dropped,
     PathConfirmed: dropped,
     VerdictReady: dropped,
     NonceReceived: dropped,
-    ReplyReceived: dropped,
+    ReplyReceived: not_pending,
     HeartbeatReceived: heartbeat,
     HeartbeatLost: heartbeat_lost,
     FaultReceived: fault_received,
     JointsMeasured: measured,
     ProgressReported: ignored,
     RecordDurable: dropped,
+    WithdrawalSent: withdrawal_sent,
     LogChanged: log_changed,
     Failed: failed,
     Gone: gone,

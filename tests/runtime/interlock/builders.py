@@ -44,6 +44,7 @@ from cutgate.runtime.interlock.state import (
     LogHealth,
     NonceReceived,
     OperatorCommand,
+    OtherVersionAnnounced,
     ParameterReceived,
     PathConfirmed,
     Phase,
@@ -57,6 +58,8 @@ from cutgate.runtime.interlock.state import (
     Tick,
     UploadedPath,
     VerdictReady,
+    WithdrawalSent,
+    WitnessSought,
 )
 from cutgate.runtime.interlock.tracking import (
     FrameSeen,
@@ -67,9 +70,10 @@ from cutgate.runtime.interlock.tracking import (
 
 NOW = 1000.0
 EPOCH = 3
+NEXT_EPOCH = 4
 TOKEN = 7
 REQUEST = 6
-BOOT_NONCE, RUNTIME_NONCE = bytes(range(16)), bytes(range(16, 32))
+ANNOUNCE_NONCE, RUNTIME_NONCE = bytes(range(16)), bytes(range(16, 32))
 NONCE = bytes(range(32, 48))
 
 TIMING = records.Timing(
@@ -114,6 +118,8 @@ JOB = Job(
     tool=TOOL.body(),
     path=PATH.body(),
     registration=records.digest(b"registration"),
+    place=records.digest(b"place"),
+    registration_time_us=1_790_000_000_000_000,
     configuration=records.digest(b"configuration"),
     verifier="cutgate test",
     branch=records.Branch("right", 0, 0),
@@ -128,14 +134,38 @@ JOB = Job(
     key_fingerprint="1a2b3c4d",
 )
 
-SESSION = SessionIdentity(
-    boot_nonce=BOOT_NONCE,
-    runtime_nonce=RUNTIME_NONCE,
-    serial="SIM-1",
+ANNOUNCE = records.Announce(
     protocol_version=records.PROTOCOL_VERSION,
-    digest=records.session_digest(BOOT_NONCE, RUNTIME_NONCE),
-    tag=records.session_tag(BOOT_NONCE, RUNTIME_NONCE),
+    firmware_version="test",
+    plant_speed_permille=1000,
+    serial="SIM-1",
+    announce_nonce=ANNOUNCE_NONCE,
+    state=ControllerState.INHIBITED,
+    cause=StopCause.NONE,
 )
+
+OPEN = records.Open(
+    protocol_version=records.PROTOCOL_VERSION,
+    announce_nonce=ANNOUNCE_NONCE,
+    runtime_nonce=RUNTIME_NONCE,
+    identity_digest=ANNOUNCE.identity_digest,
+    registration_digest=JOB.registration,
+    place_digest=JOB.place,
+    registration_time_us=JOB.registration_time_us,
+    configuration_digest=JOB.configuration,
+    verifier_version=JOB.verifier,
+    timing=TIMING,
+)
+
+SESSION = SessionIdentity(OPEN, "SIM-1")
+
+SEEN_LOG = records.TreeHead(b"earlier log's id", 17, records.digest(b"earlier log"))
+"""What the controller saw at the last start, in another session."""
+OPENED = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE, log=SEEN_LOG)
+FOUND = WitnessSought(found=True, text="found in earlier.mcap")
+MISSED = WitnessSought(found=False, text="no log is there")
+DURABLE_LOG = records.TreeHead(b"this session's l", 40, records.digest(b"this log"))
+"""The session's own log once a record is durable."""
 
 VIEW = ControllerView(
     state=ControllerState.PERMITTED,
@@ -213,7 +243,7 @@ VERDICT = CutVerdict(
 
 PERMIT = records.Permit(
     nonce=NONCE,
-    boot_nonce=BOOT_NONCE,
+    announce_nonce=ANNOUNCE_NONCE,
     session_digest=SESSION.digest,
     serial="SIM-1",
     protocol_version=records.PROTOCOL_VERSION,
@@ -229,6 +259,7 @@ PERMIT = records.Permit(
     branch=JOB.branch,
     approach=VERDICT.approach,
     lifetime_s=120,
+    log=DURABLE_LOG,
 )
 
 READY = Interlock(
@@ -236,7 +267,10 @@ READY = Interlock(
     phase=Phase.PERMITTED,
     since_s=NOW - 0.5,
     began_s=NOW - 60.0,
+    announced_version=records.PROTOCOL_VERSION,
     session=SESSION,
+    opened=OPENED,
+    witness=FOUND,
     epoch=EPOCH,
     controller=VIEW,
     heartbeat_fresh=True,
@@ -257,16 +291,6 @@ READY = Interlock(
 
 FRESH = Interlock(job=JOB, log=READY.log)
 """The interlock as it is made: nothing seen yet."""
-
-ANNOUNCE = records.Announce(
-    protocol_version=records.PROTOCOL_VERSION,
-    firmware_version="test",
-    plant_speed_permille=1000,
-    serial="SIM-1",
-    boot_nonce=BOOT_NONCE,
-    state=ControllerState.INHIBITED,
-    cause=StopCause.NONE,
-)
 
 
 def monitor(began_s: float = NOW, seen_s: float | None = None) -> TrackingMonitor:
@@ -301,6 +325,22 @@ def beat(state: ControllerState = ControllerState.LOADED, *, fresh: bool = True,
 def reply(request: type[records.Record], refusal: Refusal = Refusal.ACCEPTED) -> Event:
     """The controller's answer to a request of this type."""
     return ReplyReceived(request.TYPE, refusal, StopCause.NONE)
+
+
+def opened(
+    state: ControllerState = ControllerState.OPEN,
+    cause: StopCause = StopCause.NONE,
+    *,
+    authentic: bool = True,
+    **changes: Any,
+) -> Event:
+    """The session is open, with a controller in this state."""
+    return SessionOpened(replace(OPENED, state=state, cause=cause, **changes), authentic)
+
+
+def durable(token: int) -> Event:
+    """The record with this token has reached the disk."""
+    return RecordDurable(token, DURABLE_LOG)
 
 
 EXPECTED_STATE: dict[Phase, ControllerState] = {
@@ -342,7 +382,15 @@ def events(state: Interlock) -> list[Event]:
     epoch = state.epoch
     everything: list[Event] = [
         Announced(ANNOUNCE, RUNTIME_NONCE),
-        *(SessionOpened(epoch, kind, cause) for kind in ControllerState for cause in list(StopCause)[:2]),
+        OtherVersionAnnounced(3),
+        *(
+            opened(kind, cause, epoch=epoch, authentic=authentic)
+            for kind in ControllerState
+            for cause in list(StopCause)[:2]
+            for authentic in (True, False)
+        ),
+        FOUND,
+        MISSED,
         *(ParameterReceived(record) for record in (LIMITS, CALIBRATION, TOOL)),
         *(BlockConfirmed(index) for index in range(PATH_BLOCKS)),
         PathConfirmed(READY.stored or UploadedPath(b"", Refusal.ACCEPTED, 0)),
@@ -350,7 +398,7 @@ def events(state: Interlock) -> list[Event]:
         *(NonceReceived(purpose, NONCE, e) for purpose in Purpose for e in (epoch, epoch + 1)),
         *(
             reply(kind, refusal)
-            for kind in (records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge)
+            for kind in REQUESTS
             for refusal in (Refusal.ACCEPTED, Refusal.NONCE_MISMATCH)
         ),
         *(beat(kind, epoch=epoch) for kind in ControllerState),
@@ -364,7 +412,8 @@ def events(state: Interlock) -> list[Event]:
         ON,
         BEYOND,
         ProgressReported(2, 0),
-        *(RecordDurable(token) for token in (state.token - 1, state.token, state.token + 1)),
+        *(durable(token) for token in (state.token - 1, state.token, state.token + 1)),
+        WithdrawalSent(JOB.registration_time_us),
         LogChanged(state.log),
         *(CommandGiven(word) for word in OperatorCommand),
         Tick(),
@@ -382,6 +431,8 @@ def code(state: Interlock) -> RuntimeCode:
 PERMISSIVENESS = {RuntimeCode.INHIBIT: 0, RuntimeCode.READY: 1, RuntimeCode.CUT: 2}
 
 ENABLING = (records.Permit, records.Start, records.Reset)
+REQUESTS = (records.Open, *ENABLING, records.Acknowledge, records.Withdraw)
+"""What is answered by a Reply."""
 
 
 def sent(effects: tuple[Effect, ...]) -> list[records.Record]:
@@ -426,7 +477,7 @@ class Run:
 
     def durable(self) -> "Run":
         """The pending record reaches the disk."""
-        return self.feed(RecordDurable(self.state.token))
+        return self.feed(durable(self.state.token))
 
     def until(self, phase: Phase) -> "Run":
         """Go the straight way up to ``phase``."""
@@ -441,7 +492,7 @@ class Run:
 
 
 def _opened(_state: Interlock) -> tuple[Event, ...]:
-    return (SessionOpened(EPOCH, ControllerState.OPEN, StopCause.NONE),)
+    return (opened(),)
 
 
 def _verdict(state: Interlock) -> tuple[Event, ...]:
@@ -464,7 +515,10 @@ def _go(_state: Interlock) -> tuple[Event, ...]:
 STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.WAITING: lambda _s: (Announced(ANNOUNCE, RUNTIME_NONCE),),
     Phase.OPENING: _opened,
-    Phase.COLLECTING: lambda _s: tuple(ParameterReceived(kind) for kind in (LIMITS, CALIBRATION, TOOL)),
+    Phase.COLLECTING: lambda _s: (
+        FOUND,
+        *(ParameterReceived(kind) for kind in (LIMITS, CALIBRATION, TOOL)),
+    ),
     Phase.UPLOADING: lambda _s: (
         *(BlockConfirmed(index) for index in range(PATH_BLOCKS)),
         STANDING,
@@ -473,12 +527,12 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
     Phase.VERIFYING: _verdict,
     Phase.ADMITTED: lambda _s: (STANDING, beat()),
     Phase.NONCE_PERMIT: lambda _s: (NonceReceived(Purpose.PERMIT, NONCE, EPOCH),),
-    Phase.AUTHORISING_PERMIT: lambda s: (RecordDurable(s.token),),
-    Phase.PERMITTING: lambda _s: (reply(records.Permit),),
+    Phase.AUTHORISING_PERMIT: lambda s: (durable(s.token),),
+    Phase.PERMITTING: lambda _s: (reply(records.Permit), beat(ControllerState.PERMITTED)),
     Phase.PERMITTED: _go,
     Phase.NONCE_START: lambda _s: (NonceReceived(Purpose.START, NONCE, EPOCH),),
-    Phase.AUTHORISING_START: lambda s: (RecordDurable(s.token),),
-    Phase.STARTING: lambda _s: (reply(records.Start),),
+    Phase.AUTHORISING_START: lambda s: (durable(s.token),),
+    Phase.STARTING: lambda _s: (reply(records.Start), beat(ControllerState.CUTTING)),
     Phase.CUTTING: lambda _s: (beat(ControllerState.CUTTING), beat(ControllerState.DONE)),
     Phase.FINISHING: lambda _s: (STANDING,),
     Phase.HELD: lambda s: (
@@ -486,7 +540,7 @@ STRAIGHT_ON: dict[Phase, Callable[[Interlock], tuple[Event, ...]]] = {
         CommandGiven(OperatorCommand.RESET),
     ),
     Phase.NONCE_RESET: lambda s: (NonceReceived(Purpose.RESET, NONCE, s.epoch),),
-    Phase.AUTHORISING_RESET: lambda s: (RecordDurable(s.token),),
+    Phase.AUTHORISING_RESET: lambda s: (durable(s.token),),
     Phase.RESETTING: lambda _s: (reply(records.Reset), beat(ControllerState.OPEN)),
     Phase.STOPPING: lambda _s: (beat(ControllerState.INHIBITED, cause=StopCause.OPERATOR_STOP),),
 }

@@ -50,21 +50,29 @@ from cutgate.runtime.interlock.state import (
     Tick,
     UploadedPath,
     VerdictReady,
+    WithdrawalSent,
+    WitnessSought,
 )
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
+    ANNOUNCE_NONCE,
     BEYOND,
-    BOOT_NONCE,
     CALIBRATION,
     DEADLINES,
+    DURABLE_LOG,
+    FOUND,
     FRESH,
     HALF_WAY,
+    JOB,
     LIMITS,
+    MISSED,
     NONCE,
     ON,
     PATH,
     PATH_BLOCKS,
+    REQUESTS,
     RUNTIME_NONCE,
+    SEEN_LOG,
     START_JOINTS,
     STRAIGHT_ON,
     TIMING,
@@ -72,8 +80,10 @@ from tests.runtime.interlock.builders import (
     VERDICT,
     code,
     dated,
+    durable,
     enabled,
     events,
+    opened,
     sound_beat,
     step,
     view,
@@ -127,6 +137,9 @@ class AnySession(RuleBasedStateMachine):
         """The last heartbeat was fresh, in the session's epoch, without cause, the emergency stop clear."""
         self.pressed = False
         self.withdrawn = False
+        self.authentic = self.nothing_seen = self.found = self.permitted = False
+        self.confirmed: set[str] = set()
+        self.barrier_us = records.NO_TIME
         self.joints_u: tuple[int, ...] | None = None
         self.measured_s = 0.0
 
@@ -141,6 +154,7 @@ class AnySession(RuleBasedStateMachine):
         self._books(effects)
         self._a_stop_stops(before, event, effects)
         self._the_order_to_cut_needs_its_start(effects)
+        self._only_a_heartbeat_is_believed(before, event)
         assert after.job is before.job
         assert after.token >= before.token
 
@@ -150,6 +164,16 @@ class AnySession(RuleBasedStateMachine):
                 sound = seen.cause is StopCause.NONE and seen.emergency_stop_clear
                 self.alive = fresh and sound and seen.epoch == self.state.epoch
                 self.pressed = seen.device_pressed
+                self.permitted = seen.state is ControllerState.PERMITTED
+            case SessionOpened(said, True) if self.state.phase is Phase.OPENING:
+                self.authentic = True
+                self.nothing_seen = said.log == records.NO_TREE_HEAD
+            case WitnessSought(found, _):
+                self.found = found
+            case WithdrawalSent(barrier_us):
+                self.barrier_us = barrier_us
+            case CommandGiven(OperatorCommand.CONFIRM, what) if self.state.phase is Phase.ADMITTED:
+                self.confirmed.add(what)
             case JointsMeasured(joints_u, measured_s):
                 self.joints_u, self.measured_s = joints_u, measured_s
             case CommandGiven(OperatorCommand.WITHDRAW):
@@ -160,7 +184,11 @@ class AnySession(RuleBasedStateMachine):
             assert isinstance(event, RecordDurable)
             assert event.token == self.pending
             assert 0.0 <= self.now_s - self.committed_at_s <= DEADLINES.commit_deadline_s
-            assert record == self.committed[event.token]
+            committed = self.committed[event.token]
+            if not isinstance(record, records.Reset):
+                assert (record.log, committed.log) == (DURABLE_LOG, records.NO_TREE_HEAD)
+                committed = replace(committed, log=DURABLE_LOG)
+            assert record == committed
             assert record.nonce == self.state.nonce
             assert self.alive
             assert self.state.log.writable
@@ -168,8 +196,12 @@ class AnySession(RuleBasedStateMachine):
                 assert not self.withdrawn
                 assert self.joints_u == VERDICT.start_joints_u
                 assert 0.0 <= self.now_s - self.measured_s <= TIMING.timeout_s
+                assert self.authentic
+                assert self.nothing_seen or self.found or "WITNESS" in self.confirmed
+                assert not self.barrier_us >= JOB.registration_time_us
             if isinstance(record, records.Start):
                 assert self.pressed
+                assert self.permitted
                 self.started = True
 
     def _books(self, effects) -> None:
@@ -198,7 +230,7 @@ class AnySession(RuleBasedStateMachine):
         if any(stop.code is StopCode.STOP for stop in sent):
             assert after.phase in (Phase.STOPPING, Phase.STOPPED)
             assert (after.permit, after.nonce) == (None, None)
-            assert step(after, RecordDurable(after.token), self.now_s)[0] == after, "its record is dead"
+            assert step(after, durable(after.token), self.now_s)[0] == after, "its record is dead"
         if self._must_stop(before, event):
             assert after.phase in over
         if sent:
@@ -231,7 +263,19 @@ class AnySession(RuleBasedStateMachine):
             assert self.state.permit is not None
             assert self.state.cause is StopCause.NONE
         if code(self.state) is RuntimeCode.READY:
-            assert self.state.permit in self.committed.values()
+            assert replace(self.state.permit, log=records.NO_TREE_HEAD) in self.committed.values()
+
+    def _only_a_heartbeat_is_believed(self, before, event) -> None:
+        """What a session does next because the controller has accepted something, a heartbeat has shown."""
+        shown = {
+            Phase.PERMITTING: Phase.PERMITTED,
+            Phase.STARTING: Phase.CUTTING,
+            Phase.RESETTING: Phase.COLLECTING,
+        }
+        if self.state.phase is shown.get(before.phase):
+            assert isinstance(event, HeartbeatReceived)
+            assert event.view.epoch == before.epoch
+            assert event.view.cause is StopCause.NONE
 
     @invariant()
     def what_was_withdrawn_stays_withdrawn(self) -> None:
@@ -258,7 +302,7 @@ class AnySession(RuleBasedStateMachine):
     @while_in(Phase.OPENING)
     @rule(cause=causes)
     def the_controller_is_held(self, cause) -> None:
-        self.feed(SessionOpened(3, ControllerState.FAULT, cause))
+        self.feed(opened(ControllerState.FAULT, cause))
 
     @rule(goal=st.none())
     def onward(self, goal) -> None:
@@ -280,19 +324,39 @@ class AnySession(RuleBasedStateMachine):
 
     @while_in(Phase.WAITING, Phase.OPENING)
     @rule(
-        boot=mostly(BOOT_NONCE, OTHER, bytes(16)),
+        announced=mostly(ANNOUNCE_NONCE, OTHER, bytes(16)),
         nonce=mostly(RUNTIME_NONCE, OTHER, bytes(16)),
         version=mostly(records.PROTOCOL_VERSION, 0),
         serial=mostly("SIM-1", "SIM-2"),
     )
-    def announced(self, boot, nonce, version, serial) -> None:
-        announce = replace(ANNOUNCE, boot_nonce=boot, protocol_version=version, serial=serial)
+    def announced(self, announced, nonce, version, serial) -> None:
+        announce = replace(ANNOUNCE, announce_nonce=announced, protocol_version=version, serial=serial)
         self.feed(Announced(announce, nonce))
 
     @while_in(Phase.WAITING, Phase.OPENING)
-    @rule(epoch=mostly(3, 0, 255), state=st.sampled_from(ControllerState), cause=causes)
-    def opened(self, epoch, state, cause) -> None:
-        self.feed(SessionOpened(epoch, state, cause))
+    @rule(
+        epoch=mostly(3, 0, 31),
+        state=st.sampled_from(ControllerState),
+        cause=causes,
+        authentic=mostly(True, False),
+        due=mostly(0, 1),
+        log=mostly(SEEN_LOG, records.NO_TREE_HEAD),
+    )
+    def opened(self, epoch, state, cause, authentic, due, log) -> None:
+        self.feed(opened(state, cause, epoch=epoch, authentic=authentic, withdrawal_due=due, log=log))
+
+    @rule(said=mostly(FOUND, MISSED))
+    def witness(self, said) -> None:
+        self.feed(said)
+
+    @rule(later_us=mostly(-1, 0, 1))
+    def barrier(self, later_us) -> None:
+        self.feed(WithdrawalSent(JOB.registration_time_us + later_us))
+
+    @while_in(Phase.ADMITTED)
+    @rule(what=mostly("WITNESS", "CUT_TINY"))
+    def confirmed_by_name(self, what) -> None:
+        self.feed(CommandGiven(OperatorCommand.CONFIRM, what))
 
     @while_in(Phase.OPENING, Phase.COLLECTING)
     @rule(record=mostly(TOOL, LIMITS, CALIBRATION, replace(TOOL, length_u=1)))
@@ -327,14 +391,11 @@ class AnySession(RuleBasedStateMachine):
 
     @while_in(Phase.OPENING, Phase.HELD, Phase.RESETTING, Phase.PERMITTING, Phase.STARTING)
     @rule(
-        request=st.sampled_from(
-            [records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge]
-        ),
+        request=st.sampled_from(REQUESTS),
         refusal=refusals,
-        pressed=st.booleans(),
     )
-    def reply(self, request, refusal, pressed) -> None:
-        self.feed(ReplyReceived(request.TYPE, refusal, StopCause.NONE, pressed))
+    def reply(self, request, refusal) -> None:
+        self.feed(ReplyReceived(request.TYPE, refusal, StopCause.NONE))
 
     @rule(
         state=st.sampled_from(ControllerState),
@@ -396,7 +457,7 @@ class AnySession(RuleBasedStateMachine):
     @rule(off=mostly(0, 1, -1), after_s=mostly(0.01, 0.0, 0.5, 1.5, -0.01))
     def durable(self, off, after_s) -> None:
         self.now_s += after_s
-        self.feed(RecordDurable(self.state.token + off))
+        self.feed(durable(self.state.token + off))
 
     @rule(reserved=mostly(2000, 0, 1999))
     def log(self, reserved) -> None:

@@ -12,9 +12,16 @@ from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import DeviceCycle
 from tests.altering import altered
-from tests.runtime.interlock.builders import CALIBRATION, JOB, NOW, READY, START_JOINTS, VERDICT
+from tests.runtime.interlock.builders import CALIBRATION, JOB, MISSED, NOW, READY, START_JOINTS, VERDICT
 
 STANDS = "not withdrawn, and later than every withdrawal"
+
+
+TIME_US = JOB.registration_time_us
+TOO_EARLY = "one of 2026-09-21 14:13:20 UTC is not surely later than the last withdrawal"
+FROM = "what is taken from 2026-09-21 14:13:21 UTC on counts"
+NOT_TOLD = "the bone moved while no session ran, and the controller is not yet told from when on one counts"
+WITNESSED = "the log that it saw last is found, or the operator has confirmed"
 
 
 def _off(joint: int, by: int) -> tuple[int, ...]:
@@ -23,7 +30,7 @@ def _off(joint: int, by: int) -> tuple[int, ...]:
 
 ALONE = [
     # one field, another value, the permissive that alone fails, what it shows, its bound
-    ("session.protocol_version", 1, p.protocol_version, "1", "3"),
+    ("announced_version", 3, p.protocol_version, "3", "4"),
     ("session.serial", "SIM-2", p.serial_number, "SIM-2", "SIM-1"),
     *(
         (
@@ -74,6 +81,39 @@ ALONE = [
         "the same place was withdrawn",
         STANDS,
     ),
+    (
+        "opened.registration",
+        Refusal.REGISTRATION_WITHDRAWN,
+        p.registration_stands,
+        "withdrawn at the controller",
+        STANDS,
+    ),
+    (
+        "opened.registration",
+        Refusal.REGISTRATION_TOO_EARLY,
+        p.registration_stands,
+        f"{TOO_EARLY} that the controller knows",
+        STANDS,
+    ),
+    (
+        "opened.registration",
+        Refusal.MEMORY_FAILED,
+        p.registration_stands,
+        f"{TOO_EARLY} that the controller knows",
+        STANDS,
+    ),
+    (
+        "opened.barrier_us",
+        TIME_US,
+        p.registration_stands,
+        f"{TOO_EARLY} that the controller knows; {FROM}",
+        STANDS,
+    ),
+    ("opened.barrier_us", TIME_US + 59_000_000, p.registration_stands, None, STANDS),
+    ("opened.withdrawal_due", 1, p.registration_stands, NOT_TOLD, STANDS),
+    ("barrier_us", TIME_US, p.registration_stands, f"{TOO_EARLY} that the controller knows; {FROM}", STANDS),
+    ("witness", None, p.controllers_witness, "being looked up", WITNESSED),
+    ("witness", MISSED, p.controllers_witness, "no log is there", WITNESSED),
     ("log.writable", False, p.log_writable, "failed", "writable"),
     ("log.reserved_bytes", 1999, p.log_space, 1999.0, ">= 2000 bytes"),
     ("log.reserved_bytes", 0, p.log_space, 0.0, ">= 2000 bytes"),
@@ -162,7 +202,9 @@ def test_the_table_above_leaves_no_permissive_out():
 @pytest.mark.parametrize(
     ("field", "evaluates"),
     [
-        ("session", [p.protocol_version, p.serial_number, p.plant_speed]),
+        ("announced_version", [p.protocol_version]),
+        ("session", [p.serial_number, p.plant_speed]),
+        ("opened", [p.registration_stands, p.controllers_witness]),
         ("collected.limits", [p.limits_approved]),
         ("collected.calibration", [p.calibration_approved]),
         ("collected.tool", [p.tool_approved]),
@@ -289,6 +331,87 @@ def test_each_warning_is_confirmed_by_its_own_code_and_the_remedy_names_the_rest
     unknown = p.warnings_confirmed(altered(two, "verdict", None), NOW)
     assert (unknown.holds, unknown.text) == (False, "not verified")
     assert p.warnings_confirmed(READY, NOW).text == "none waits"
+
+
+@pytest.mark.parametrize("field", ["opened.barrier_us", "barrier_us"])
+def test_a_registration_must_be_later_than_every_barrier(field):
+    assert p.registration_stands(altered(READY, field, TIME_US - 1), NOW).holds
+    both = altered(altered(READY, "opened.barrier_us", TIME_US - 1), "barrier_us", TIME_US - 2)
+    assert p.registration_stands(both, NOW).holds
+    for one, other in (("opened.barrier_us", "barrier_us"), ("barrier_us", "opened.barrier_us")):
+        said = p.registration_stands(
+            altered(altered(READY, one, TIME_US + 60_000_000), other, TIME_US - 1), NOW
+        )
+        assert not said.holds
+        assert said.text.endswith("what is taken from 2026-09-21 14:14:21 UTC on counts"), (
+            "the later of the two"
+        )
+
+
+def test_without_a_time_no_registration_is_later_than_a_barrier():
+    undated = altered(READY, "job.registration_time_us", records.NO_TIME)
+    assert p.registration_stands(undated, NOW).holds, "nothing was ever withdrawn"
+    for barrier_us in (TIME_US, -1):
+        said = p.registration_stands(altered(undated, "opened.barrier_us", barrier_us), NOW)
+        assert not said.holds
+        assert said.text.startswith("one without a time is not surely later than the last withdrawal")
+
+
+def test_a_motion_without_a_session_is_over_once_the_controller_is_told_a_barrier():
+    due = altered(READY, "opened.withdrawal_due", 1)
+    assert p.registration_stands(altered(due, "barrier_us", TIME_US - 1), NOW).holds
+    assert not p.registration_stands(altered(due, "barrier_us", TIME_US), NOW).holds
+    earlier = altered(due, "opened.barrier_us", TIME_US - 1)
+    assert p.registration_stands(earlier, NOW).text == NOT_TOLD, "an older barrier is none of this motion's"
+
+
+def test_what_is_withdrawn_at_the_controller_stays_so_however_late_it_was_registered():
+    withdrawn = altered(READY, "opened.registration", Refusal.REGISTRATION_WITHDRAWN)
+    said = p.registration_stands(altered(withdrawn, "opened.barrier_us", TIME_US - 1), NOW)
+    assert (said.holds, said.text) == (
+        False,
+        "withdrawn at the controller; what is taken from 2026-09-21 14:13:20 UTC on counts",
+    )
+
+
+@pytest.mark.parametrize(
+    ("time_us", "shown"),
+    [
+        (0, "1970-01-01 00:00:00 UTC"),
+        (999_999, "1970-01-01 00:00:00 UTC"),
+        (-1, "1969-12-31 23:59:59 UTC"),
+        ((1 << 63) - 1, "9223372036854775807 us since 1970"),
+        (-(1 << 63), "-9223372036854775808 us since 1970"),
+    ],
+)
+def test_any_time_that_a_record_can_hold_is_shown(time_us, shown):
+    assert p.utc(time_us) == shown
+
+
+def test_a_controller_that_saw_no_log_is_no_witness():
+    none = altered(altered(READY, "opened.log", records.NO_TREE_HEAD), "witness", None)
+    judged = p.controllers_witness(none, NOW)
+    assert (judged.holds, judged.text) == (True, "it has seen no start yet")
+    for field, value in (("size", 1), ("log_id", b"l" * 16), ("root", b"r" * 32)):
+        assert not p.controllers_witness(altered(none, f"opened.log.{field}", value), NOW).holds
+
+
+def test_a_log_that_is_missed_is_confirmed_by_its_own_word_alone_and_the_log_shows_it():
+    missed = altered(READY, "witness", MISSED)
+    assert p.awaiting_confirmation(missed) == ("WITNESS",)
+    assert not p.controllers_witness(altered(missed, "confirmed", frozenset({"CUT_TINY"})), NOW).holds
+    confirmed = altered(missed, "confirmed", frozenset({"WITNESS"}))
+    judged = p.controllers_witness(confirmed, NOW)
+    assert (judged.holds, judged.text) == (True, "confirmed: no log is there")
+    assert p.awaiting_confirmation(confirmed) == ()
+    early = altered(altered(READY, "witness", None), "confirmed", frozenset({"WITNESS"}))
+    assert not p.controllers_witness(early, NOW).holds, "it was not shown"
+    found = altered(READY, "confirmed", frozenset({"WITNESS"}))
+    assert p.controllers_witness(found, NOW).text == "found in earlier.mcap"
+    warned = altered(missed, "verdict.to_confirm", ("CUT_TINY",))
+    assert p.awaiting_confirmation(warned) == ("CUT_TINY", "WITNESS")
+    assert p.awaiting_confirmation(altered(READY, "witness", None)) == ()
+    assert p.unrecoverable(missed, NOW) == ()
 
 
 SIMULATION = altered(READY, "job.simulation_allowed_by", "site.toml")

@@ -19,3 +19,11 @@ def test_what_is_still_pressed_or_released_is_named_with_what_to_do():
 def test_a_wrong_key_is_called_so_and_the_keys_are_to_be_compared():
     assert "the two key files differ" in told(Refusal.MAC_INVALID)
     assert "`cutgate key fingerprint FILE`" in told(Refusal.MAC_INVALID)
+
+
+def test_what_is_to_be_done_about_a_registration_is_told_apart_from_what_a_new_session_cures():
+    for refusal in (Refusal.REGISTRATION_WITHDRAWN, Refusal.REGISTRATION_TOO_EARLY):
+        assert told(refusal).endswith("register the bone anew")
+    for refusal in (Refusal.WITHDRAWAL_DUE, Refusal.ANNOUNCE_NONCE, Refusal.LOG_NOT_CONTINUED):
+        assert "start a new session" in told(refusal)
+    assert "leave one controller on the bus" in told(Refusal.IDENTITY_DIGEST)

@@ -38,45 +38,57 @@ from cutgate.runtime.interlock.state import (
     NonceReceived,
     OpenLink,
     OperatorCommand,
+    OtherVersionAnnounced,
     ParameterReceived,
     PathConfirmed,
     Phase,
     ProgressReported,
     RecordDurable,
     Refused,
+    ReplyReceived,
+    SeekWitness,
     Send,
     SendBlock,
     SendStop,
+    SendWithdraw,
     SessionOpened,
     Tick,
     UploadedPath,
     UseSession,
     VerdictReady,
     Verify,
+    WithdrawalSent,
     Withheld,
 )
 from cutgate.runtime.interlock.tracking import Deviation, FrameSeen, TrackingMonitor
 from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
+    ANNOUNCE_NONCE,
     BEYOND,
-    BOOT_NONCE,
     DEADLINES,
+    DURABLE_LOG,
     ELSEWHERE,
     EPOCH,
+    FOUND,
     FRESH,
     HALF_WAY,
     JOB,
     LIMITS,
+    MISSED,
+    NEXT_EPOCH,
     NONCE,
     NOW,
     ON,
+    OPEN,
     PATH,
     PATH_BLOCKS,
     PERMISSIVENESS,
     PERMIT,
     READY,
+    REQUESTS,
     RUNTIME_NONCE,
+    SEEN_LOG,
     SESSION,
     STANDING,
     START_JOINTS,
@@ -89,11 +101,13 @@ from tests.runtime.interlock.builders import (
     Run,
     beat,
     code,
+    durable,
     enabled,
     events,
     in_phase,
     measured,
     monitor,
+    opened,
     reply,
     sent,
     sound_beat,
@@ -110,7 +124,19 @@ ENABLING_PHASES = {
     Phase.AUTHORISING_START: (records.Start, Phase.STARTING, Phase.PERMITTED, p.FOR_START),
     Phase.AUTHORISING_RESET: (records.Reset, Phase.RESETTING, Phase.HELD, p.FOR_RESET),
 }
-PENDING = RecordDurable(TOKEN)
+PENDING = durable(TOKEN)
+
+
+def without_log(record):
+    """As it was committed."""
+    return record if isinstance(record, records.Reset) else replace(record, log=records.NO_TREE_HEAD)
+
+
+def withdrawals(effects):
+    """The withdrawals that leave."""
+    return [effect for effect in effects if isinstance(effect, SendWithdraw)]
+
+
 each_phase = pytest.mark.parametrize("phase", LIVE, ids=str)
 each_authorising = pytest.mark.parametrize("phase", ENABLING_PHASES, ids=str)
 
@@ -160,7 +186,7 @@ def test_every_permissive_is_judged_again_when_the_record_is_durable(phase):
         ("heartbeat_fresh", False),
         ("controller.cause", StopCause.BONE_MOVED),
         ("controller.emergency_stop_clear", False),
-        ("controller.epoch", EPOCH + 1),
+        ("controller.epoch", NEXT_EPOCH),
         ("controller.device_pressed", False),
         ("joints_u", ELSEWHERE),
         ("registration_withdrawn", True),
@@ -191,7 +217,7 @@ def test_the_time_of_durability_is_the_time_of_judgement(phase):
 @pytest.mark.parametrize("token", [TOKEN - 1, TOKEN + 1, 0])
 def test_another_record_enables_nothing(phase, token):
     state = in_phase(phase)
-    after, effects = step(state, RecordDurable(token), NOW)
+    after, effects = step(state, durable(token), NOW)
     assert after == state
     assert [type(effect) for effect in effects] == [Dropped]
 
@@ -244,9 +270,11 @@ def test_a_nonce_leads_to_a_commit_under_a_new_token_and_nothing_leaves(phase, p
     assert (commit.token, commit.purpose, commit.record.nonce) == (TOKEN + 1, purpose, b"n" * 16)
     assert commit.record.epoch == EPOCH
     assert commit.record.session_digest == SESSION.digest
-    # what leaves is what was made durable
-    _, effects = step(after, RecordDurable(TOKEN + 1), NOW)
-    assert sent(effects) == [commit.record]
+    # what leaves is what was made durable, and names the log up to that
+    _, effects = step(after, durable(TOKEN + 1), NOW)
+    (left,) = sent(effects)
+    assert without_log(left) == commit.record
+    assert purpose is Purpose.RESET or (commit.record.log, left.log) == (records.NO_TREE_HEAD, DURABLE_LOG)
 
 
 @pytest.mark.parametrize("phase", [Phase.NONCE_PERMIT, Phase.NONCE_START, Phase.NONCE_RESET], ids=str)
@@ -254,7 +282,7 @@ def test_a_nonce_for_something_else_is_dropped(phase):
     state = in_phase(phase)
     wanted = Purpose[phase.name.removeprefix("NONCE_")]
     wrong = [NonceReceived(purpose, NONCE, EPOCH) for purpose in Purpose if purpose is not wanted]
-    for event in (*wrong, NonceReceived(wanted, NONCE, EPOCH + 1)):
+    for event in (*wrong, NonceReceived(wanted, NONCE, NEXT_EPOCH)):
         after, effects = step(state, event, NOW)
         assert after == state
         assert [type(effect) for effect in effects] == [Dropped]
@@ -262,7 +290,7 @@ def test_a_nonce_for_something_else_is_dropped(phase):
 
 def test_the_permit_binds_what_was_proved_and_nothing_else():
     run = Run(in_phase(Phase.NONCE_PERMIT), NOW).feed(NonceReceived(Purpose.PERMIT, NONCE, EPOCH))
-    assert run.commit.record == PERMIT
+    assert run.commit.record == replace(PERMIT, log=records.NO_TREE_HEAD)
     assert run.durable().state.permit == PERMIT
 
 
@@ -275,6 +303,14 @@ def test_the_start_names_its_permit():
         permit_digest=records.digest(PERMIT.canonical()),
         start_joints_u=VERDICT.start_joints_u,
     )
+
+
+def test_a_record_that_is_durable_names_the_log_of_its_own_commit():
+    """The permit's is not the start's."""
+    further = replace(DURABLE_LOG, size=DURABLE_LOG.size + 9)
+    run = Run(in_phase(Phase.AUTHORISING_START), NOW).feed(RecordDurable(TOKEN, further))
+    (start,) = enabled(run.effects)
+    assert (start.log, run.state.permit.log) == (further, DURABLE_LOG)
 
 
 # ---------------------------------------------------------------- what disables
@@ -335,20 +371,49 @@ def test_a_stop_without_a_cause_is_a_violation(phase):
     assert after.phase in (Phase.STOPPING, Phase.STOPPED)
 
 
-@each_phase
-@pytest.mark.parametrize("cause", StopCause)
-def test_a_cause_that_withdraws_is_remembered_and_no_other(phase, cause):
-    after, _ = step(in_phase(phase), Failed(cause, ""), NOW)
+JUDGING = [phase for phase in LIVE if phase not in (Phase.OPENING, Phase.STOPPING)]
+"""Where a heartbeat that names another stop ends the session."""
+
+
+@pytest.mark.parametrize("phase", JUDGING, ids=str)
+@pytest.mark.parametrize("cause", [cause for cause in StopCause if cause is not StopCause.NONE])
+def test_a_heartbeats_cause_that_withdraws_is_remembered_and_no_other(phase, cause):
+    heard = beat(ControllerState.INHIBITED, cause=cause, epoch=NEXT_EPOCH)
+    after, effects = step(in_phase(phase), heard, NOW)
     assert after.registration_withdrawn is (cause in WITHDRAWING)
+    told = cause in WITHDRAWING and phase is not Phase.WAITING
+    assert (SendWithdraw(JOB.place) in effects) is told is after.withdraw_due
     later, _ = step(after, Failed(StopCause.OPERATOR_STOP, ""), NOW)
     assert later.registration_withdrawn is after.registration_withdrawn
 
 
 @each_phase
-def test_a_withdrawn_registration_stays_withdrawn(phase):
+@pytest.mark.parametrize("cause", WITHDRAWING)
+def test_what_carries_no_code_withdraws_nothing_whatever_it_claims(phase, cause):
+    for event in (
+        FaultReceived(FaultCode.STOPPED, cause),
+        FaultReceived(FaultCode.LATCHED, cause),
+        ReplyReceived(records.Permit.TYPE, Refusal.REGISTRATION_WITHDRAWN, cause),
+        ReplyReceived(records.Withdraw.TYPE, Refusal.ACCEPTED, cause),
+        Failed(cause, ""),
+        Gone(cause, ""),
+    ):
+        after, effects = step(in_phase(phase), event, NOW)
+        assert not after.registration_withdrawn
+        assert not withdrawals(effects)
+
+
+@each_phase
+def test_a_withdrawn_registration_stays_withdrawn_and_the_controller_is_told_behind_the_stop(phase):
     after, effects = step(in_phase(phase), CommandGiven(OperatorCommand.WITHDRAW), NOW)
     assert after.registration_withdrawn
     assert stops(effects) == [StopCause.REGISTRATION_WITHDRAWN]
+    if phase is Phase.WAITING:
+        assert not withdrawals(effects), "nobody is there"
+        return
+    assert withdrawals(effects) == [SendWithdraw(JOB.place, None)]
+    order = [type(effect) for effect in effects if isinstance(effect, SendStop | SendWithdraw)]
+    assert order == [SendStop, SendWithdraw], "a stop voids what waits before it"
 
 
 @each_phase
@@ -418,7 +483,7 @@ def test_an_unexpected_state_another_epoch_or_a_cause_stops(phase):
         else:
             assert stops(effects) == [StopCause.PROTOCOL_VIOLATION], kind
             assert after.controller == view(kind)
-    _, effects = step(state, sound_beat(state, epoch=EPOCH + 1), NOW)
+    _, effects = step(state, sound_beat(state, epoch=NEXT_EPOCH), NOW)
     assert stops(effects) == [StopCause.PROTOCOL_VIOLATION]
     _, effects = step(state, sound_beat(state, cause=StopCause.BONE_MOVED), NOW)
     assert stops(effects) == [StopCause.BONE_MOVED]
@@ -456,9 +521,6 @@ def test_a_heartbeat_sent_just_before_our_record_was_dealt_with_is_no_violation(
 AHEAD = [
     (Phase.OPENING, ControllerState.OPEN),
     (Phase.UPLOADING, ControllerState.LOADED),
-    (Phase.PERMITTING, ControllerState.PERMITTED),
-    (Phase.STARTING, ControllerState.CUTTING),
-    (Phase.RESETTING, ControllerState.OPEN),
 ]
 
 
@@ -469,6 +531,63 @@ def test_a_heartbeat_that_overtakes_the_answer_is_no_violation(phase, after):
     assert not stops(run.effects)
 
 
+BELIEVED = [
+    # what was sent, the report that shows that it was accepted, and where the session is then
+    (Phase.PERMITTING, records.Permit, ControllerState.PERMITTED, Phase.PERMITTED),
+    (Phase.STARTING, records.Start, ControllerState.CUTTING, Phase.CUTTING),
+    (Phase.STARTING, records.Start, ControllerState.DONE, Phase.FINISHING),
+    (Phase.RESETTING, records.Reset, ControllerState.OPEN, Phase.COLLECTING),
+    (Phase.RESETTING, records.Reset, ControllerState.INHIBITED, Phase.HELD),
+]
+each_believed = pytest.mark.parametrize(
+    ("phase", "request_type", "report", "following"),
+    BELIEVED,
+    ids=[f"{one[0]}-{one[2].name}" for one in BELIEVED],
+)
+
+
+@each_believed
+def test_what_was_accepted_is_believed_by_the_controllers_heartbeat(phase, request_type, report, following):
+    run = Run(in_phase(phase), NOW).feed(beat(report))
+    assert run.phase is following
+    assert not stops(run.effects)
+    assert run.state.since_s == run.now_s
+    run.feed(reply(request_type))
+    assert (run.phase, run.effects) == (following, ()), "nor does the Reply behind it"
+
+
+@each_believed
+def test_a_reply_that_accepts_changes_nothing(phase, request_type, report, following):
+    state = in_phase(phase)
+    assert step(state, reply(request_type), NOW) == (state, ())
+
+
+@each_believed
+def test_a_heartbeat_of_another_epoch_shows_nothing(phase, request_type, report, following):
+    after, effects = step(in_phase(phase), beat(report, epoch=NEXT_EPOCH), NOW)
+    assert after.phase is Phase.STOPPING
+    assert stops(effects) == [StopCause.PROTOCOL_VIOLATION]
+
+
+def test_a_reset_leaves_its_nonce_behind_and_a_cause_that_stands_is_still_held():
+    after, effects = step(
+        in_phase(Phase.RESETTING), beat(ControllerState.OPEN, cause=StopCause.OPERATOR_STOP), NOW
+    )
+    assert (after.phase, after.nonce, effects) == (Phase.HELD, None, ())
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+@each_phase
+def test_that_somebody_says_accepted_never_moves_a_session_on(phase, kind):
+    """But for the OPEN that he says was accepted: then no session is there. And the wait for a Withdraw ends."""
+    state = in_phase(phase)
+    after, effects = step(state, reply(kind), NOW)
+    if (phase, kind) == (Phase.OPENING, records.Open):
+        assert after.phase is Phase.REFUSED
+    else:
+        assert (after, effects) == (state, ())
+
+
 def test_a_heartbeat_before_the_opened_record_is_seen_and_judged_later():
     state = in_phase(Phase.OPENING, epoch=0, controller=None)
     after, effects = step(state, beat(ControllerState.FAULT, cause=StopCause.BONE_MOVED), NOW)
@@ -476,8 +595,13 @@ def test_a_heartbeat_before_the_opened_record_is_seen_and_judged_later():
     assert after.controller == view(ControllerState.FAULT, cause=StopCause.BONE_MOVED)
 
 
-@pytest.mark.parametrize("phase", sorted(ORDERS), ids=str)
-@pytest.mark.parametrize("kind", [ControllerState.PERMITTED, ControllerState.CUTTING], ids=str)
+@pytest.mark.parametrize(
+    ("phase", "kind"),
+    [
+        (Phase.STARTING, ControllerState.PERMITTED),
+        *((phase, ControllerState.CUTTING) for phase in sorted(ORDERS)),
+    ],
+)
 def test_released_device_or_pressed_emergency_stop_stops_the_cut(phase, kind):
     _, effects = step(in_phase(phase), beat(kind, device_pressed=False), NOW)
     assert stops(effects) == [StopCause.DEVICE_RELEASED]
@@ -698,7 +822,7 @@ REFUSED_CODE = {
     Phase.STARTING: reply(records.Start, Refusal.MAC_INVALID),
     Phase.RESETTING: reply(records.Reset, Refusal.MAC_INVALID),
 }
-LATCHED_BEAT = beat(ControllerState.FAULT, cause=StopCause.AUTHENTICATION_FAILED, epoch=EPOCH + 1)
+LATCHED_BEAT = beat(ControllerState.FAULT, cause=StopCause.AUTHENTICATION_FAILED, epoch=NEXT_EPOCH)
 
 
 @pytest.mark.parametrize("first", [AUTHENTICATION, LATCHED_BEAT], ids=["fault frame", "heartbeat"])
@@ -740,7 +864,7 @@ def test_no_other_stop_waits_for_a_reply(phase, cause):
     assert after.answer_due is expected
 
 
-@pytest.mark.parametrize("refusal", [Refusal.ACCEPTED, Refusal.NOT_IN_STATE, Refusal.VOIDED_BY_STOP], ids=str)
+@pytest.mark.parametrize("refusal", [Refusal.NOT_IN_STATE, Refusal.VOIDED_BY_STOP], ids=str)
 def test_another_reply_while_stopping_is_dropped(refusal):
     state = in_phase(Phase.STOPPING, answer_due=True)
     after, effects = step(state, reply(records.Permit, refusal), NOW)
@@ -900,9 +1024,7 @@ def test_a_device_released_after_the_word_start_takes_the_word_back(phase):
     assert (run.phase, run.state.nonce) == (Phase.PERMITTED, None)
     assert (Withheld(TOKEN) in run.effects) is (phase is Phase.AUTHORISING_START)
     assert any(isinstance(effect, Refused) for effect in run.effects)
-    run.feed(
-        beat(ControllerState.PERMITTED), NonceReceived(Purpose.START, NONCE, EPOCH), RecordDurable(TOKEN)
-    )
+    run.feed(beat(ControllerState.PERMITTED), NonceReceived(Purpose.START, NONCE, EPOCH), durable(TOKEN))
     assert run.phase is Phase.PERMITTED
     assert [type(effect) for effect in run.effects] == [Dropped]
 
@@ -920,7 +1042,8 @@ def test_the_heartbeat_is_judged_while_the_start_is_authorised(phase):
 
 
 def test_a_device_held_since_before_the_permit_does_not_count():
-    run = Run(in_phase(Phase.PERMITTING, device=DeviceCycle.PRESSED), NOW).feed(reply(records.Permit))
+    run = Run(in_phase(Phase.PERMITTING, device=DeviceCycle.PRESSED), NOW)
+    run.feed(beat(ControllerState.PERMITTED))
     assert (run.phase, run.state.device) == (Phase.PERMITTED, DeviceCycle.UNSEEN)
     run.feed(beat(ControllerState.PERMITTED))
     assert run.state.device is DeviceCycle.UNSEEN
@@ -931,12 +1054,12 @@ def test_a_device_held_since_before_the_permit_does_not_count():
 
 
 def test_a_device_released_at_the_moment_of_the_permit_was_seen_released():
-    """By the controller's answer, never by a heartbeat that may be older than the permit."""
+    """By the heartbeat that reports the permit, never by one that may be older than it."""
     run = Run(in_phase(Phase.PERMITTING), NOW).feed(beat(ControllerState.LOADED, device_pressed=False))
     assert run.state.device is DeviceCycle.RELEASED
-    held = Run(run.state, NOW).feed(reply(records.Permit))
+    held = Run(run.state, NOW).feed(beat(ControllerState.PERMITTED))
     assert held.state.device is DeviceCycle.UNSEEN
-    released = Run(run.state, NOW).feed(replace(reply(records.Permit), device_pressed=False))
+    released = Run(run.state, NOW).feed(beat(ControllerState.PERMITTED, device_pressed=False))
     assert released.state.device is DeviceCycle.RELEASED
 
 
@@ -971,14 +1094,26 @@ def test_the_session_is_opened_with_both_nonces_and_the_job_s_timing():
     use, send = run.effects
     assert use == UseSession(SESSION)
     assert send.record == records.Open(
-        protocol_version=records.PROTOCOL_VERSION,
-        boot_nonce=BOOT_NONCE,
+        protocol_version=4,
+        announce_nonce=ANNOUNCE_NONCE,
         runtime_nonce=RUNTIME_NONCE,
+        identity_digest=ANNOUNCE.identity_digest,
         registration_digest=JOB.registration,
+        place_digest=JOB.place,
+        registration_time_us=JOB.registration_time_us,
         configuration_digest=JOB.configuration,
         verifier_version=JOB.verifier,
         timing=records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25),
     )
+
+
+def test_the_session_is_named_by_all_that_its_open_says():
+    session = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE)).state.session
+    assert (session.request, session.announce_nonce) == (OPEN, ANNOUNCE_NONCE)
+    assert session.digest == records.session_digest(OPEN)
+    assert session.tag == records.session_tag(session.digest)
+    other = replace(ANNOUNCE, plant_speed_permille=999)
+    assert Run(FRESH).feed(Announced(other, RUNTIME_NONCE)).state.session.digest != session.digest
 
 
 def test_a_simulated_controller_s_time_scale_is_the_session_s():
@@ -1006,26 +1141,26 @@ def test_a_second_open_that_was_not_needed_is_refused_without_harm():
     )
     assert sent(run.effects)
     for cause, following in ((StopCause.NONE, Phase.COLLECTING), (StopCause.BONE_MOVED, Phase.HELD)):
-        opened = Run(run.state, run.now_s).feed(
-            SessionOpened(EPOCH, ControllerState.OPEN, cause), reply(records.Open, Refusal.SESSION_IN_USE)
+        second = Run(run.state, run.now_s).feed(
+            opened(cause=cause), reply(records.Open, Refusal.SESSION_IN_USE)
         )
-        assert opened.phase is following
-        assert [type(effect) for effect in opened.effects] == [Dropped]
+        assert second.phase is following
+        assert [type(effect) for effect in second.effects] == [Dropped]
 
 
 def test_a_controller_that_reboots_before_it_opened_is_asked_anew():
     run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
-    rebooted = replace(ANNOUNCE, boot_nonce=b"B" * 16)
+    rebooted = replace(ANNOUNCE, announce_nonce=b"B" * 16)
     run.feed(Announced(rebooted, b"N" * 16))
     assert run.phase is Phase.OPENING
     use, send = run.effects
     assert use.session == run.state.session
-    assert (send.record.boot_nonce, send.record.runtime_nonce) == (b"B" * 16, b"N" * 16)
+    assert (send.record.announce_nonce, send.record.runtime_nonce) == (b"B" * 16, b"N" * 16)
 
 
 @pytest.mark.parametrize(
     ("field", "value", "said"),
-    [("protocol_version", 1, "protocol version"), ("serial", "SIM-2", "serial number")],
+    [("protocol_version", 3, "protocol version"), ("serial", "SIM-2", "serial number")],
 )
 def test_another_version_or_controller_is_refused_before_a_session(field, value, said):
     run = Run(FRESH).feed(Announced(replace(ANNOUNCE, **{field: value}), RUNTIME_NONCE))
@@ -1034,8 +1169,23 @@ def test_another_version_or_controller_is_refused_before_a_session(field, value,
     assert not sent(run.effects)
 
 
+@pytest.mark.parametrize("phase", [Phase.WAITING, Phase.OPENING])
+def test_a_controller_of_another_version_is_refused_in_words(phase):
+    after, effects = step(replace(in_phase(phase), announced_version=None), OtherVersionAnnounced(3), NOW)
+    assert (after.phase, after.announced_version) == (Phase.REFUSED, 3)
+    assert after.reason == (
+        "protocol version: 3 (required: 4): use a controller and a runtime of the same protocol version"
+    )
+    assert effects == (SendStop(StopCode.END, StopCause.NOT_ADMITTED),)
+
+
+@pytest.mark.parametrize("phase", [one for one in LIVE if one not in (Phase.WAITING, Phase.OPENING)], ids=str)
+def test_an_announcement_of_another_version_in_a_session_is_a_reboot(phase):
+    assert stops(step(in_phase(phase), OtherVersionAnnounced(3), NOW)[1]) == [StopCause.PEER_REBOOTED]
+
+
 def test_nonces_that_make_the_tag_of_no_session_wait_for_another(monkeypatch):
-    monkeypatch.setattr(table.records, "nonce_serves", lambda *_nonces: False)
+    monkeypatch.setattr(table.records, "opens", lambda _request: False)
     run = Run(FRESH).feed(Announced(ANNOUNCE, RUNTIME_NONCE))
     assert (run.phase, run.effects) == (Phase.WAITING, ())
 
@@ -1043,11 +1193,83 @@ def test_nonces_that_make_the_tag_of_no_session_wait_for_another(monkeypatch):
 @pytest.mark.parametrize("kind", ControllerState, ids=str)
 @pytest.mark.parametrize("cause", [StopCause.NONE, StopCause.BONE_MOVED], ids=str)
 def test_only_an_open_controller_without_a_cause_is_collected_from(kind, cause):
-    after, effects = step(in_phase(Phase.OPENING, epoch=0), SessionOpened(5, kind, cause), NOW)
+    said = opened(kind, cause, epoch=5)
+    after, effects = step(in_phase(Phase.OPENING, epoch=0, opened=None), said, NOW)
     sound = kind is ControllerState.OPEN and cause is StopCause.NONE
     assert (after.phase, after.epoch) == (Phase.COLLECTING if sound else Phase.HELD, 5)
-    assert effects[0] == OpenLink(SESSION)
-    assert effects[1:] == ((Send(records.Collect()),) if sound else ())
+    assert after.opened == said.opened
+    assert effects[:2] == (OpenLink(SESSION), SeekWitness(SEEN_LOG))
+    assert effects[2:] == ((Send(records.Collect()),) if sound else ())
+
+
+@pytest.mark.parametrize("kind", ControllerState, ids=str)
+def test_an_opened_that_no_holder_of_the_key_made_opens_nothing(kind):
+    state = in_phase(Phase.OPENING, epoch=0, opened=None)
+    after, effects = step(state, opened(kind, authentic=False, withdrawal_due=1), NOW)
+    assert after == state
+    assert effects == (
+        Dropped("an OPENED that no holder of the key made (this side's has the fingerprint 1a2b3c4d)"),
+    )
+    assert step(after, opened(), NOW)[0].phase is Phase.COLLECTING, "nor does it keep the right one out"
+    late, _ = step(after, Tick(), state.since_s + DEADLINES.reply_timeout_s + 0.01)
+    assert (late.phase, late.reason) == (
+        Phase.REFUSED,
+        "the controller did not open the session within 2 s",
+    )
+
+
+def test_a_log_that_the_controller_never_saw_is_not_sought():
+    _, effects = step(in_phase(Phase.OPENING), opened(log=records.NO_TREE_HEAD), NOW)
+    assert effects == (OpenLink(SESSION), Send(records.Collect()))
+    anything = replace(records.NO_TREE_HEAD, size=1)
+    assert SeekWitness(anything) in step(in_phase(Phase.OPENING), opened(log=anything), NOW)[1]
+
+
+@pytest.mark.parametrize(("age", "age_s"), [(0, 0), (7200, 7200), (records.AGE_UNKNOWN, None)])
+@pytest.mark.parametrize("kind", [ControllerState.OPEN, ControllerState.FAULT], ids=str)
+def test_a_bone_that_moved_while_no_session_ran_is_withdrawn_at_once(kind, age, age_s):
+    said = opened(kind, withdrawal_due=1, motion_age_s=age)
+    after, effects = step(in_phase(Phase.OPENING), said, NOW)
+    assert withdrawals(effects) == [SendWithdraw(records.NO_PLACE, age_s)]
+    assert effects.index(SendWithdraw(records.NO_PLACE, age_s)) == 1, "behind the link, before what is asked"
+    assert not after.registration_withdrawn, "a registration of later may stand"
+    assert not withdrawals(step(in_phase(Phase.OPENING), opened(motion_age_s=age), NOW)[1])
+
+
+@pytest.mark.parametrize(("barrier_us", "following"), [(-1, Phase.UPLOADING), (0, Phase.REFUSED)])
+def test_after_a_motion_only_a_later_registration_is_collected_for(barrier_us, following):
+    run = (
+        Run(FRESH)
+        .until(Phase.OPENING)
+        .feed(opened(withdrawal_due=1), WithdrawalSent(JOB.registration_time_us + barrier_us))
+    )
+    run.feed(*(ParameterReceived(kind.parse(data)) for kind, data in HELD_BY_THE_CONTROLLER))
+    assert run.phase is following
+    assert ("registration stands: one of 2026-09-21" in run.state.reason) is (following is Phase.REFUSED)
+
+
+HELD_BY_THE_CONTROLLER = (
+    (records.Limits, JOB.limits),
+    (records.Calibration, JOB.calibration),
+    (records.Tool, JOB.tool),
+)
+
+
+@pytest.mark.parametrize("phase", [one for one in LIVE if one is not Phase.ADMITTED], ids=str)
+def test_what_the_shell_tells_of_barrier_and_witness_is_kept(phase):
+    state = in_phase(phase, witness=None)
+    assert step(state, WithdrawalSent(7), NOW) == (replace(state, barrier_us=7), ())
+    for said in (FOUND, MISSED):
+        assert step(state, said, NOW) == (replace(state, witness=said), ())
+
+
+def test_an_open_with_a_wrong_code_is_refused_with_this_sides_fingerprint():
+    after, _ = step(in_phase(Phase.OPENING), reply(records.Open, Refusal.MAC_INVALID), NOW)
+    assert after.phase is Phase.REFUSED
+    assert ": MAC_INVALID: the two key files differ: compare" in after.reason
+    assert after.reason.endswith("(this side's has the fingerprint 1a2b3c4d)")
+    other, _ = step(in_phase(Phase.OPENING), reply(records.Open, Refusal.SESSION_IN_USE), NOW)
+    assert "fingerprint" not in other.reason
 
 
 @pytest.mark.parametrize("refusal", [Refusal.SESSION_IN_USE, Refusal.TIMING_OUT_OF_BOUNDS], ids=str)
@@ -1068,14 +1290,17 @@ def test_a_refused_session_is_refused_with_the_reason(refusal):
 )
 def test_a_reply_to_something_else_is_dropped(phase, mine):
     state = in_phase(phase)
-    for kind in (records.Open, records.Acknowledge, records.Reset, records.Permit, records.Start):
-        for refusal in (Refusal.ACCEPTED, Refusal.EPOCH):
-            after, effects = step(state, reply(kind, refusal), NOW)
-            if kind is mine:
-                assert not any(isinstance(effect, Dropped) for effect in effects)
-            else:
-                assert after == state
-                assert [type(effect) for effect in effects] == [Dropped]
+    for kind in REQUESTS:
+        after, effects = step(state, reply(kind, Refusal.EPOCH), NOW)
+        if kind is mine:
+            assert not any(isinstance(effect, Dropped) for effect in effects)
+        else:
+            assert after == state
+            (told,) = effects
+            withdrawal = "a withdrawal, which the controller refused: EPOCH: a stop came in between"
+            assert told.what.startswith(
+                withdrawal if kind is records.Withdraw else "a reply to something else"
+            )
 
 
 NOT_PENDING = {
@@ -1106,7 +1331,7 @@ NOT_REPORTED = "the controller has not yet reported what it carries: wait for th
 def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     run = Run(FRESH).feed(
         Announced(ANNOUNCE, RUNTIME_NONCE),
-        SessionOpened(EPOCH, ControllerState.FAULT, StopCause.SECOND_NODE),
+        opened(ControllerState.FAULT, StopCause.SECOND_NODE),
     )
     assert run.phase is Phase.HELD
     run.feed(CommandGiven(OperatorCommand.ACKNOWLEDGE))
@@ -1114,7 +1339,7 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     run.feed(beat(ControllerState.FAULT, cause=StopCause.SECOND_NODE), CommandGiven(OperatorCommand.RESET))
     assert "acknowledge" in run.effects[0].reason
     run.feed(CommandGiven(OperatorCommand.ACKNOWLEDGE))
-    assert sent(run.effects) == [records.Acknowledge(cause=StopCause.SECOND_NODE)]
+    assert sent(run.effects) == [records.Acknowledge(epoch=EPOCH, cause=StopCause.SECOND_NODE)]
     run.feed(reply(records.Acknowledge))
     assert (run.phase, run.effects) == (Phase.HELD, ())
     run.feed(beat(ControllerState.FAULT))
@@ -1131,7 +1356,7 @@ def test_a_held_controller_is_acknowledged_then_reset_then_collected():
     assert (reset.cause, reset.nonce, reset.epoch) == (StopCause.SECOND_NODE, NONCE, EPOCH)
     assert code(run.state) is RuntimeCode.INHIBIT
     run.feed(reply(records.Reset))
-    assert (run.phase, run.effects) == (Phase.HELD, ())
+    assert (run.phase, run.effects) == (Phase.RESETTING, ())
     run.feed(beat(ControllerState.OPEN))
     assert (run.phase, sent(run.effects)) == (Phase.COLLECTING, [records.Collect()])
     run.until(Phase.DONE)
@@ -1141,7 +1366,7 @@ def test_a_cause_without_a_latch_needs_only_the_acknowledgement():
     run = Run(in_phase(Phase.HELD), NOW).feed(
         beat(ControllerState.OPEN, cause=StopCause.OPERATOR_STOP), CommandGiven(OperatorCommand.ACKNOWLEDGE)
     )
-    assert sent(run.effects) == [records.Acknowledge(cause=StopCause.OPERATOR_STOP)]
+    assert sent(run.effects) == [records.Acknowledge(epoch=EPOCH, cause=StopCause.OPERATOR_STOP)]
     assert run.feed(beat(ControllerState.OPEN)).phase is Phase.COLLECTING
 
 
@@ -1165,7 +1390,7 @@ def test_a_new_stop_while_held_ends_the_session_even_if_the_fault_frame_was_lost
         (StopCause.NONE, StopCause.PROTOCOL_VIOLATION),
     ):
         state = in_phase(phase)
-        after, effects = step(state, beat(ControllerState.FAULT, epoch=EPOCH + 1, cause=cause), NOW)
+        after, effects = step(state, beat(ControllerState.FAULT, epoch=NEXT_EPOCH, cause=cause), NOW)
         assert after.phase is Phase.STOPPING
         assert stops(effects) == [wanted]
 
@@ -1295,8 +1520,98 @@ def test_a_withdrawal_that_a_stopping_session_hears_counts_if_it_is_news(before,
     """A cause that stood before this session is none of its registration's; before any heartbeat nothing is known."""
     seen = None if before is None else replace(READY.controller, cause=before)
     state = in_phase(Phase.STOPPING, controller=seen, registration_withdrawn=False, answer_due=False)
-    after, _ = step(state, beat(ControllerState.INHIBITED, cause=StopCause.BONE_MOVED), NOW)
+    after, effects = step(state, beat(ControllerState.INHIBITED, cause=StopCause.BONE_MOVED), NOW)
     assert after.registration_withdrawn is withdrawn
+    assert withdrawals(effects) == ([SendWithdraw(JOB.place)] if withdrawn else [])
+    assert after.phase is (Phase.STOPPING if withdrawn else Phase.STOPPED)
+
+
+@pytest.mark.parametrize("cause", [cause for cause in StopCause if cause not in WITHDRAWING])
+def test_another_cause_that_a_stopping_session_hears_withdraws_nothing(cause):
+    after, effects = step(in_phase(Phase.STOPPING), beat(ControllerState.FAULT, cause=cause), NOW)
+    assert (after.phase, after.registration_withdrawn, effects) == (Phase.STOPPED, False, ())
+
+
+AT_REST = beat(ControllerState.INHIBITED, cause=StopCause.BONE_MOVED, epoch=NEXT_EPOCH)
+
+
+@pytest.mark.parametrize("refusal", [Refusal.ACCEPTED, Refusal.MEMORY_FAILED], ids=str)
+def test_a_withdrawal_is_delivered_before_the_session_has_stopped(refusal):
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(AT_REST)
+    assert withdrawals(run.effects) == [SendWithdraw(JOB.place)]
+    run.feed(AT_REST, reply(records.Permit), reply(records.Permit, Refusal.EPOCH))
+    assert run.phase is Phase.STOPPING
+    run.feed(reply(records.Withdraw, refusal))
+    refused = run.effects
+    assert run.feed(AT_REST).phase is Phase.STOPPED
+    if refusal is Refusal.ACCEPTED:
+        assert refused == ()
+    else:
+        (told,) = refused
+        assert "a withdrawal, which the controller refused: MEMORY_FAILED" in told.what
+
+
+def test_a_withdrawal_that_is_not_answered_is_awaited_as_long_as_a_confirmation():
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW), AT_REST)
+    assert run.phase is Phase.STOPPING
+    assert run.feed(Tick(), after_s=DEADLINES.stop_confirm_s + 0.01).phase is Phase.STOPPED
+    lost = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW), HeartbeatLost())
+    assert lost.phase is Phase.STOPPED
+
+
+def test_a_stop_behind_a_withdrawal_that_is_not_answered_sends_it_again():
+    """For it voids what waits; answered, it has arrived."""
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW))
+    run.feed(CommandGiven(OperatorCommand.STOP))
+    assert run.effects == (SendStop(StopCode.STOP, StopCause.OPERATOR_STOP), SendWithdraw(JOB.place))
+    run.feed(reply(records.Withdraw), Failed(StopCause.LOOP_STALLED, "why"))
+    assert run.effects == (SendStop(StopCode.STOP, StopCause.LOOP_STALLED),)
+    again = run.feed(CommandGiven(OperatorCommand.WITHDRAW))
+    assert (again.effects, again.state.withdraw_due) == ((), False)
+
+
+@pytest.mark.parametrize("phase", [one for one in LIVE if one not in {*MOVING, Phase.STOPPING}], ids=str)
+def test_who_quits_waits_for_no_withdrawal(phase):
+    quitting, effects = step(in_phase(phase), CommandGiven(OperatorCommand.QUIT), NOW)
+    assert (quitting.phase, withdrawals(effects)) == (Phase.STOPPED, [])
+
+
+# ---------------------------------------------------------------- the controller as the log's witness
+
+
+def test_a_permit_waits_for_the_look_up_of_the_log_and_asks_as_soon_as_it_is_found():
+    state = in_phase(Phase.ADMITTED, witness=None)
+    run = Run(state, NOW).feed(beat(ControllerState.LOADED), STANDING)
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(FOUND)
+    assert (run.phase, sent(run.effects)) == (
+        Phase.NONCE_PERMIT,
+        [records.NonceRequest(purpose=Purpose.PERMIT)],
+    )
+
+
+def test_a_log_that_is_not_found_waits_for_its_own_confirmation():
+    run = Run(in_phase(Phase.ADMITTED, witness=None), NOW)
+    run.feed(CommandGiven(OperatorCommand.CONFIRM, "WITNESS"))
+    assert [type(effect) for effect in run.effects] == [Refused], "it was not shown yet"
+    run.feed(MISSED, beat(ControllerState.LOADED))
+    assert (run.phase, run.effects) == (Phase.ADMITTED, ())
+    run.feed(CommandGiven(OperatorCommand.CONFIRM, "CUT_TINY"))
+    assert "say confirm WITNESS" in run.effects[0].reason
+    run.feed(CommandGiven(OperatorCommand.CONFIRM, "WITNESS"))
+    assert run.phase is Phase.NONCE_PERMIT
+
+
+def test_a_log_that_is_found_needs_no_confirmation_and_takes_none():
+    state = in_phase(Phase.ADMITTED)
+    after, effects = step(state, CommandGiven(OperatorCommand.CONFIRM, "WITNESS"), NOW)
+    assert (after, [type(effect) for effect in effects]) == (state, [Refused])
+
+
+def test_a_look_up_that_does_not_end_ends_the_session():
+    state = in_phase(Phase.ADMITTED, witness=None, since_s=NOW - 301)
+    after, _ = step(state, Tick(), NOW)
+    assert (after.phase, "controller's witness: being looked up" in after.reason) == (Phase.REFUSED, True)
 
 
 def _warned(*codes, confirmed=()):

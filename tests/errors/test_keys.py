@@ -13,8 +13,9 @@ import pytest
 
 from cutgate.firmware_sim import command as sim
 from cutgate.firmware_sim.faults import FaultName
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
+from cutgate.protocol.codes import PresharedKey
+from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, StopCause
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.commands.app import execute
@@ -25,7 +26,7 @@ from tests.runtime.session.test_session import first_frames
 
 OTHER_KEY = bytes(range(1, 33))
 OTHER = b"\x5a" * 32
-SIGN = permits.sign
+SIGN = Endpoint._signed
 
 
 def altered(record: Any, name: str) -> Any:
@@ -51,12 +52,15 @@ def changing(
 ) -> Any:
     """The runtime signs another record of this kind than it decided on, or changes the signed one."""
 
-    def sign(_key: bytes, record: Any) -> Any:
+    def sign(endpoint: Endpoint, record: Any, sequence: int) -> Any:
         if not isinstance(record, kind):
-            return SIGN(_key, record)
-        return SIGN(key, change(record)) if signed else change(SIGN(key, record))
+            return SIGN(endpoint, record, sequence)
+        codes = PresharedKey(key).session(endpoint._codes.digest)
+        if signed:
+            return codes.sign(change(record), sequence)
+        return change(codes.sign(record, sequence))
 
-    return mock.patch.object(permits, "sign", sign)
+    return mock.patch.object(Endpoint, "_signed", sign)
 
 
 def judged(pair: Pair) -> Log:
@@ -82,7 +86,7 @@ def words_refused(pair: Pair) -> list[str]:
 
 SAME_AS_HELD = {
     "nonce": Refusal.NONCE_MISMATCH,
-    "boot_nonce": Refusal.WRONG_BOOT,
+    "announce_nonce": Refusal.ANNOUNCE_NONCE,
     "session_digest": Refusal.WRONG_SESSION,
     "serial": Refusal.WRONG_SERIAL,
     "protocol_version": Refusal.PROTOCOL_VERSION,
@@ -212,12 +216,14 @@ def test_a_code_is_good_for_one_kind_of_record_only(pair):
     """The permit's code under a start."""
     codes: list[bytes] = []
 
-    def swap(_key: bytes, record: Any) -> Any:
-        signed = SIGN(_key, record)
+    def swap(endpoint: Endpoint, record: Any, sequence: int) -> Any:
+        signed = SIGN(endpoint, record, sequence)
+        if not isinstance(record, records.Permit | records.Start):
+            return signed
         codes.append(signed.mac)
         return signed.with_mac(codes[0])
 
-    with mock.patch.object(permits, "sign", swap):
+    with mock.patch.object(Endpoint, "_signed", swap):
         masqueraded(pair, "start")
 
 

@@ -363,13 +363,11 @@ def persisted(state: Controller, event: Persisted, now_s: float) -> Outcome:
     if awaiting is None or awaiting.memory != event.memory:
         return known, ()
     settled = replace(known, memory=event.memory, awaiting=None)
-    match awaiting.event:
-        case StartReceived():
-            return begin_cut(settled, awaiting.event, now_s)
-        case ResetReceived():
-            return leave_fault(settled, awaiting.event)
-        case WithdrawReceived(withdraw, sequence):
-            return settled, (_accept(settled, withdraw, sequence),)
+    if isinstance(awaiting.event, StartReceived):
+        return begin_cut(settled, awaiting.event, now_s)
+    if isinstance(awaiting.event, ResetReceived):
+        return leave_fault(settled, awaiting.event)
+    return settled, (_accept(settled, awaiting.event.withdraw, awaiting.event.sequence),)
 
 
 def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:

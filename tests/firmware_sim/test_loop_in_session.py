@@ -470,6 +470,31 @@ def test_a_whole_life_ends_where_it_began(runtime):
     assert one.controller.measured_u == START_U
 
 
+@pytest.mark.parametrize(
+    ("took_s", "refusal"), [(1.5, Refusal.ACCEPTED), (2.1, Refusal.NONCE_EXPIRED)], ids=["in time", "late"]
+)
+def test_a_disk_that_takes_longer_than_a_start_lives_starts_nothing(runtime, monkeypatch, took_s, refusal):
+    """And in time or not: after so long at the disk the loop has stood still, and the arm never moves."""
+    one = runtime().open().load().permit(START_U)
+    save, before = memory.save, one.process.arm.state.joints
+
+    def slow(path, wanted):
+        save(path, wanted)
+        one.clock.now_s += took_s
+
+    monkeypatch.setattr(memory, "save", slow)
+    answers = []
+    reply = one.process._reply
+    monkeypatch.setattr(one.process, "_reply", lambda effect: answers.append(effect.record) or reply(effect))
+    one.code = RuntimeCode.CUT
+    one.start()
+    replied = [one for one in answers if isinstance(one, records.Reply)]
+    assert [(one.request_type, one.refusal) for one in replied] == [(records.Start.TYPE, refusal)]
+    assert one.controller.cause is not StopCause.NONE
+    assert one.process.arm.state.joints == before
+    assert memory.load(one.bench.file, now_us=0).log == START_LOG
+
+
 def test_the_arm_moves_only_while_the_heartbeat_says_so_and_by_the_time_that_has_passed(runtime):
     one = runtime().open().load().permit(START_U)
     one.code = RuntimeCode.READY

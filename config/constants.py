@@ -38,7 +38,7 @@ EARLIER_TIMEOUT_HEARTBEATS: Final = 3
 """What it was in version 0.1.0: sites of recorded logs are read."""
 
 REGISTRATIONS_MAX: Final = 1000
-"""So many registrations a controller remembers, named and withdrawn together; it refuses one more."""
+"""So many withdrawn registrations a controller remembers, by their places; where no further one fits it opens no session."""
 
 TABLE: Final[tuple[Constant, ...]] = (
     # name, unit, default, low, high, exchanged, meaning

@@ -29,7 +29,8 @@ def controller_edges() -> tuple[Edge, ...]:
         memory = (
             _awaits(state),
             state.memory.latched,
-            bool(state.memory.named),
+            bool(state.memory.withdrawn),
+            state.memory.withdrawal_due,
             state.memory == state.written,
         )
         return state.state, session, issued, *seen, state.cut_ordered, state.heartbeat_fresh, *memory

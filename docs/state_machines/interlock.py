@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
-from cutgate.protocol.records import Permit
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import state as interlock_state
 from cutgate.runtime.interlock import table as interlock_table
@@ -39,19 +38,16 @@ def runtime_edges() -> tuple[Edge, ...]:
     """Every transition of the interlock that can be reached from its first state."""
 
     def events(state: Any) -> list[tuple[Any, float]]:
-        permit = builders.reply(Permit)
         reserved = replace(state.log, reserved_bytes=1)
-        other_boot = replace(builders.ANNOUNCE, boot_nonce=b"other boot nonce")
+        other_nonce = replace(builders.ANNOUNCE, announce_nonce=b"another nonce 16")
         inadmissible = replace(builders.VERDICT, request=state.token, admissible=False)
         extra = [
             builders.sound_beat(state),
             builders.sound_beat(state, device_pressed=False),
             builders.sound_beat(state, emergency_stop_clear=False),
-            replace(permit, device_pressed=False),
             interlock_state.LogChanged(reserved),
             interlock_state.LogChanged(builders.READY.log),
-            interlock_state.Announced(other_boot, builders.RUNTIME_NONCE),
-            interlock_state.Announced(replace(builders.ANNOUNCE, protocol_version=0), builders.RUNTIME_NONCE),
+            interlock_state.Announced(other_nonce, builders.RUNTIME_NONCE),
             interlock_state.ParameterReceived(replace(builders.TOOL, length_u=1)),
             interlock_state.VerdictReady(inadmissible),
             interlock_state.ProgressReported(0, 0),
@@ -119,12 +115,15 @@ def runtime_case(  # noqa: C901, PLR0911, PLR0912 - one line each
     """What distinguishes this event from others of its kind, where the table looks at it."""
     match event:
         case interlock_state.Announced(announce, _):
-            if announce.protocol_version == 0:
-                return "other protocol version"
-            known = state.session is None or announce.boot_nonce == state.session.boot_nonce
-            return ("later" if after_s else "at once") if known else "other boot"
-        case interlock_state.SessionOpened(_, kind, cause):
-            return "OPEN, no cause" if (kind, cause) == (C.OPEN, StopCause.NONE) else "held"
+            known = state.session is None or announce.announce_nonce == state.session.announce_nonce
+            return ("later" if after_s else "at once") if known else "other nonce"
+        case interlock_state.SessionOpened(opened, authentic):
+            if not authentic:
+                return "wrong code"
+            at_rest = (opened.state, opened.cause) == (C.OPEN, StopCause.NONE)
+            return f"{'OPEN, no cause' if at_rest else 'held'}{', withdrawal due' if opened.withdrawal_due else ''}"
+        case interlock_state.WitnessSought(found, _):
+            return "found" if found else "not found"
         case interlock_state.ParameterReceived(record):
             return "limits" if record == builders.LIMITS else "calibration or tool"
         case interlock_state.VerdictReady(verdict):
@@ -134,14 +133,10 @@ def runtime_case(  # noqa: C901, PLR0911, PLR0912 - one line each
         case interlock_state.NonceReceived(purpose, _, epoch):
             fits = state.phase.name == f"NONCE_{purpose.name}" and epoch == state.epoch
             return "asked for" if fits else "another purpose or epoch"
-        case interlock_state.ReplyReceived(request, refusal, _, pressed):
+        case interlock_state.ReplyReceived(request, refusal, _):
             if request != ANSWERED.get(state.phase):
                 return "to something else"
-            return (
-                ("accepted" if pressed else "accepted, released")
-                if refusal is Refusal.ACCEPTED
-                else "refused"
-            )
+            return "accepted" if refusal is Refusal.ACCEPTED else "refused"
         case interlock_state.HeartbeatReceived(view, _):
             return _beat_case(state, view, effects)
         case interlock_state.JointsMeasured(joints_u, measured_s) if state.phase in MOVING:
@@ -157,7 +152,7 @@ def runtime_case(  # noqa: C901, PLR0911, PLR0912 - one line each
             if segment > 1:
                 return "no such segment"
             return "too far" if event == builders.BEYOND else "backward"
-        case interlock_state.RecordDurable(token):
+        case interlock_state.RecordDurable(token, _):
             return "pending token" if token == state.token else "another token"
         case interlock_state.LogChanged(log):
             return "writable" if log.writable else "failed"

@@ -142,10 +142,10 @@ def open_refused(refusal: Refusal, **changes: Any) -> Run:
 def open_again(bench: Bench) -> str:
     """The very bytes that opened the session before, code and all."""
     bench.open()
-    said = bench.opening
-    assert said is not None  # noqa: S101 - open() has set it
+    opening = bench.opening
+    assert opening is not None  # noqa: S101 - open() has set it
     bench.finish()
-    answer = bench.ask_open(said)
+    answer = bench.ask_open(opening)
     if not isinstance(answer, records.Reply) or answer.refusal is not Refusal.ANNOUNCE_NONCE:
         raise DeviationError(shown(answer))
     return shown(answer)

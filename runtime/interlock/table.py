@@ -268,15 +268,15 @@ def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
     assert state.session is not None  # noqa: S101 - OPENING has a session
     if not event.authentic:
         return state, (Dropped(f"an OPENED that no holder of the key made{_our_key(state)}"),)
-    said = event.opened
-    seen = replace(state, opened=said, epoch=said.epoch)
+    answer = event.opened
+    seen = replace(state, opened=answer, epoch=answer.epoch)
     effects: tuple[Effect, ...] = (OpenLink(state.session),)
-    if said.withdrawal_due:
-        age_s = None if said.motion_age_s == records.AGE_UNKNOWN else said.motion_age_s
+    if answer.withdrawal_due:
+        age_s = None if answer.motion_age_s == records.AGE_UNKNOWN else answer.motion_age_s
         effects = (*effects, SendWithdraw(records.NO_PLACE, age_s))
-    if said.log != records.NO_TREE_HEAD:
-        effects = (*effects, SeekWitness(said.log))
-    if said.state is ControllerState.OPEN and said.cause is StopCause.NONE:
+    if answer.log != records.NO_TREE_HEAD:
+        effects = (*effects, SeekWitness(answer.log))
+    if answer.state is ControllerState.OPEN and answer.cause is StopCause.NONE:
         return _enter(seen, Phase.COLLECTING, now_s), (*effects, Send(records.Collect()))
     return _enter(seen, Phase.HELD, now_s), effects
 

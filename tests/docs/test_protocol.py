@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from cutgate.config.constants import REGISTRATIONS_MAX
-from cutgate.firmware_sim.rules import ACKNOWLEDGE_RULES, OPEN_RULES, PERMIT_RULES, RESET_RULES, START_RULES
+from cutgate.firmware_sim.rules import (
+    ACKNOWLEDGE_RULES,
+    OPEN_RULES,
+    PERMIT_RULES,
+    RESET_RULES,
+    START_RULES,
+    WITHDRAW_RULES,
+)
 from cutgate.protocol import records
 from cutgate.protocol.wire import Record, layout
 
@@ -22,6 +29,7 @@ ORDER = dict(re.findall(r"^\| (\w+) \| ((?:[A-Z_]+(?:, )?)+) \|$", PAGE, re.MULT
         ("Permit", PERMIT_RULES),
         ("Start", START_RULES),
         ("Reset", RESET_RULES),
+        ("Withdraw", WITHDRAW_RULES),
     ],
 )
 def test_the_page_names_the_reasons_in_the_order_in_which_they_are_judged(request_name, rules):
@@ -29,7 +37,7 @@ def test_the_page_names_the_reasons_in_the_order_in_which_they_are_judged(reques
 
 
 def test_no_other_order_is_on_the_page():
-    assert set(ORDER) == {"Open", "Acknowledge", "Permit", "Start", "Reset"}
+    assert set(ORDER) == {"Open", "Acknowledge", "Permit", "Start", "Reset", "Withdraw"}
 
 
 CONTROL = [kind for kind in records.RECORDS.values() if kind.CHANNEL is records.Channel.CONTROL]

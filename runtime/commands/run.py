@@ -1,5 +1,6 @@
 """``cutgate run``: one session with a controller, from announcement to the end of the cut."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
@@ -32,7 +33,8 @@ from cutgate.runtime.session.conduct import conduct
 from cutgate.runtime.session.interruption import signals_wake
 from cutgate.runtime.session.job import InputFiles, make_job, read_files, utc_now
 from cutgate.runtime.session.new_log import new_log
-from cutgate.runtime.session.withdrawal import refused_by
+from cutgate.runtime.session.withdrawal import listed_before
+from cutgate.runtime.session.withdrawn import refusal
 from cutgate.runtime.verification.asked import AskedTurns
 from cutgate.runtime.verification.report.document import document_text
 
@@ -107,17 +109,32 @@ def run(
         if job.simulation_allowed_by:
             view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)
         directory = log_dir or Path(files.settings.log.directory)
+        log_id = os.urandom(16)
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
             with working(f"opening a log in {directory}; what a crash has left there is read first"):
-                log = new_log(directory, files, job.path, name, asked, operator)
+                log = new_log(directory, files, job.path, name, asked, operator, log_id=log_id)
             _tell(log.previous, view)
             with working("reading the list of withdrawn registrations"):
-                refusal = refused_by(log, job.registration, files.registration, files.settings.clock_skew_s)
-            if refusal:
-                view.note(refusal)
-            state = Interlock(replace(job, withdrawal=refusal))
-            session, paths = conduct(files, check, state, secret, bus, name, log, view, signals, fd=fd)
+                listed = listed_before(log)
+            against = refusal(listed, job.registration, files.registration, files.settings.clock_skew_s)
+            if against:
+                view.note(against)
+            state = Interlock(replace(job, withdrawal=against))
+            session, paths = conduct(
+                files,
+                check,
+                state,
+                secret,
+                bus,
+                name,
+                log,
+                view,
+                signals,
+                log_id=log_id,
+                listed=listed,
+                fd=fd,
+            )
         finally:
             bus.shutdown()
         if not json:

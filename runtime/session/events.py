@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from cutgate.protocol import records
+from cutgate.protocol.endpoint import RecordReceived
 from cutgate.protocol.frames import ControllerHeartbeat
 from cutgate.runtime.interlock.state import (
     Announced,
@@ -14,6 +15,7 @@ from cutgate.runtime.interlock.state import (
     Event,
     NonceReceived,
     OperatorCommand,
+    OtherVersionAnnounced,
     ParameterReceived,
     PathConfirmed,
     ReplyReceived,
@@ -23,29 +25,32 @@ from cutgate.runtime.interlock.state import (
 
 OF_RECORD: Final[Mapping[type[records.Record], Callable[[Any], Event]]] = MappingProxyType(
     {
-        records.Opened: lambda r: SessionOpened(r.epoch, r.state, r.cause),
+        records.OtherVersion: lambda r: OtherVersionAnnounced(r.protocol_version),
         records.Limits: ParameterReceived,
         records.Calibration: ParameterReceived,
         records.Tool: ParameterReceived,
         records.BlockStored: lambda r: BlockConfirmed(r.index),
         records.PathStored: lambda r: PathConfirmed(UploadedPath(r.digest, r.refusal, r.pose)),
         records.Nonce: lambda r: NonceReceived(r.purpose, r.nonce, r.epoch),
-        records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause, r.detail != 0),
+        records.Reply: lambda r: ReplyReceived(r.request_type, r.refusal, r.cause),
     }
 )
-"""What each record from the controller means to the table."""
+"""What each other record from the controller means to the table."""
 
 
-def of_record(record: records.Record, random: Callable[[int], bytes]) -> Event:
+def of_record(item: RecordReceived, random: Callable[[int], bytes]) -> Event:
     """What a controller's record means to the table.
 
     Args:
-        record: one that only a controller sends; the endpoint lets no other through.
+        item: one that only a controller sends; the endpoint lets no other through, and has judged its code.
         random: the operating system's generator, for this side's nonce.
     """
-    if isinstance(record, records.Announce):
-        return Announced(record, random(16))
-    return OF_RECORD[type(record)](record)
+    match item.record:
+        case records.Announce() as announce:
+            return Announced(announce, random(16))
+        case records.Opened() as opened:
+            return SessionOpened(opened, item.authentic)
+    return OF_RECORD[type(item.record)](item.record)
 
 
 def view_of(beat: ControllerHeartbeat) -> ControllerView:

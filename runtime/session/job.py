@@ -15,6 +15,7 @@ from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.session.withdrawn import since_1970_us
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.plausibility import Placed
@@ -106,8 +107,8 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
     path = files.prepared.path
     problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
     path = _on_branch(path, problem, asked)
-    registration = files.prepared.registration
-    age_s = (now - registration.value.created).total_seconds() if registration else 0.0
+    registration = files.registration
+    age_s = (now - registration.created).total_seconds() if registration else 0.0
     return Job(
         limits=limits,
         calibration=calibration,
@@ -123,9 +124,11 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
             settings.tracking.tracking_tolerance_mm, settings.tracking.tracking_tolerance_deg
         ),
         serial=settings.controller.serial,
+        place=registration.place if registration else records.NO_PLACE,
+        registration_time_us=since_1970_us(registration.created) if registration else records.NO_TIME,
         registration_age_s=age_s,
         registration_max_age_s=settings.registration_max_age_s,
-        registration_residual_mm=registration.value.residual_rms_mm if registration else None,
+        registration_residual_mm=registration.residual_rms_mm if registration else None,
         registration_max_residual_mm=settings.registration_max_residual_mm,
         simulation_allowed_by=files.simulation_allowed_by,
         key_fingerprint=key_fingerprint,

@@ -16,9 +16,8 @@ from cutgate.protocol.states import Purpose, Refusal, StopCause
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit import records as audit
 from cutgate.runtime.audit.log import AuditLog, Paths
-from cutgate.runtime.interlock.permissives import (
-    evaluate,
-)
+from cutgate.runtime.audit.witness import WitnessFound
+from cutgate.runtime.interlock.permissives import evaluate, utc
 from cutgate.runtime.interlock.phases import PHASES
 from cutgate.runtime.interlock.state import (
     Announced,
@@ -39,8 +38,10 @@ from cutgate.runtime.interlock.state import (
     JointsMeasured,
     LogChanged,
     NonceReceived,
+    OtherVersionAnnounced,
     ParameterReceived,
     PathConfirmed,
+    Phase,
     ProgressReported,
     RecordDurable,
     Refused,
@@ -48,10 +49,13 @@ from cutgate.runtime.interlock.state import (
     Send,
     SendBlock,
     SendStop,
+    SendWithdraw,
     SessionOpened,
     Tick,
     VerdictReady,
+    WithdrawalSent,
     Withheld,
+    WitnessSought,
 )
 from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.review.last_seen import LastSeen
@@ -75,6 +79,20 @@ SIGNED: dict[type[records.Record], Kind] = {
     records.Reset: "reset",
 }
 BY_TYPE = {kind.TYPE: name for kind, name in SIGNED.items()}
+REQUESTS = {
+    **BY_TYPE,
+    records.Open.TYPE: "open",
+    records.Acknowledge.TYPE: "acknowledge",
+    records.Withdraw.TYPE: "withdraw",
+}
+"""What is answered by a Reply."""
+SHOWN: dict[Phase, tuple[Kind, frozenset[Phase]]] = {
+    Phase.PERMITTING: ("permit", frozenset({Phase.PERMITTED})),
+    Phase.STARTING: ("start", frozenset({Phase.CUTTING, Phase.FINISHING})),
+    Phase.RESETTING: ("reset", frozenset({Phase.HELD, Phase.COLLECTING})),
+}
+"""Where a heartbeat shows that the controller has accepted what was sent, and where the session goes on then."""
+CLAIMED = "claimed: a fault frame carries no code"
 
 
 def plain(text: str) -> str:
@@ -84,19 +102,22 @@ def plain(text: str) -> str:
 
 NAMES: dict[type, Callable[[Any], str]] = {
     Announced: lambda _: "controller announced",
-    SessionOpened: lambda _: "session opened",
+    OtherVersionAnnounced: lambda e: f"controller of protocol version {e.version} announced",
+    SessionOpened: lambda e: "session opened" if e.authentic else "session called open, with a wrong code",
+    WitnessSought: lambda e: f"controller's witness {'found' if e.found else 'not found'}",
     ParameterReceived: lambda e: f"{type(e.record).__name__.lower()} received",
     BlockConfirmed: lambda _: "path block stored",
     PathConfirmed: lambda _: "path stored",
     VerdictReady: lambda e: "verdict admissible" if e.verdict.admissible else "verdict inadmissible",
     NonceReceived: lambda e: f"nonce for {KINDS[e.purpose]}",
-    ReplyReceived: lambda e: f"reply {e.refusal.name} to {BY_TYPE.get(e.request_type, hex(e.request_type))}",
+    ReplyReceived: lambda e: f"reply {e.refusal.name} to {REQUESTS.get(e.request_type, hex(e.request_type))}",
     HeartbeatReceived: lambda _: "heartbeat",
     HeartbeatLost: lambda _: "heartbeat lost",
     FaultReceived: lambda _: "controller's fault",
     JointsMeasured: lambda _: "joints measured",
     ProgressReported: lambda _: "progress reported",
     RecordDurable: lambda _: "record durable",
+    WithdrawalSent: lambda _: "withdrawal sent",
     LogChanged: lambda _: "log's health",
     Failed: lambda e: f"failed {e.cause.name}",
     Gone: lambda e: f"gave up {e.cause.name}",
@@ -130,7 +151,7 @@ class Journal:
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
     ) -> None:
         """Record one step, if it changed anything that matters."""
-        self._facts(before, event, effects)
+        self._facts(before, event, after, effects)
         self._controller(event)
         if isinstance(event, QUIET) and before.phase is after.phase and not effects:
             return
@@ -156,7 +177,7 @@ class Journal:
                 event=NAMES[type(event)](event),
                 from_state=before.phase,
                 to_state=after.phase,
-                disposition=_disposition(event, effects),
+                disposition="acknowledged" if _shown(before, event, after) else _disposition(effects),
                 effects=tuple(_effect_name(effect) for effect in effects),
                 permissives=tuple(audit.PermissiveValue.of(permissive) for permissive in shown),
                 first_out=None if after.cause is StopCause.NONE else after.cause.name,
@@ -211,23 +232,23 @@ class Journal:
 
     # ------------------------------------------------------------ facts
 
-    def _facts(self, before: Interlock, event: Event, effects: tuple[Effect, ...]) -> None:
+    def _facts(self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...]) -> None:
+        shown = _shown(before, event, after)
+        if shown is not None:
+            self._sent = None
+            self.log.write(audit.AuditPermit(kind=shown, stage="acknowledged"))
         match event:
             case ParameterReceived(record=record):
                 self._collected(before, record)
-            case ReplyReceived() if event.request_type in BY_TYPE:
+            case ReplyReceived() if event.request_type in BY_TYPE and event.refusal is not Refusal.ACCEPTED:
                 self._sent = None
-                accepted = event.refusal is Refusal.ACCEPTED
-                self.log.write(
-                    audit.AuditPermit(
-                        kind=BY_TYPE[event.request_type],
-                        stage="acknowledged" if accepted else "refused",
-                        reply=event.refusal.name,
-                    )
-                )
+                kind = BY_TYPE[event.request_type]
+                self.log.write(audit.AuditPermit(kind=kind, stage="refused", reply=event.refusal.name))
             case FaultReceived():
                 self.log.write(
-                    audit.AuditFault(source="controller", code=event.code.name, cause=event.cause.name)
+                    audit.AuditFault(
+                        source="controller", code=event.code.name, cause=event.cause.name, detail=CLAIMED
+                    )
                 )
             case Failed() | Gone():
                 self._fault(event.cause, event.reason)
@@ -284,6 +305,19 @@ class Journal:
                 emergency_stop_clear=event.view.emergency_stop_clear,
                 cutting_mode=event.view.cutting_mode,
                 fresh=event.fresh,
+            )
+        )
+
+    def witness(self, log: records.TreeHead, found: WitnessFound) -> None:
+        """Whether the log that the controller saw last is here."""
+        self.log.write(
+            audit.AuditWitness(
+                log_id=log.log_id.hex(),
+                log_size=log.size,
+                log_root=log.root.hex(),
+                found=found.log is not None,
+                log=found.log,
+                reason=plain(found.reason) or None,
             )
         )
 
@@ -413,6 +447,11 @@ def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) ->
             f"{name}_sha256": getattr(record, f"{name}_digest").hex()
             for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
         }
+    sent: dict[str, Any] = {}
+    if stage == "sent":
+        sent["code"] = record.code.hex()  # type: ignore[attr-defined]
+        if isinstance(record, records.Permit | records.Start):
+            sent |= {"log_size": record.log.size, "log_root": record.log.root.hex()}
     return audit.AuditPermit(
         kind=kind,
         stage=stage,
@@ -420,10 +459,17 @@ def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) ->
         nonce=record.nonce.hex(),  # type: ignore[attr-defined]
         record=record.canonical().hex(),  # type: ignore[attr-defined]
         **digests,  # type: ignore[arg-type]
+        **sent,
     )
 
 
-def _disposition(event: Event, effects: tuple[Effect, ...]) -> audit.Disposition:
+def _shown(before: Interlock, event: Event, after: Interlock) -> Kind | None:
+    """What the controller's heartbeat shows here to be accepted: permit, start or reset."""
+    kind, following = SHOWN.get(before.phase, (None, frozenset()))
+    return kind if isinstance(event, HeartbeatReceived) and after.phase in following else None
+
+
+def _disposition(effects: tuple[Effect, ...]) -> audit.Disposition:
     kinds = {type(effect) for effect in effects}
     if Commit in kinds:
         return "authorised"
@@ -431,8 +477,6 @@ def _disposition(event: Event, effects: tuple[Effect, ...]) -> audit.Disposition
         return "withheld"
     if any(isinstance(effect, Send) and type(effect.record) in SIGNED for effect in effects):
         return "sent"
-    if isinstance(event, ReplyReceived) and event.refusal is Refusal.ACCEPTED:
-        return "acknowledged"
     return "decided"
 
 
@@ -444,6 +488,8 @@ def _effect_name(effect: Effect) -> str:
             return f"send {effect.code.name} {effect.cause.name}"
         case SendBlock(index=index):
             return f"send path block {index}"
+        case SendWithdraw():
+            return "send Withdraw"
         case Commit():
             return f"commit {KINDS[effect.purpose]} as record {effect.token}"
     return type(effect).__name__
@@ -464,6 +510,11 @@ def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
                 return effect.reason
             case Dropped():
                 return f"dropped {effect.what}"
+    return _told(event)
+
+
+def _told(event: Event) -> str:
+    """What the event says for itself."""
     match event:
         case Announced(announce=announce):
             return (
@@ -472,6 +523,10 @@ def _reason(event: Event, effects: tuple[Effect, ...]) -> str:
             )
         case VerdictReady():
             return event.verdict.reason
+        case WitnessSought():
+            return event.text
+        case WithdrawalSent():
+            return f"only a registration later than {utc(event.barrier_us)} counts from now on"
         case Gone():
             return event.reason
     return ""

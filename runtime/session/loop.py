@@ -15,7 +15,6 @@ from typing import assert_never
 import can
 
 from cutgate.config.terminal import CommandReader
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.cycle import Cycle
 from cutgate.protocol.endpoint import RecordReceived, Undelivered
@@ -54,14 +53,18 @@ from cutgate.runtime.interlock.state import (
     ProgressReported,
     RecordDurable,
     Refused,
+    SeekWitness,
     Send,
     SendBlock,
     SendStop,
+    SendWithdraw,
     Tick,
     UseSession,
     VerdictReady,
     Verify,
+    WithdrawalSent,
     Withheld,
+    WitnessSought,
 )
 from cutgate.runtime.interlock.table import step
 from cutgate.runtime.interlock.tracking import Deviation
@@ -72,6 +75,7 @@ from cutgate.runtime.session.pauses import Pauses
 from cutgate.runtime.session.space import estimated_s
 from cutgate.runtime.session.verifying import NotVerified, Verifying
 from cutgate.runtime.session.view import View
+from cutgate.runtime.session.witness import WitnessSearch
 from cutgate.runtime.session.worker import Worker
 from cutgate.runtime.verification.advice import Guidance
 
@@ -87,12 +91,14 @@ class Session:
     Args:
         state: the interlock with its job.
         check: this side's own verification of the job.
-        key: the pre-shared key.
         port: this side of the bus.
         journal: the audit log.
         worker: the verification process.
         view: shows what happens.
         commands: the operator's terminal, None without one.
+        log_id: the audit log's, 16 bytes.
+        barrier_us: of a withdrawal, by how long ago the bone moved (``withdrawn.barrier``), since 1970, UTC.
+        witness: looks up the log that the controller saw last.
         clock: monotonic seconds.
         random: the operating system's generator.
     """
@@ -102,12 +108,14 @@ class Session:
         state: Interlock,
         *,
         check: Check,
-        key: bytes,
         port: Port,
         journal: Journal,
         worker: Worker,
         view: View,
         commands: CommandReader[OperatorCommand] | None = None,
+        log_id: bytes,
+        barrier_us: Callable[[int | None], int],
+        witness: WitnessSearch,
         checkpoint_deadline_s: float,
         clock: Callable[[], float] = time.monotonic,
         random: Callable[[int], bytes] = os.urandom,
@@ -117,12 +125,16 @@ class Session:
         self.stopped_in: Phase | None = None
         """Where the session stood when it was stopped."""
         self._verifying = Verifying(check, worker)
-        self._key = key
         self._port = port
         self._journal = journal
         self._worker = worker
         self._view = view
         self._commands = commands
+        self._log_id = log_id
+        self._barrier_us = barrier_us
+        self._withdrawn_us: int | None = None
+        """Barrier of a Withdraw that the table has not been told of."""
+        self._witness = witness
         self._checkpoint_deadline_s = checkpoint_deadline_s
         self._clock = clock
         self._random = random
@@ -215,6 +227,7 @@ class Session:
             for item in cycle.read():
                 self._item(item)
             self._read_disk(cycle.now_s)
+            self._hear_witness()
             self._verdict(ready)
             self._read_commands(ready)
             self._heartbeat()
@@ -293,15 +306,15 @@ class Session:
                 self._view.note(item.detail)
             case RecordReceived():
                 self._journal.record_received(item)
-                self._feed(events.of_record(item.record, self._random))
+                self._feed(events.of_record(item, self._random))
 
     def _read_disk(self, now_s: float) -> None:
         log = self._journal.log
         log.tick(now_s)
         for event in log.events():
             match event:
-                case Durable(token=token) if token is not None:
-                    self._feed(RecordDurable(token))
+                case Durable(token=token, size=size, root=root) if token is not None:
+                    self._feed(RecordDurable(token, records.TreeHead(self._log_id, size, root)))
                 case LogFailed(reason=reason):
                     self._view.note(f"audit log: {reason}")
                     self._feed(LogChanged(replace(self.state.log, writable=False)))
@@ -311,6 +324,17 @@ class Session:
                     self._feed(
                         LogChanged(replace(self.state.log, writable=True, reserved_bytes=reservation.size))
                     )
+
+    def _hear_witness(self) -> None:
+        """Whether the log that the controller saw last is here: recorded, and shown where it is not."""
+        found, opened = self._witness.answer(), self.state.opened
+        if found is None or opened is None:
+            return
+        self._journal.witness(opened.log, found)
+        if found.log is None:
+            self._view.note(f"the log that the controller saw last, at a start, is not found: {found.reason}")
+        text = found.reason if found.log is None else "; ".join(filter(None, (found.log, found.reason)))
+        self._feed(WitnessSought(found.log is not None, text))
 
     def _verdict(self, ready: set[int]) -> None:
         """What the verification process says; and the verdict, once it is known on both sides."""
@@ -404,14 +428,16 @@ class Session:
         before, now_s = self.state, self._clock()
         effects = self._decide(event, now_s)
         self._view.step(before, event, self.state, effects, now_s)
+        if self._withdrawn_us is not None:
+            told, self._withdrawn_us = WithdrawalSent(self._withdrawn_us), None
+            self._feed(told)
 
     def _decide(self, event: Event, now_s: float) -> tuple[Effect, ...]:
         """One step of the table, carried out and recorded; nothing else changes the phase."""
         before = self.state
         self.state, effects = step(before, event, now_s)
         self._note_stop(before)
-        for effect in effects:
-            self._carry_out(effect)
+        effects = tuple(self._carry_out(effect) for effect in effects)
         self._journal.step(before, event, self.state, effects, now_s)
         return effects
 
@@ -419,22 +445,24 @@ class Session:
         if before.phase not in STOPPING and self.state.phase in STOPPING:
             self.stopped_in = before.phase
 
-    def _carry_out(self, effect: Effect) -> None:
+    def _carry_out(self, effect: Effect) -> Effect:
+        """Do it; as it was done: what was signed on its way out has its code."""
         endpoint, now_s = self._port.endpoint, self._clock()
         match effect:
             case SendStop():
-                self._void()  # a permit that waits behind the stop must not follow it
-                if endpoint.link.is_open:
-                    endpoint.send_frame(RuntimeStop(effect.code, effect.cause), now_s)
-                    self._leave_now()
+                self._send_stop(effect)
             case Send(record=record):
-                self._send(record)
+                return Send(self._send(record))
             case SendBlock(index=index):
                 self._send(self._blocks[index])
+            case SendWithdraw():
+                self._send(self._withdraw(effect))
+            case SeekWitness(log=log):
+                self._witness.begin(log)
             case UseSession(session=session):
-                endpoint.use_session(session.tag)
-            case OpenLink(session=session):
-                endpoint.link.open(session.tag, now_s)
+                endpoint.use_session(session.digest)
+            case OpenLink():
+                endpoint.open_link(now_s)
                 self._cycle.next_heartbeat_s = now_s
             case Verify():
                 self._verify(effect)
@@ -442,6 +470,19 @@ class Session:
                 pass  # the journal's business
             case _:
                 assert_never(effect)
+        return effect
+
+    def _send_stop(self, effect: SendStop) -> None:
+        endpoint = self._port.endpoint
+        self._void()  # a permit that waits behind the stop must not follow it
+        if endpoint.link.is_open:
+            endpoint.send_frame(RuntimeStop(effect.code, effect.cause), self._clock())
+            self._leave_now()
+
+    def _withdraw(self, effect: SendWithdraw) -> records.Withdraw:
+        """With its barrier, of which the table is told behind this step."""
+        self._withdrawn_us = self._barrier_us(effect.motion_age_s)
+        return records.Withdraw(effect.place, self._withdrawn_us)
 
     def _void(self) -> None:
         """Nothing that waits may leave; the log says so of what it called sent."""
@@ -458,13 +499,12 @@ class Session:
         with suppress(can.CanError):  # the controller finds out by the missing heartbeat
             self._port.flush_last()
 
-    def _send(self, record: records.Record) -> None:
-        """Permit, start and reset are signed here, on their way out, and nowhere else."""
-        if isinstance(record, records.SignedRecord):
-            record = permits.sign(self._key, record)
+    def _send(self, record: records.Record) -> records.Record:
+        """The record as it leaves, with its code."""
         session = 0 if isinstance(record, records.Open) else None
-        _, payload = self._port.endpoint.send_record(record, self._clock(), session=session)
-        self._journal.record_sent(record, payload)
+        sent = self._port.endpoint.send_record(record, self._clock(), session=session)
+        self._journal.record_sent(sent.record, sent.payload)
+        return sent.record
 
     def _verify(self, wanted: Verify) -> None:
         """What is proved is what the controller reported and what was uploaded."""

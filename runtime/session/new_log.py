@@ -19,7 +19,14 @@ BRANCH: Final = "joint branch"
 
 
 def new_log(
-    directory: Path, files: InputFiles, path: bytes, bus: str, asked: AskedTurns, operator: str | None
+    directory: Path,
+    files: InputFiles,
+    path: bytes,
+    bus: str,
+    asked: AskedTurns,
+    operator: str | None,
+    *,
+    log_id: bytes,
 ) -> AuditLog:
     """A new log, in a directory that is locked from now on. Waits for the disk.
 
@@ -30,13 +37,14 @@ def new_log(
         bus: interface and channel.
         asked: the joint branch that was asked for.
         operator: who runs the session, as he calls himself.
+        log_id: names it, 16 random bytes.
 
     Raises:
         InputError: as ``AuditLog.create``.
     """
     log = AuditLog.create(
         directory,
-        log_id=os.urandom(16).hex(),
+        log_id=log_id.hex(),
         opened=OpenInfo(
             VERIFIER,
             VERIFIER,

@@ -1,6 +1,6 @@
 """A session and the list of withdrawn registrations: asked before it begins, added to when it ends."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -10,31 +10,29 @@ from threading import Thread
 from typing import Final
 
 from cutgate.config.load import SETTINGS_LIMIT, InputError
+from cutgate.protocol import records
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import Listed
 from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.reading import reading
-from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.interlock.state import Interlock, Phase
 from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.journal import plain
-from cutgate.runtime.session.withdrawn import Withdrawal
+from cutgate.runtime.session.withdrawn import NO_FILE, Withdrawal
 
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
 
 
-def refused_by(log: AuditLog, file: bytes, registration: Registration | None, skew_s: float) -> str:
-    """Why this registration must not be used, as the list beside the log says, which is read under the lock; else empty.
+def listed_before(log: AuditLog) -> tuple[Withdrawal, ...]:
+    """Every withdrawal in the list beside the log, which is read under the lock.
 
     Lines of 0.1.0 are completed first; the disk is waited for.
 
     Args:
         log: the session's, just begun.
-        file: SHA-256 of the registration file.
-        registration: what it says; None for a path in robot coordinates.
-        skew_s: ``clock_skew_s`` of the site.
 
     Raises:
         InputError: the list cannot be believed or completed; the log is closed.
@@ -44,10 +42,10 @@ def refused_by(log: AuditLog, file: bytes, registration: Registration | None, sk
         older = withdrawn.incomplete(listed)
         if older:
             listed += _completed(log, older)
-        return withdrawn.refusal(listed, file, registration, skew_s)
     except InputError as error:
         log.close(final_state=Phase.REFUSED, outcome=plain(str(error)), clean=True)
         raise
+    return listed
 
 
 def _completed(log: AuditLog, older: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
@@ -81,19 +79,33 @@ def attached_registration(path: Path, file: bytes) -> Registration | None:
     return None
 
 
-def list_withdrawal(
-    log: AuditLog, file: bytes, registration: Registration | None, note: Callable[[str], None]
-) -> None:
+def of_session(
+    state: Interlock, log: str, registration: Registration | None, skew_s: float
+) -> Iterator[Withdrawal]:
+    """What a session adds to the list: that the bone moved while none ran, and its own registration.
+
+    Args:
+        state: as the session ended.
+        log: its log's name.
+        registration: its own; None for a path in robot coordinates.
+        skew_s: ``clock_skew_s`` of the site.
+    """
+    moved = state.opened is not None and state.opened.withdrawal_due
+    if moved and state.barrier_us != records.NO_TIME:  # else the next session is told of it, as this one was
+        yield withdrawn.of_motion(log, state.barrier_us, skew_s)
+    if state.registration_withdrawn:
+        yield withdrawn.of_now(state.job.registration, log, registration, datetime.now(UTC))
+
+
+def list_withdrawal(log: AuditLog, entry: Withdrawal, note: Callable[[str], None]) -> None:
     """List it for every session to come, whether or not the controller has heard of it; a silent disk is left behind.
 
     Args:
         log: the session's, not closed yet.
-        file: SHA-256 of the registration file.
-        registration: what it says; None for a path in robot coordinates.
+        entry: with the time since when it is known.
         note: told where it could not be listed.
     """
     answers: SimpleQueue[Listed | Exception] = SimpleQueue()
-    entry = withdrawn.of_now(file, log.path.name, registration, datetime.now(UTC))
 
     def add() -> None:
         try:
@@ -110,7 +122,8 @@ def list_withdrawal(
                 return
             case error:
                 trouble = error
+    which = "any registration" if entry.file == NO_FILE else "this registration again, nor any"
     note(
-        f"the withdrawal could not be listed ({trouble}): never use this registration again, nor any that was taken "
+        f"the withdrawal could not be listed ({trouble}): never use {which} that was taken "
         f"before {entry.known:%Y-%m-%d %H:%M:%S} UTC"
     )

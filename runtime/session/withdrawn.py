@@ -28,6 +28,9 @@ YEAR_MAX: Final = 2999
 """Nobody withdraws later; and no sum of times is too large."""
 _TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
 _SECOND: Final = timedelta(seconds=1)
+_BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
+NO_FILE: Final = bytes(32)
+"""Stands in a line for no registration in particular: the bone moved while no session ran."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,51 @@ def of_now(file: bytes, log: str, registration: Registration | None, now: dateti
     if registration is None:
         return Withdrawal(file, log, None, now)
     return Withdrawal(file, log, registration.place, max(now, registration.created))
+
+
+def of_motion(log: str, barrier_us: int, skew_s: float) -> Withdrawal:
+    """What is to be listed where the bone moved while no session ran: which place it was, nobody knows.
+
+    Args:
+        log: name of the log that tells why.
+        barrier_us: what the controller was told (``barrier``), since 1970, UTC.
+        skew_s: what it was told beyond the time itself.
+    """
+    told = _BEGINNING + timedelta(microseconds=barrier_us)
+    return Withdrawal(NO_FILE, log, None, told - timedelta(seconds=skew_s))
+
+
+def barrier(
+    now: datetime,
+    motion_age_s: int | None,
+    registration: Registration | None,
+    listed: Sequence[Withdrawal],
+    skew_s: float,
+) -> datetime:
+    """Only a registration later than this counts after a withdrawal: never before any time that this side has seen.
+
+    Args:
+        now: aware; a clock that was set back lowers nothing.
+        motion_age_s: how long ago the bone moved, s. Where nobody knows, or that is now, it is this side's registration
+            that does not count any more.
+        registration: what it says; None for a path that is in robot coordinates.
+        listed: every withdrawal that was known when the session began.
+        skew_s: how far the clock of who registers may be ahead of this one, s.
+    """
+    seen = [one.known for one in listed if one.known is not None]
+    if motion_age_s is None and registration is not None:
+        seen.append(registration.created)
+    learned = now - timedelta(seconds=motion_age_s or 0)
+    return max((learned, *seen)) + timedelta(seconds=skew_s)
+
+
+def since_1970_us(at: datetime) -> int:
+    """As the protocol counts time: whole microseconds since 1970, UTC.
+
+    Args:
+        at: aware.
+    """
+    return (at - _BEGINNING) // timedelta(microseconds=1)
 
 
 def refusal(

@@ -29,6 +29,7 @@ from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol import records
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.port import Port
@@ -60,6 +61,8 @@ from cutgate.runtime.session.job import VERIFIER, InputFiles, make_job, read_fil
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, framed
+from cutgate.runtime.session.withdrawn import Withdrawal, barrier, since_1970_us
+from cutgate.runtime.session.witness import WitnessSearch
 from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
@@ -70,6 +73,7 @@ from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
 KEY = bytes(range(32))
 CYCLE_S = 0.005
+SKEW_S = 60.0
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
 STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
@@ -256,6 +260,13 @@ class Prover(Worker):
         super().close()
 
 
+class InPlace(WitnessSearch):
+    """The look-up without its thread: its answer is heard in the next cycle."""
+
+    def begin(self, log: records.TreeHead) -> None:
+        self._run(log)
+
+
 @dataclass
 class Notes:
     """A view that remembers."""
@@ -376,6 +387,7 @@ class Pair:
         self.said: list[str] = []
         self.boots = 0
         self.sessions = 0
+        self.listed: tuple[Withdrawal, ...] = ()
         self.closing: list[Callable[[], None]] = [node.shutdown for node in self.wire.nodes.values()]
         self.options = Options(time_scale=4.0, joints=as_joints(records.joints_to_memory(STANDS)))
         self.runtime_runs = self.controller_runs = True
@@ -395,7 +407,12 @@ class Pair:
         holdings = Holdings(self.job.limits, self.job.calibration, self.job.tool)
         random = Generator(f"controller {self.boots}")
         self.process = Process(
-            Controller.powered_up(Identity(serial, KEY, random(16)), holdings, memory.load(self.memory_file)),
+            Controller.powered_up(
+                Identity(serial, fingerprint(KEY)),
+                holdings,
+                memory.load(self.memory_file, self.clock.utc_ns() // 1000),
+                random(16),
+            ),
             Port(self.wire.nodes[CONTROLLER], self._endpoint(Side.CONTROLLER)),  # type: ignore[arg-type]
             self.memory_file,
             options=self.options,
@@ -411,7 +428,10 @@ class Pair:
         memory.save(self.memory_file, Memory(latched=cause))
         old = self.controller
         self.process.controller = Controller.powered_up(
-            old.identity, old.holdings, memory.load(self.memory_file)
+            old.identity,
+            old.holdings,
+            memory.load(self.memory_file, self.clock.utc_ns() // 1000),
+            old.announce_nonce,
         )
 
     def _stand_still(self, seconds: float) -> None:
@@ -424,6 +444,7 @@ class Pair:
         timing, deadlines = self.job.timing, self.job.deadlines
         return Endpoint(
             side,
+            KEY,
             heartbeat_s=timing.heartbeat_s,
             timeout_s=timing.timeout_s,
             transfer_timeout_s=deadlines.reply_timeout_s,
@@ -445,12 +466,14 @@ class Pair:
         self.session = Session(
             Interlock(self.job),
             check=check_of(self.job, self.files.robot.value),
-            key=KEY,
             port=Port(self.wire.nodes[RUNTIME], self._endpoint(Side.RUNTIME), self.journal.frame),  # type: ignore[arg-type]
             journal=self.journal,
             worker=self.prover,
             view=self.notes,
             commands=self.terminal.reader,
+            log_id=self.log_id,
+            barrier_us=self._barrier_us,
+            witness=InPlace(self.directory / "logs"),
             checkpoint_deadline_s=5.0,
             clock=self.clock,
             random=Generator(f"runtime {self.sessions}"),
@@ -473,13 +496,21 @@ class Pair:
         ]
         return self
 
+    def _barrier_us(self, motion_age_s: int | None) -> int:
+        now = datetime.fromtimestamp(self.clock.utc_ns() / 1e9, UTC)
+        return since_1970_us(barrier(now, motion_age_s, self.files.registration, self.listed, SKEW_S))
+
+    @property
+    def log_id(self) -> bytes:
+        return bytes.fromhex(f"{self.sessions:08x}{LOG_ID[8:]}")
+
     def _log(self) -> AuditLog:
         allowed_by = self.files.simulation_allowed_by
         options = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
         with mock.patch.multiple(audit_log, Committer=TurnByTurn, _environment=_environment):
             log = AuditLog.create(
                 self.directory / "logs",
-                log_id=f"{self.sessions:08x}{LOG_ID[8:]}",
+                log_id=self.log_id.hex(),
                 opened=OpenInfo("cutgate 0.1.0", VERIFIER, options),
                 disk=self.disk,
                 clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
@@ -593,7 +624,7 @@ class Pair:
 class Stranger:
     """Another node that speaks as a runtime does, straight into the controller's ears, and hears what it answers."""
 
-    def __init__(self, pair: Pair, session: int = 0) -> None:
+    def __init__(self, pair: Pair, session: bytes | None = None) -> None:
         self._pair = pair
         self.endpoint = pair._endpoint(Side.RUNTIME)
         self.endpoint.use_session(session)

@@ -7,7 +7,6 @@ import can
 import pytest
 from rich.console import Console
 
-from cutgate.protocol import permit as permits
 from cutgate.protocol import records
 from cutgate.protocol.endpoint import RecordReceived
 from cutgate.protocol.frames import (
@@ -23,7 +22,7 @@ from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCo
 from cutgate.runtime.interlock.state import Commit, Phase
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
-from tests.runtime.session.pair import KEY, Stranger
+from tests.runtime.session.pair import Stranger
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
 
 KINDS = [RuntimeHeartbeat, ControllerHeartbeat]
@@ -187,7 +186,7 @@ def test_frames_of_another_session_count_as_corrupted(cutting):
 
 
 def test_records_of_another_session_are_ignored(cutting):
-    stranger = Stranger(cutting, session=cutting.state.session.tag ^ 1)
+    stranger = Stranger(cutting, session=records.digest(cutting.state.session.digest))
     stranger.say(records.NonceRequest(purpose=Purpose.PERMIT))
     assert goes_on(cutting)
     assert cutting.controller.issued is None
@@ -220,14 +219,13 @@ def authorising(pair):
 
 
 def signed(pair):
-    """The permit that waits, as it would leave."""
-    commit = next(effect for effect in pair.notes.effects if isinstance(effect, Commit))
-    return permits.sign(KEY, commit.record)
+    """The permit that waits, as it would leave but for its code, which the endpoint makes."""
+    return next(effect for effect in pair.notes.effects if isinstance(effect, Commit)).record
 
 
 def test_only_the_stop_makes_the_difference_in_the_next_tests(authorising):
     """Without it the permit is accepted; then it falls, for no heartbeat of the runtime says READY."""
-    stranger = Stranger(authorising, authorising.state.session.tag)
+    stranger = Stranger(authorising, authorising.state.session.digest)
     stranger.say(signed(authorising))
     authorising.run(0.05)
     assert "state PERMITTED" in authorising.said
@@ -235,7 +233,7 @@ def test_only_the_stop_makes_the_difference_in_the_next_tests(authorising):
 
 
 def test_a_permit_that_arrives_whole_after_a_stop_is_void(authorising):
-    stranger = Stranger(authorising, authorising.state.session.tag)
+    stranger = Stranger(authorising, authorising.state.session.digest)
     authorising.say("stop")
     stranger.say(signed(authorising))
     authorising.run(0.05)
@@ -244,7 +242,7 @@ def test_a_permit_that_arrives_whole_after_a_stop_is_void(authorising):
 
 
 def test_a_permit_in_flight_when_the_stop_arrives_is_dead(authorising):
-    stranger = Stranger(authorising, authorising.state.session.tag)
+    stranger = Stranger(authorising, authorising.state.session.digest)
     stranger.say(signed(authorising))
     authorising.run_cycle()
     authorising.run_cycle()  # the first block is under way, the second waits for its flow control
@@ -274,7 +272,7 @@ def test_an_old_permit_opens_nothing_in_the_next_session(pair):
     pair.run(0.2).begin()
     pair.prover.answer = lambda _request: None
     pair.to(Phase.VERIFYING)
-    stranger = Stranger(pair, pair.state.session.tag)
+    stranger = Stranger(pair, pair.state.session.digest)
     stranger.say(old)
     pair.run(0.05)
     assert [reply.refusal for reply in stranger.replies] == [Refusal.WRONG_SESSION]
@@ -357,7 +355,7 @@ def test_an_announcement_that_was_damaged_is_followed_by_another(pair):
 
 def test_a_record_that_was_heard_twice_counts_once(pair):
     pair.to(Phase.CUTTING)
-    stranger = Stranger(pair, pair.state.session.tag)
+    stranger = Stranger(pair, pair.state.session.digest)
     stranger.endpoint._sent = dict.fromkeys(stranger.endpoint._sent, 0)
     stranger.say(records.Collect())
     pair.run(0.05)

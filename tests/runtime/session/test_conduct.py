@@ -26,7 +26,9 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
         job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING
     )
     with pytest.raises(OSError, match="temporarily unavailable"):
-        conduct.conduct(None, None, state, b"", None, "a/b", log, None, None, fd=False)
+        conduct.conduct(
+            None, None, state, bytes(32), None, "a/b", log, None, None, log_id=bytes(16), listed=(), fd=False
+        )
     found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")

@@ -251,7 +251,7 @@ def test_a_path_block_that_makes_no_path_is_refused(pair, block):
     pair.begin()
     pair.prover.answer = lambda _request: None
     pair.to(Phase.VERIFYING)
-    stranger = Stranger(pair, pair.state.session.tag)
+    stranger = Stranger(pair, pair.state.session.digest)
     stranger.say(block)
     pair.run(0.2)
     assert any("path refused: " in line for line in pair.said)
@@ -261,7 +261,7 @@ def test_a_path_block_that_makes_no_path_is_refused(pair, block):
 def test_a_path_block_outside_loading_is_ignored(pair):
     pair.power_up(time_scale=0.05)
     pair.to(Phase.CUTTING)
-    stranger = Stranger(pair, pair.state.session.tag)
+    stranger = Stranger(pair, pair.state.session.digest)
     stranger.say(records.split(pair.job.path)[0])
     pair.run(0.2)
     assert pair.controller.may_move

@@ -8,8 +8,9 @@ import pytest
 from cutgate.protocol import records
 from cutgate.protocol.link import Statistics
 from cutgate.protocol.port import Passed
-from cutgate.protocol.states import FaultCode, Refusal, StopCause, StopCode
+from cutgate.protocol.states import ControllerState, FaultCode, Purpose, Refusal, StopCause, StopCode
 from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.witness import WitnessFound
 from cutgate.runtime.interlock.state import (
     CommandGiven,
     Dropped,
@@ -17,20 +18,45 @@ from cutgate.runtime.interlock.state import (
     Failed,
     FaultReceived,
     Gone,
+    NonceReceived,
     OperatorCommand,
+    OtherVersionAnnounced,
     Phase,
     Refused,
     ReplyReceived,
+    Send,
     SendBlock,
     SendStop,
+    SendWithdraw,
     Tick,
+    WithdrawalSent,
 )
 from cutgate.runtime.interlock.table import EVERYWHERE
 from cutgate.runtime.session.journal import NAMES, Journal, plain
-from tests.runtime.interlock.builders import ELSEWHERE, NOW, ON, READY, in_phase, measured, step
+from tests.runtime.interlock.builders import (
+    DURABLE_LOG,
+    ELSEWHERE,
+    EPOCH,
+    FOUND,
+    JOB,
+    MISSED,
+    NONCE,
+    NOW,
+    ON,
+    READY,
+    SEEN_LOG,
+    TOKEN,
+    beat,
+    durable,
+    in_phase,
+    measured,
+    opened,
+    step,
+)
 
 BAD = "caf\udce9 \ud800"
 SHOWN = "caf\\udce9 \\ud800"
+WITHDRAWAL = SendWithdraw(JOB.place)
 
 
 @pytest.fixture
@@ -122,7 +148,24 @@ def test_an_uneventful_step_is_not_recorded(log):
             (),
             "reply ACCEPTED to permit",
         ),
-        (ReplyReceived(records.Open.TYPE, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to 0x2"),
+        (ReplyReceived(records.Open.TYPE, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to open"),
+        (
+            ReplyReceived(records.Withdraw.TYPE, Refusal.ACCEPTED, StopCause.NONE),
+            (),
+            "reply ACCEPTED to withdraw",
+        ),
+        (
+            ReplyReceived(records.Acknowledge.TYPE, Refusal.EPOCH, StopCause.NONE),
+            (),
+            "reply EPOCH to acknowledge",
+        ),
+        (ReplyReceived(0x99, Refusal.EPOCH, StopCause.NONE), (), "reply EPOCH to 0x99"),
+        (OtherVersionAnnounced(3), (), "controller of protocol version 3 announced"),
+        (opened(), (), "session opened"),
+        (opened(authentic=False), (), "session called open, with a wrong code"),
+        (FOUND, (), "controller's witness found"),
+        (MISSED, (), "controller's witness not found"),
+        (WithdrawalSent(0), (), "withdrawal sent"),
         (FaultReceived(FaultCode.LATCHED, StopCause.SECOND_NODE), (), "controller's fault"),
         (Failed(StopCause.BUS_FAILED, "no"), (), "failed BUS_FAILED"),
         (Gone(StopCause.BUS_FAILED, "no"), (), "gave up BUS_FAILED"),
@@ -138,11 +181,12 @@ def test_every_event_of_the_table_has_a_name():
 
 
 def test_effects_have_names_that_say_what_they_do(log):
-    effects = (SendStop(StopCode.END, StopCause.SESSION_ENDED), SendBlock(3), Dropped("x"))
+    effects = (SendStop(StopCode.END, StopCause.SESSION_ENDED), SendBlock(3), WITHDRAWAL, Dropped("x"))
     log.journal.step(READY, Tick(), READY, effects, 1.0)
     assert written(log, "/audit/decision")[0]["effects"] == [
         "send END SESSION_ENDED",
         "send path block 3",
+        "send Withdraw",
         "Dropped",
     ]
 
@@ -187,13 +231,111 @@ def test_a_look_that_shows_nothing_is_not_recorded(log, event):
     assert written(log, "/audit/decision") == []
 
 
-def test_replies_to_signed_records_are_facts_of_their_own(log):
+def test_a_reply_that_refuses_a_signed_record_is_a_fact_of_its_own_and_one_that_accepts_is_none(log):
     for refusal in (Refusal.ACCEPTED, Refusal.NONCE_EXPIRED):
         log.journal.step(READY, ReplyReceived(records.Start.TYPE, refusal, StopCause.NONE), READY, (), 1.0)
     assert [(r["kind"], r["stage"], r["reply"]) for r in written(log, "/audit/permit")] == [
-        ("start", "acknowledged", "ACCEPTED"),
         ("start", "refused", "NONCE_EXPIRED"),
     ]
+
+
+SHOWN_BY = [
+    (Phase.PERMITTING, ControllerState.PERMITTED, "permit"),
+    (Phase.STARTING, ControllerState.CUTTING, "start"),
+    (Phase.STARTING, ControllerState.DONE, "start"),
+    (Phase.RESETTING, ControllerState.OPEN, "reset"),
+    (Phase.RESETTING, ControllerState.INHIBITED, "reset"),
+    (Phase.PERMITTING, ControllerState.LOADED, None),
+    (Phase.STARTING, ControllerState.PERMITTED, None),
+    (Phase.RESETTING, ControllerState.FAULT, None),
+    (Phase.PERMITTED, ControllerState.PERMITTED, None),
+    (Phase.CUTTING, ControllerState.DONE, None),
+    (Phase.PERMITTING, ControllerState.INHIBITED, None),
+    (Phase.HELD, ControllerState.OPEN, None),
+]
+
+
+@pytest.mark.parametrize(
+    ("phase", "report", "kind"), SHOWN_BY, ids=[f"{phase}-{report.name}" for phase, report, _ in SHOWN_BY]
+)
+def test_acknowledged_is_written_at_the_heartbeat_that_shows_it(log, phase, report, kind):
+    state, event = in_phase(phase), beat(report)
+    after, effects = step(state, event, NOW)
+    log.journal.step(state, event, after, effects, NOW)
+    paths = log.log.close(final_state="x", clean=True)
+    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
+    assert [(r["kind"], r["stage"]) for r in found.of("/audit/permit")] == (
+        [(kind, "acknowledged")] if kind else []
+    )
+    dispositions = {one["disposition"] for one in found.of("/audit/decision")}
+    assert ("acknowledged" in dispositions) is (kind is not None)
+
+
+def test_a_phase_that_a_reply_left_is_not_called_acknowledged(log):
+    state = in_phase(Phase.RESETTING)
+    event = ReplyReceived(records.Reset.TYPE, Refusal.EPOCH, StopCause.NONE)
+    after, effects = step(state, event, NOW)
+    assert after.phase is Phase.HELD
+    log.journal.step(state, event, after, effects, NOW)
+    assert [r["stage"] for r in written(log, "/audit/permit")] == ["refused"]
+
+
+@pytest.mark.parametrize(
+    "phase", [Phase.AUTHORISING_PERMIT, Phase.AUTHORISING_START, Phase.AUTHORISING_RESET]
+)
+def test_what_was_sent_is_recorded_with_its_code_and_the_log_that_it_names(log, phase):
+    state, event = in_phase(phase), durable(TOKEN)
+    after, (send,) = step(state, event, NOW)
+    signed = send.record.with_mac(b"c" * 16)
+    log.journal.step(state, event, after, (Send(signed),), NOW)
+    paths = log.log.close(final_state="x", clean=True)
+    (written_down,) = read_log(paths.log.read_bytes()).of("/audit/permit")
+    assert written_down["stage"] == "sent"
+    assert written_down["code"] == (b"c" * 16).hex()
+    assert bytes.fromhex(written_down["record"]) == send.record.canonical()
+    named = written_down.get("log_size"), written_down.get("log_root")
+    reset = phase is Phase.AUTHORISING_RESET
+    assert named == ((None, None) if reset else (DURABLE_LOG.size, DURABLE_LOG.root.hex()))
+
+
+def test_what_was_authorised_has_neither_code_nor_log(log):
+    state = in_phase(Phase.NONCE_PERMIT)
+    event = NonceReceived(Purpose.PERMIT, NONCE, EPOCH)
+    after, effects = step(state, event, NOW)
+    log.journal.step(state, event, after, effects, NOW)
+    (record,) = written(log, "/audit/permit")
+    assert (record["stage"], {"code", "log_size", "log_root"} & set(record)) == ("authorised", set())
+
+
+def test_a_cause_that_a_fault_frame_names_is_called_claimed(log):
+    log.journal.step(READY, FaultReceived(FaultCode.LATCHED, StopCause.BONE_MOVED), READY, (), 1.0)
+    (fault,) = written(log, "/audit/fault")
+    assert (fault["source"], fault["cause"], fault["detail"]) == (
+        "controller",
+        "BONE_MOVED",
+        "claimed: a fault frame carries no code",
+    )
+
+
+def test_the_barrier_of_a_withdrawal_is_in_the_log(log):
+    log.journal.step(READY, WithdrawalSent(1_790_000_000_000_000), READY, (), 1.0)
+    (decision,) = written(log, "/audit/decision")
+    assert decision["reason"] == "only a registration later than 2026-09-21 14:13:20 UTC counts from now on"
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (WitnessFound("a.mcap", ""), {"found": True, "log": "a.mcap"}),
+        (WitnessFound("a.mcap", BAD), {"found": True, "log": "a.mcap", "reason": SHOWN}),
+        (WitnessFound(None, BAD), {"found": False, "reason": SHOWN}),
+    ],
+)
+def test_whether_the_log_that_the_controller_saw_is_here_is_recorded(log, found, expected):
+    log.journal.witness(SEEN_LOG, found)
+    (record,) = written(log, "/audit/witness")
+    told = {"log_id": SEEN_LOG.log_id.hex(), "log_size": 17, "log_root": SEEN_LOG.root.hex()} | expected
+    assert {key: record[key] for key in record if key in {*told, "log", "reason"}} == told
 
 
 def test_a_log_that_is_closed_names_its_end(log):

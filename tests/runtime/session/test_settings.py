@@ -18,7 +18,8 @@ from pydantic import BaseModel
 from cutgate.config.load import InputError, Loaded, site_from_bytes
 from cutgate.config.model import Site
 from cutgate.firmware_sim import table as controller_table
-from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory, OpenReceived, Persisted
+from cutgate.firmware_sim.reports import announcement
+from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory, OpenReceived
 from cutgate.protocol import records
 from cutgate.protocol.frames import RuntimeHeartbeat
 from cutgate.runtime.commands import run as command
@@ -107,7 +108,8 @@ class Trial:
             "Session": session,
             "Journal": lambda *_: SimpleNamespace(close=lambda *_, **__: None, frame=None),
             "Worker": SimpleNamespace(start=lambda _: SimpleNamespace(close=lambda: None)),
-            "refused_by": lambda _log, _file, _said, skew_s: setattr(made, "skew_s", skew_s) or "",
+            "listed_before": lambda _log: (),
+            "refusal": lambda _listed, _file, _said, skew_s: setattr(made, "skew_s", skew_s) or "",
             "typed": lambda _: None,
         }
         with self.monkeypatch.context() as patched:
@@ -177,13 +179,11 @@ def opened(trial: Trial) -> Any:
         replace(FRESH, job=replace(trial.job, serial=None)), Announced(ANNOUNCE, RUNTIME_NONCE), NOW
     )
     (request,) = (record for record in sent(effects) if isinstance(record, records.Open))
-    identity = Identity("SIM-1", bytes(32), ANNOUNCE.boot_nonce)
     held = Holdings(trial.job.limits, trial.job.calibration, trial.job.tool)
-    waiting, _ = controller_table.step(
-        Controller.powered_up(identity, held, Memory()), OpenReceived(request, 1), NOW
-    )
-    assert waiting.awaiting is not None
-    return controller_table.step(waiting, Persisted(waiting.awaiting.memory), NOW)[0].session
+    controller = Controller.powered_up(Identity("SIM-1", ""), held, Memory(), ANNOUNCE.announce_nonce)
+    named = replace(request, identity_digest=announcement(controller).identity_digest)
+    asked = OpenReceived(named, 1, authentic=True, fresh=bytes(16))
+    return controller_table.step(controller, asked, NOW)[0].session
 
 
 def heartbeats(trial: Trial) -> int:

@@ -3,6 +3,7 @@
 import errno
 import os
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
@@ -14,15 +15,25 @@ from cutgate.runtime.audit.directory import WITHDRAWN
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo
 from cutgate.runtime.session import withdrawal, withdrawn
-from cutgate.runtime.session.withdrawal import attached_registration, list_withdrawal, refused_by
+from cutgate.runtime.session.withdrawal import (
+    attached_registration,
+    list_withdrawal,
+    listed_before,
+    of_session,
+)
 from cutgate.runtime.session.withdrawn import Withdrawal
+from tests.altering import altered
 from tests.runtime.audit.build import PATIENCE_S, Ticking, open_log
+from tests.runtime.interlock.builders import READY
 from tests.runtime.session.test_withdrawn import ELSEWHERE, PLACED, registration
 
-FILE = bytes(32)
+FILE = bytes([7]) * 32
 DATA = PLACED.model_dump_json(by_alias=True).encode()
 MINUTE_NS = 60_000_000_000
 OTHER = registration(R_T_CT=ELSEWHERE)
+OURS = Withdrawal(FILE, "ours.mcap", PLACED.place, datetime(2026, 11, 28, tzinfo=UTC))
+MOVED_US = withdrawn.since_1970_us(OURS.known)
+MOVED = altered(READY, "opened.withdrawal_due", 1)
 
 
 @pytest.fixture
@@ -42,7 +53,7 @@ def closed_log(directory, data=DATA, minutes_ago=2):
 
 
 def asked(log, file, said, skew_s=0.0):
-    return refused_by(log, file, said, skew_s)
+    return withdrawn.refusal(listed_before(log), file, said, skew_s)
 
 
 def test_what_was_withdrawn_here_is_known_by_file_place_and_time(log):
@@ -128,9 +139,36 @@ def test_only_the_registration_with_this_digest_is_believed(tmp_path, case):
 
 
 @pytest.mark.parametrize("said", [PLACED, None])
+def test_a_session_lists_its_own_registration_if_it_was_withdrawn(said):
+    began = datetime.now(UTC)
+    assert list(of_session(READY, "a.mcap", said, 60.0)) == []
+    (entry,) = of_session(replace(READY, registration_withdrawn=True), "a.mcap", said, 60.0)
+    place = None if said is None else said.place
+    assert (entry.file, entry.log, entry.place) == (READY.job.registration, "a.mcap", place)
+    assert began <= entry.known <= datetime.now(UTC)
+
+
+def test_a_motion_without_a_session_is_listed_for_no_place_since_when_the_controller_was_told():
+    (entry,) = of_session(replace(MOVED, barrier_us=MOVED_US + 60_000_000), "a.mcap", PLACED, 60.0)
+    assert entry == Withdrawal(withdrawn.NO_FILE, "a.mcap", None, OURS.known)
+    both = replace(MOVED, barrier_us=MOVED_US, registration_withdrawn=True)
+    assert [one.file for one in of_session(both, "a.mcap", PLACED, 60.0)] == [
+        withdrawn.NO_FILE,
+        READY.job.registration,
+    ]
+
+
+@pytest.mark.parametrize(
+    "state", [MOVED, replace(READY, barrier_us=MOVED_US), replace(READY, opened=None, barrier_us=MOVED_US)]
+)
+def test_what_the_controller_was_not_told_or_did_not_ask_for_is_not_listed(state):
+    assert list(of_session(state, "a.mcap", PLACED, 60.0)) == []
+
+
+@pytest.mark.parametrize("said", [PLACED, None])
 def test_a_withdrawal_is_listed_and_is_in_the_next_head(log, said):
     notes, began = [], datetime.now(UTC)
-    list_withdrawal(log, FILE, said, notes.append)
+    list_withdrawal(log, withdrawn.of_now(FILE, log.path.name, said, datetime.now(UTC)), notes.append)
     assert not notes
     assert log.listed.lines == 1
     log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
@@ -148,16 +186,18 @@ def test_a_withdrawal_that_cannot_be_listed_is_told(log, monkeypatch, error):
 
     notes = []
     monkeypatch.setattr(withdrawn, "add", fail)
-    list_withdrawal(log, FILE, PLACED, notes.append)
+    list_withdrawal(log, OURS, notes.append)
     assert str(error) in notes[0]
     assert "never use this registration again, nor any that was taken before 20" in notes[0]
     assert log.listed.lines == 0
+    list_withdrawal(log, replace(OURS, file=withdrawn.NO_FILE), notes.append)
+    assert "never use any registration that was taken before 20" in notes[1]
 
 
 def test_a_disk_that_never_answers_holds_up_no_withdrawal(log, monkeypatch):
     notes, never = [], threading.Event()
     monkeypatch.setattr(withdrawn, "add", lambda *_: never.wait(PATIENCE_S))
     monkeypatch.setattr(withdrawal, "WITHDRAW_S", 0.01)
-    list_withdrawal(log, FILE, PLACED, notes.append)
+    list_withdrawal(log, OURS, notes.append)
     never.set()
     assert "the disk did not answer within 0.01 s" in notes[0]

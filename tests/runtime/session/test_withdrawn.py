@@ -258,3 +258,47 @@ def test_an_old_line_is_completed_once_with_the_place_of_its_log_and_the_time_of
     added = complete([old, other], {"a.mcap": PLACED, "b.mcap": None}, KNOWN)
     assert added == (WITHDRAWN, Withdrawal(FILE, "b.mcap", None, KNOWN))
     assert incomplete([old, other, *added]) == ()
+
+
+# ---------------------------------------------------------------- the barrier
+
+
+NOW = datetime(2026, 11, 28, 12, 0, 0, 1, tzinfo=UTC)
+SKEW = timedelta(seconds=60)
+AHEAD = NOW + timedelta(hours=1)
+
+
+def test_a_barrier_is_now_and_as_much_later_as_clocks_may_differ():
+    assert withdrawn.barrier(NOW, None, PLACED, (), 60.0) == NOW + SKEW
+    assert withdrawn.barrier(NOW, None, None, (WITHDRAWN,), 0.0) == NOW
+
+
+@pytest.mark.parametrize("age_s", [0, 1, 7200, 0xFFFF_FFFE])
+def test_a_motion_whose_age_is_known_was_then(age_s):
+    assert withdrawn.barrier(NOW, age_s, PLACED, (), 60.0) == NOW - timedelta(seconds=age_s) + SKEW
+
+
+def test_no_barrier_is_before_a_time_that_this_side_has_seen():
+    """Never before what the list says; nor before this session's registration, where that is what was withdrawn."""
+    listed = (replace(WITHDRAWN, known=AHEAD), WITHDRAWN, Withdrawal(FILE, "b.mcap"))
+    for age_s in (None, 0, 7200):
+        assert withdrawn.barrier(NOW, age_s, None, listed, 60.0) == AHEAD + SKEW
+    said = registration(created_utc="2026-11-28T14:00:00Z")
+    assert withdrawn.barrier(NOW, None, said, listed, 60.0) == said.created + SKEW
+    assert withdrawn.barrier(NOW, 0, said, (), 60.0) == NOW + SKEW, "it may have been taken after the motion"
+
+
+@given(TIMES)
+def test_times_are_told_to_the_controller_in_whole_microseconds(at):
+    told = withdrawn.since_1970_us(at)
+    assert datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=told) == at
+    assert withdrawn.of_motion("a.mcap", told, 0.0).known == at
+
+
+def test_what_the_barrier_lets_pass_the_list_lets_pass_as_well():
+    told = withdrawn.since_1970_us(withdrawn.barrier(KNOWN, 0, None, (), SKEW_S))
+    entry = withdrawn.of_motion("a.mcap", told, SKEW_S)
+    assert entry == Withdrawal(withdrawn.NO_FILE, "a.mcap", None, KNOWN)
+    for seconds in (59.0, 60.0, 60.000_001, 61.0):
+        said = later(seconds)
+        assert (refusal([entry], FILE, said, SKEW_S) == "") is (withdrawn.since_1970_us(said.created) > told)

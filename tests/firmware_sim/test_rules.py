@@ -513,6 +513,7 @@ def test_entry_and_exit_agree_within_the_rounding_of_either_side(end, by):
     ("case", "rules", "field", "value"),
     [
         (PERMIT_CASE, PERMIT_RULES, "now_s", NOW + 120.0),
+        (PERMIT_CASE, PERMIT_RULES, "request.log.size", 1),
         (START_CASE, START_RULES, "now_s", NOW + 2.0),
         (START_CASE, START_RULES, "controller.permit_issued_at_s", NOW - 120.0),
     ],

@@ -217,7 +217,7 @@ class Controller:
     def motion_age_s(self, now_s: float) -> int:
         """How long ago it was that the bone moved, whole seconds, rather too few than too many; AGE_UNKNOWN if unknown."""
         age_s = math.nan if self.moved_at_s is None else now_s - self.moved_at_s
-        return math.floor(age_s) if 0.0 <= age_s < records.AGE_UNKNOWN else records.AGE_UNKNOWN
+        return math.floor(min(age_s, records.AGE_UNKNOWN)) if age_s >= 0.0 else records.AGE_UNKNOWN
 
 
 # ---------------------------------------------------------------- events

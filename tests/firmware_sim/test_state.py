@@ -138,6 +138,14 @@ def test_the_age_of_a_motion_is_in_whole_seconds_rather_too_few(ago_s, age_s):
     assert replace(POWERED_UP, moved_at_s=0.0).motion_age_s(ago_s) == age_s
 
 
+def test_the_age_of_a_motion_runs_from_it():
+    assert replace(POWERED_UP, moved_at_s=NOW - 12.5).motion_age_s(NOW) == 12
+
+
+def test_the_plant_of_a_controller_runs_as_the_clock_unless_it_says_otherwise():
+    assert POWERED_UP.identity.plant_speed_permille == 1000
+
+
 def test_the_age_of_a_motion_before_power_up_is_not_known():
     assert POWERED_UP.motion_age_s(NOW) == records.AGE_UNKNOWN
 

@@ -364,6 +364,14 @@ def test_a_withdraw_in_a_live_session_does_not_hide_a_bone_that_moves_afterwards
     assert after.memory.withdrawal_due
 
 
+def test_what_the_runtime_says_of_a_motion_that_the_wired_input_reported_is_no_news():
+    """It learned of it from here; how long ago it was stays what it is."""
+    moved = fed(CUTTING, BoneMoved())
+    after = fed(moved, alive(epoch=moved.epoch, cause=StopCause.BONE_MOVED), now_s=NOW + 5)
+    assert after == moved
+    assert after.moved_at_s == NOW
+
+
 def test_a_bone_that_moves_again_is_due_again():
     told = fed(fed(CUTTING, BoneMoved()), withdrawing())
     assert not told.memory.withdrawal_due

@@ -1,6 +1,9 @@
 """The controller's loop in a session: what it makes of a runtime's frames and records, and what the bus hears of it."""
 
+import hashlib
+import json
 import math
+import time
 from dataclasses import replace
 
 import can
@@ -642,6 +645,21 @@ def test_a_reboot_is_another_boot_with_nothing_loaded_and_what_was_remembered(ru
     assert one.controller.memory == Memory(latched=StopCause.SECOND_NODE)
     assert one.process._next_announce_s == one.clock.now_s
     assert not one.process.port.endpoint.link.is_open
+
+
+def test_a_memory_of_the_schema_before_that_a_reboot_finds_is_converted_then(runtime):
+    """As restored from a copy: nothing registered until then counts."""
+    one = runtime()
+    content = {"named": [], "withdrawn": ["aa" * 32], "latched": "NONE"}
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    document = {"schema": "cutgate.sim-memory/1", "content": content, "sha256": digest}
+    one.bench.file.write_text(json.dumps(document), encoding="ascii")
+    one.bench.file.chmod(0o600)
+    before_us = time.time_ns() // 1000
+    one.process._happen(FaultName.REBOOT)
+    remembered = one.controller.memory
+    assert before_us <= remembered.barrier_us <= time.time_ns() // 1000
+    assert remembered == Memory(earlier=frozenset({b"\xaa" * 32}), barrier_us=remembered.barrier_us)
 
 
 def test_the_link_keeps_the_time_of_the_session_and_its_first_heartbeat_is_due_at_once(runtime):

@@ -16,8 +16,8 @@ from rich.console import Console, Group, RenderableType
 
 from cutgate.firmware_sim.plant import Leg
 from cutgate.protocol import records
-from cutgate.protocol.frames import BULK_IDS, ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.codes import fingerprint
+from cutgate.protocol.frames import BULK_IDS, ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import approach_line, outcome_lines, stopped, verdict_lines

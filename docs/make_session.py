@@ -128,7 +128,7 @@ def session() -> str:
         try:
             bench = rig.bench
             permit = bench.permitted()
-            bench.ask(bench.signed(bench.start(permit)))
+            bench.ask(bench.start(permit))
             bench.stop(StopCause.OPERATOR_QUIT, StopCode.END)
             bench.run_cycle()
             frames = bench.frames

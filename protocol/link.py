@@ -448,7 +448,7 @@ class Link:
         self._peer = counter
         fresh = self._refresh(echo, now_s)
         if fresh:
-            self._proved.append((counter, self._sent_s[echo]))
+            self._proved.append((counter, self._sent_s.get(echo, -math.inf)))
         return Accepted(frame, data[2], lost, fresh)
 
     def _echoed(self, echo: int) -> int:

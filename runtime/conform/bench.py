@@ -116,7 +116,7 @@ class Bench(Tester):
         for _ in range(2):
             self.endpoint.abort()
             self.endpoint.use_session(named)
-            found = self._answer_to_open(len(self.heard), self.say(request, session=0))
+            found = self.answer_to_open(len(self.heard), self.say(request, session=0))
             self.latency_s = self._clock() - begun_s
             if found is not None:
                 break
@@ -124,7 +124,9 @@ class Bench(Tester):
             self.endpoint.use_session(None)
         return found
 
-    def _answer_to_open(self, since: int, sequence: int) -> records.Opened | records.Reply | None:
+    def answer_to_open(self, since: int, sequence: int) -> records.Opened | records.Reply | None:
+        """What comes to an OPEN that was sent with this sequence."""
+
         def opened() -> records.Opened | None:
             return self.first(records.Opened, since)
 

@@ -10,12 +10,13 @@ import pytest
 
 from cutgate.firmware_sim import loop, rules, table
 from cutgate.firmware_sim.console import ConsoleCommand
-from cutgate.firmware_sim.state import Controller, FaultArisen, PathChecked
+from cutgate.firmware_sim.state import Controller, FaultArisen, PathChecked, StopReceived
+from cutgate.protocol import link
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.frames import DATA_IDS, Frame, Joint4, Joints01, Joints23
 from cutgate.protocol.link import Link, Violation
 from cutgate.protocol.records import Limits
-from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.protocol.states import WITHDRAWING, ControllerState, Refusal, StopCause
 from cutgate.runtime.conform import sample
 from cutgate.runtime.conform.suite import CaseVerdict
 from cutgate.runtime.conform.table import cases
@@ -117,14 +118,14 @@ def test_a_controller_whose_joints_count_for_themselves_fails_the_cyclic_frames(
     """The age of a sample is told by the heartbeat of its counter."""
     honest = Link.encode
 
-    def ahead(link: Link, frame: Frame, now_s: float) -> tuple[int, bytes]:
-        can_id, data = honest(link, frame, now_s)
+    def ahead(of: Link, frame: Frame, now_s: float) -> tuple[int, bytes]:
+        can_id, data = honest(of, frame, now_s)
         if isinstance(frame, Joints01 | Joints23 | Joint4):
-            return can_id, protect(data[3:], (data[2] + 7) % 256, DATA_IDS[can_id], link.tag)
+            return can_id, protect(data[3:], (data[2] + 7) % 256, DATA_IDS[can_id], of.tag)
         return can_id, data
 
     monkeypatch.setattr(Link, "encode", ahead)
-    assert "AUTHENTICATION_FAILED" in str(failing(rig.run("cyclic frames")))
+    assert "no fresh heartbeat and joints" in failing(rig.run("cyclic frames"))["cyclic frames"]
 
 
 @pytest.mark.parametrize(("guard", "fails"), START_GUARDS, ids=lambda value: getattr(value, "name", ""))
@@ -146,7 +147,6 @@ def test_a_controller_without_one_rule_on_resets_fails_the_case_of_the_latch(
 @pytest.mark.parametrize(
     ("guard", "fails"),
     [
-        (Refusal.PROTOCOL_VERSION, "open: other protocol version"),
         (Refusal.MAC_INVALID, "open: wrong code"),
         (Refusal.IDENTITY_DIGEST, "open: other controller"),
         (Refusal.SESSION_IN_USE, "open: during a session"),
@@ -206,19 +206,19 @@ def test_a_controller_that_ignores_what_its_link_finds_fails_exactly_its_cases(
     assert judged(rig, *ON_THE_LINK) == fails
 
 
-def test_a_controller_that_takes_stale_heartbeats_for_fresh_fails_exactly_that_case(
+def test_a_controller_that_takes_stale_heartbeats_for_fresh_fails_exactly_the_cases_about_age(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judge = Link._refresh
 
-    def lax(link: Link, echo: int, now_s: float) -> bool:
-        if link is not rig.process.port.endpoint.link:
-            return judge(link, echo, now_s)
-        link._heard, link._refreshed_s = True, now_s
+    def lax(of: Link, echo: int, now_s: float) -> bool:
+        if of is not rig.process.port.endpoint.link:
+            return judge(of, echo, now_s)
+        of._heard, of._refreshed_s = True, now_s
         return True
 
     monkeypatch.setattr(Link, "_refresh", lax)
-    assert judged(rig, *ON_THE_LINK) == {"heartbeats: a stale burst"}
+    assert judged(rig, *ON_THE_LINK) == {"heartbeats: a stale burst", "heartbeats: one held back"}
 
 
 def test_a_controller_whose_permit_never_expires_fails_exactly_that_case(
@@ -259,6 +259,7 @@ def test_a_controller_that_waits_twice_the_time_out_fails_exactly_the_cases_that
         "heartbeats: silence in OPEN",
         "heartbeats: silence in PERMITTED",
         "heartbeats: a stale burst",
+        "heartbeats: one held back",
         "heartbeats: no session tag",
     }
 
@@ -321,14 +322,49 @@ def test_a_pressed_enabling_device_halts_the_suite_without_blaming_the_controlle
     assert not outcome.passed
 
 
-def test_a_controller_with_another_key_refuses_the_right_permit(tmp_path: Path) -> None:
+def test_a_controller_with_another_key_opens_nothing_and_is_left_as_it_was(tmp_path: Path) -> None:
     rig = Rig(tmp_path, key=bytes(32))
     try:
         outcome = rig.run("permit: right", "nothing moved")
     finally:
         rig.close()
-    assert not outcome.passed
-    assert outcome.needs_reset, "the reset cannot be signed either"
+    assert failing(outcome)["permit: right"] == "a right OPEN was answered with Reply MAC_INVALID"
+    assert outcome.state is ControllerState.INHIBITED
+    assert not outcome.needs_reset
+
+
+def test_a_controller_that_opens_for_a_used_announce_nonce_fails_exactly_the_cases_that_name_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "OPEN_RULES", without(Refusal.ANNOUNCE_NONCE)(rules.OPEN_RULES))
+    assert judged(rig, "open:") == {"open: other announce nonce", "open: said again"}
+
+
+def test_a_controller_that_believes_any_tag_fails_exactly_the_cases_about_tags(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "_fits", lambda _made, _sent: True)
+    assert judged(rig, "heartbeats: ") == {
+        "heartbeats: CUT without the key",
+        "heartbeats: guessed tag",
+        "heartbeats: a round before",
+    }
+
+
+def test_a_controller_whose_stop_frames_withdraw_fails_exactly_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped = table.EVERYWHERE[StopReceived]
+
+    def withdraws(state: Any, event: Any, now_s: float) -> Any:
+        after, effects = stopped(state, event, now_s)
+        if event.cause in WITHDRAWING and state.session is not None:
+            places = after.memory.withdrawn | {state.session.place}
+            after = replace(after, memory=replace(after.memory, withdrawn=places))
+        return after, effects
+
+    monkeypatch.setitem(table.EVERYWHERE, StopReceived, withdraws)
+    assert judged(rig, "withdraw: ") == {"withdraw: claimed by a stop"}
 
 
 def test_a_controller_that_falls_silent_is_not_waited_for_without_end(rig: Rig) -> None:

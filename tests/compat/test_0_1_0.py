@@ -23,8 +23,9 @@ from cutgate.runtime.commands.app import execute
 from cutgate.runtime.interlock.permissives import registration_stands
 from cutgate.runtime.interlock.state import Interlock
 from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.job import make_job, read_files
-from cutgate.runtime.session.withdrawal import refused_by
+from cutgate.runtime.session.withdrawal import listed_before
 
 STORED = Path(__file__).parent / "0.1.0"
 INPUTS, PROOFS, SESSIONS, CONTROLLER = (
@@ -193,17 +194,18 @@ def test_what_was_withdrawn_under_0_1_0_is_refused_and_whatever_was_taken_before
     )
     job = make_job(files, now=datetime.now(UTC))
     log = AuditLog.create(tmp_path, log_id=bytes(16).hex(), opened=OpenInfo("cutgate", "cutgate"))
-    found = refused_by(log, job.registration, files.registration, 60.0)
+    listed = listed_before(log)
+    found = withdrawn.refusal(listed, job.registration, files.registration, 60.0)
     assert said in found
     again = files.registration.model_copy(update={"id": "under another name"})
-    same = refused_by(log, bytes(32), again, 60.0)
+    same = withdrawn.refusal(listed, bytes(32), again, 60.0)
     known = registration == "registration.json" and there
     assert ("the same place was withdrawn" if known else "is not surely later than the withdrawal") in same
     later = datetime.now(UTC) + timedelta(seconds=61)
     moved = again.model_copy(
         update={"R_T_CT": np.eye(4).tolist(), "created_utc": f"{later:%Y-%m-%dT%H:%M:%S.%fZ}"}
     )
-    assert refused_by(log, bytes(32), moved, 60.0) == ""
+    assert withdrawn.refusal(listed, bytes(32), moved, 60.0) == ""
     assert log.close(final_state="refused", clean=True).closed
     permissive = registration_stands(Interlock(replace(job, withdrawal=found)), 0.0)
     assert (permissive.holds, permissive.text) == (False, found)
@@ -246,9 +248,10 @@ def test_the_key_is_the_one_in_its_file(tmp_path):
 )
 def test_the_controller_remembers_what_was_withdrawn_and_what_is_latched(tmp_path, stored, latched):
     file = private_copy(CONTROLLER / stored, memory.beside(tmp_path / "site.key"))
-    assert memory.load(file) == Memory(
-        named=frozenset({digest("registration-second.json")}),
-        withdrawn=frozenset({digest("registration.json"), digest("registration-shifted.json")}),
+    now_us = 1_795_000_000_000_000
+    assert memory.load(file, now_us) == Memory(
+        earlier=frozenset({digest("registration.json"), digest("registration-shifted.json")}),
+        barrier_us=now_us,
         latched=latched,
     )
 

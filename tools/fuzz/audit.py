@@ -17,18 +17,19 @@ from typing import Any, Final
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 from rich.console import Console
 
-from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, advance
+from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, covered, follow
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Log, Status, read_log
-from cutgate.runtime.audit.records import MODELS, AuditAttachment, AuditClose
+from cutgate.runtime.audit.records import MODELS, AuditAttachment, AuditClose, AuditPermit
 from cutgate.runtime.audit.replay import replay
 from cutgate.runtime.audit.schema import schema_bytes
+from cutgate.runtime.audit.tree import Tree
 from cutgate.runtime.audit.writer import ENCODING, METADATA, PROFILE, SCHEMA_ENCODING, schema_name
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
 from cutgate.runtime.verification import certified
-from tests.runtime.audit.build import LOG_ID, VERIFIER, session_log
+from tests.runtime.audit.build import LOG_ID, VERIFIER, TreesAgain, session_log
 from tools.fuzz.harness import Family, choose, expect
 
 Message = tuple[str, dict[str, Any]]
@@ -139,7 +140,7 @@ def written(messages: list[Message], attachments: dict[str, bytes]) -> bytes:
     for name, data in attachments.items():
         writer.add_attachment(0, 0, name, MEDIA_TYPES[name], data)
     channels: dict[str, int] = {}
-    head = GENESIS
+    head, tree, trees = GENESIS, Tree(), TreesAgain()
     for number, (topic, content) in enumerate(messages):
         model = TOPICS[topic]
         if topic not in channels:
@@ -151,12 +152,26 @@ def written(messages: list[Message], attachments: dict[str, bytes]) -> bytes:
         if topic == AuditAttachment.TOPIC and content.get("name") in list(attachments):
             kept = attachments[content["name"]]
             linked = linked | {"sha256": sha256(kept).hexdigest(), "size": len(kept)}
+        if topic == AuditPermit.TOPIC:
+            linked = _named_again(linked, trees)
         data = json.dumps(linked).encode()
         times = {"log_time": number, "publish_time": number, "sequence": number, "data": data}
         writer.add_message(channel_id=channels[topic], **times)
-        head = advance(head, ChainLink(topic, ENCODING, schema_name(model), schema_bytes(model), **times))
+        link = covered(ChainLink(topic, ENCODING, schema_name(model), schema_bytes(model), **times))
+        head = follow(head, link)
+        tree.append(link)
+        if content.get("disposition") == "authorised":
+            trees.authorised(tree)
     writer.finish()
     return stream.getvalue()
+
+
+def _named_again(content: dict[str, Any], trees: TreesAgain) -> dict[str, Any]:
+    """A permit or start with the tree that this log has; one that was edited until it is none stays so."""
+    with contextlib.suppress(ValueError, KeyError):
+        again = trees.named_again(AuditPermit.model_validate_json(json.dumps(content)))
+        return content | {name: getattr(again, name) for name in NAMED if content.get(name) is not None}
+    return content
 
 
 def _session() -> bytes:
@@ -164,6 +179,7 @@ def _session() -> bytes:
         return session_log(Path(directory)).log.read_bytes()
 
 
+NAMED: Final = ("log_size", "log_root", "record")
 TOPICS: Final = {model.TOPIC: model for model in MODELS}
 SESSION: Final = _session()
 MESSAGES: Final = tuple((message.topic, message.link.data) for message in scan(SESSION).messages)

@@ -18,6 +18,7 @@ from tools.fuzz.harness import Family, attempt, choose, expect
 
 DIRECTORY = tempfile.TemporaryDirectory(prefix="cutgate-fuzz-")
 PLACE = Path(DIRECTORY.name)
+NOW_US = 1_795_000_000_000_000
 
 
 def check(data: bytes) -> None:
@@ -35,10 +36,10 @@ def _written(name: str, data: bytes) -> Path:
 
 def _memory(data: bytes) -> None:
     path = _written("memory.json", data)
-    remembered = attempt(memory.ControllerMemoryError, memory.load, path)
+    remembered = attempt(memory.ControllerMemoryError, memory.load, path, NOW_US)
     if remembered is not None:
         memory.save(path, remembered)
-        expect(memory.load(path) == remembered, "what is remembered stays remembered")
+        expect(memory.load(path, NOW_US) == remembered, "what is remembered stays remembered")
 
 
 def _head(data: bytes) -> None:
@@ -85,9 +86,18 @@ def _text_of(remembered: Memory) -> str:
 
 
 def _seeds() -> Iterator[bytes]:
-    withdrawn = Memory(frozenset({bytes(32)}), frozenset({bytes(range(32))}), StopCause.SECOND_NODE)
+    withdrawn = Memory(
+        withdrawn=frozenset({bytes(32)}),
+        earlier=frozenset({bytes(range(32))}),
+        barrier_us=NOW_US,
+        withdrawal_due=True,
+        latched=StopCause.SECOND_NODE,
+    )
+    before = (
+        '{"schema": "cutgate.sim-memory/1", "content": {"named": [], "withdrawn": [], "latched": "NONE"}}'
+    )
     examples = {
-        _memory: (_text_of(Memory()), _text_of(withdrawn), '{"schema": ' + "[" * 5000),
+        _memory: (_text_of(Memory()), _text_of(withdrawn), before, '{"schema": ' + "[" * 5000),
         _head: (
             Head("a.mcap", "ab" * 32, closed=True, listed=Listed()).encode().decode(),
             Head("a.mcap", "ab" * 32, closed=True, listed=Listed(3, "ab" * 32)).encode().decode(),

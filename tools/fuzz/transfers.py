@@ -9,10 +9,9 @@ from cutgate.protocol.path import split
 from cutgate.protocol.records import ENVELOPE_BYTES_MAX, NonceRequest, Side, pack
 from cutgate.protocol.states import Purpose
 from cutgate.protocol.transfer import PAYLOAD_BYTES_MAX, Transfer
-from tests.protocol.sessions import DIGEST, KEY
+from tests.protocol.sessions import DIGEST, KEY, TAG
 from tools.fuzz.harness import Family, expect
 
-TAG = 0xC0FFEE
 OP_BYTES = 9
 """What happens, and eight bytes for it."""
 BLOCK = split(bytes(range(256)) * 4)[0]
@@ -52,9 +51,9 @@ def _conversation(data: bytes, *, fd: bool) -> None:
         now_s = number * 0.001
         if what == 0:
             record = BLOCK if content[0] % 2 else NonceRequest(Purpose.START)
-            sequence, payload = runtime.send_record(record, now_s)
-            expect(payload == pack(record, TAG, sequence), "what is sent has one form")
-            sent.append(payload)
+            queued = runtime.send_record(record, now_s)
+            expect(queued.payload == pack(record, TAG, queued.sequence), "what is sent has one form")
+            sent.append(queued.payload)
         for can_id, frame in _altered(runtime.outgoing(), what, content):
             items = controller.receive(can_id, frame, is_fd=runtime.is_fd(can_id), now_s=now_s)
             arrived += _received(items, sent)

@@ -5,7 +5,7 @@ import os
 import select
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from hashlib import sha256
@@ -25,6 +25,7 @@ from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.disk import Reservation, SystemDisk
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
+from cutgate.runtime.audit.tree import Tree
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import prepare, with_branch
@@ -265,7 +266,9 @@ def approach_of(given: float = 500.0) -> records.AuditApproach:
     )
 
 
-def wire_permit(given: float = 500.0, site: bytes | None = None) -> wire.Permit:
+def wire_permit(
+    given: float = 500.0, site: bytes | None = None, log: wire.TreeHead = wire.NO_TREE_HEAD
+) -> wire.Permit:
     """A permit for these inputs."""
     way, path = approach_of(given), wire.Path.parse(inputs(given).path)
     i = inputs(given)
@@ -290,10 +293,11 @@ def wire_permit(given: float = 500.0, site: bytes | None = None) -> wire.Permit:
             way.entry_um, way.exit_um, way.entry_joints_u, way.exit_joints_u, way.speed_percent or 25
         ),
         lifetime_s=120,
+        log=log,
     )
 
 
-def wire_start(permit: wire.Permit) -> wire.Start:
+def wire_start(permit: wire.Permit, log: wire.TreeHead = wire.NO_TREE_HEAD) -> wire.Start:
     """The order to cut under this permit."""
     return wire.Start(
         nonce=bytes(16),
@@ -301,20 +305,36 @@ def wire_start(permit: wire.Permit) -> wire.Start:
         session_digest=permit.session_digest,
         permit_digest=permit.digest,
         start_joints_u=permit.start_joints_u,
+        log=log,
     )
 
 
+def tree_head(log: AuditLog) -> wire.TreeHead:
+    """The tree of everything written so far."""
+    tree = log._writer.tree
+    return wire.TreeHead(bytes.fromhex(LOG_ID), tree.size, tree.root)
+
+
 def permit_record(
-    given: float, kind: str, stage: str, *, site: bytes | None = None, **changes: Any
+    given: float,
+    kind: str,
+    stage: str,
+    *,
+    site: bytes | None = None,
+    heads: tuple[wire.TreeHead, ...] = (),
+    **changes: Any,
 ) -> records.AuditPermit:
-    permit = wire_permit(given, site)
+    """One record of a permit or start; ``heads``: of the permit's log, and of the start's."""
+    permit = wire_permit(given, site, *heads[:1])
     digests = {
         f"{name}_sha256": getattr(permit, f"{name}_digest").hex()
         for name in ("path", "limits", "calibration", "tool", "registration", "configuration")
     }
     values = {"kind": kind, "stage": stage, "token": 1 if kind == "permit" else 2}
     bound = digests if kind == "permit" else {}
-    signed = (permit if kind == "permit" else wire_start(permit)).canonical().hex()
+    signed = (permit if kind == "permit" else wire_start(permit, *heads[1:])).canonical().hex()
+    if stage == "sent":
+        values |= {"log_size": heads[-1].size, "log_root": heads[-1].root.hex()}
     return records.AuditPermit(**(values | bound | {"record": signed} | changes))
 
 
@@ -365,15 +385,17 @@ def _enable(log: AuditLog, given: float, site: bytes | None) -> None:
     stands = records.PermissiveValue(
         name="verdict", holds=True, text="admissible", bound="admissible", remedy=""
     )
+    heads: tuple[wire.TreeHead, ...] = ()
     for token, kind in ((1, "permit"), (2, "start")):
-        log.write(permit_record(given, kind, "authorised", site=site))
+        log.write(permit_record(given, kind, "authorised", site=site, heads=heads))
         log.write(
             decision(2 * token, event=f"authorise {kind}", disposition="authorised", permissives=(stands,))
         )
         log.commit(token)
-        log.write(permit_record(given, kind, "sent", site=site))
+        heads += (tree_head(log),)
+        log.write(permit_record(given, kind, "sent", site=site, heads=heads))
         log.write(decision(2 * token + 1, event="RecordDurable", disposition="sent", permissives=(stands,)))
-        log.write(permit_record(given, kind, "acknowledged", site=site))
+        log.write(permit_record(given, kind, "acknowledged", site=site, heads=heads))
 
 
 def enable(log: AuditLog, *kinds: str, **changes: Any) -> list[Durable]:
@@ -408,17 +430,45 @@ def forge(
     for entry, content in changed:
         if content is not None:
             writer.attach(entry.name, entry.media_type, content, log_time_ns=entry.log_time)
+    trees = TreesAgain()
     for message in old.messages:
         record: records.LogRecord | None = MODELS[message.topic].model_validate_json(message.link.data)
         if isinstance(record, records.AuditAttachment):
             record = _digest_again(record, kept)
+        if isinstance(record, records.AuditPermit):
+            record = trees.named_again(record)
         record = record and edit(record)
         if isinstance(record, records.AuditClose):
             record = record.model_copy(update={"message_count": writer.count + 1})
         if record is not None:
             writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=_monotonic(record))
+            if isinstance(record, records.AuditDecision) and record.disposition == "authorised":
+                trees.authorised(writer.tree)
     writer.finish()
     return writer.take()
+
+
+@dataclass
+class TreesAgain:
+    """What permits and starts name of the tree, as the log that is written again has it."""
+
+    head: wire.TreeHead = wire.NO_TREE_HEAD
+    permit: bytes = b""
+
+    def authorised(self, tree: Tree) -> None:
+        """The record that authorises has been written; the tree with it as its last."""
+        self.head = wire.TreeHead(bytes.fromhex(LOG_ID), tree.size, tree.root)
+
+    def named_again(self, record: records.AuditPermit) -> records.AuditPermit:
+        if record.stage != "sent" or record.log_size is None or record.record is None:
+            return record
+        kind = {"permit": wire.Permit, "start": wire.Start}[record.kind]
+        signed = kind.parse(bytes.fromhex(record.record).removeprefix(kind.DOMAIN + b"\0") + wire.NO_MAC)
+        changes = {} if isinstance(signed, wire.Permit) else {"permit_digest": self.permit}
+        signed = replace(signed, log=self.head, **changes)
+        self.permit = signed.digest if isinstance(signed, wire.Permit) else self.permit
+        named = {"log_size": self.head.size, "log_root": self.head.root.hex()}
+        return record.model_copy(update=named | {"record": signed.canonical().hex()})
 
 
 def _digest_again(record: records.AuditAttachment, kept: dict[str, bytes]) -> records.AuditAttachment | None:

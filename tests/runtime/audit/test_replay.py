@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from hashlib import sha256
 
 import pytest
 
+from cutgate.protocol import records as wire
 from cutgate.protocol.records import Limits
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
@@ -56,6 +58,34 @@ def bad(data, word):
     result = replayed(data)
     assert result.outcome is ReplayOutcome.BAD_INPUT
     assert word in result.differences[0]
+
+
+TREE_HEAD_BYTES = len(wire.NO_TREE_HEAD.body())
+
+
+def of_version_3():
+    """Permits and starts as version 3 of the protocol had them: they name no tree."""
+    permit = b""
+
+    def edit(record):
+        nonlocal permit
+        if not isinstance(record, records.AuditPermit) or record.stage != "sent":
+            return record
+        kind = {"permit": wire.Permit, "start": wire.Start}[record.kind]
+        signed = kind.parse(bytes.fromhex(record.record).removeprefix(kind.DOMAIN + b"\0") + wire.NO_MAC)
+        if record.kind == "start":
+            signed = replace(signed, permit_digest=permit)
+        older = signed.canonical()[:-TREE_HEAD_BYTES]
+        permit = sha256(older).digest()
+        return record.model_copy(update={"record": older.hex(), "log_size": None, "log_root": None})
+
+    return edit
+
+
+@pytest.fixture(scope="module")
+def older(admitted):
+    """The admitted session as version 3 would have written it."""
+    return forge(admitted, of_version_3())
 
 
 def changed(kind, when=lambda _record: True, **changes):
@@ -513,16 +543,36 @@ def stage(kind, name):
 
 
 @pytest.mark.parametrize("kind", ["permit", "start"])
-def test_nothing_leaves_without_its_authorisation(admitted, kind):
-    forged = forge(admitted, left_out(records.AuditPermit, stage(kind, "authorised")))
+def test_nothing_leaves_without_its_authorisation(older, kind):
+    forged = forge(older, left_out(records.AuditPermit, stage(kind, "authorised")))
     differs(forged, f"a {kind} left without a record that authorised it")
 
 
+def test_a_session_of_version_3_replays(older):
+    result = replayed(older)
+    assert (result.outcome, result.differences) == (ReplayOutcome.IDENTICAL, ())
+
+
 @pytest.mark.parametrize("kind", ["permit", "start"])
-def test_another_record_of_the_same_kind_authorises_nothing(admitted, kind):
+def test_what_names_another_tree_than_was_signed_differs(admitted, older, kind):
+    """The record says one thing, what was signed another."""
+    told = f"the {kind}'s log is not the one that was signed"
+    signed = [
+        record.record
+        for _, data in read_log(admitted).each(records.AuditPermit.TOPIC)
+        if stage(kind, "sent")(record := records.AuditPermit.model_validate_json(data))
+    ]
+    other = bytearray.fromhex(signed[0])
+    other[-40] ^= 1  # of the size
+    forged = forge(admitted, changed(records.AuditPermit, stage(kind, "sent"), record=other.hex()))
+    differs(forged, told)
+
+
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_another_record_of_the_same_kind_authorises_nothing(older, kind):
     """As one that was authorised and withheld, and then left all the same under another number."""
     when = stage(kind, "sent")
-    forged = forge(admitted, changed(records.AuditPermit, when, token=9))
+    forged = forge(older, changed(records.AuditPermit, when, token=9))
     differs(forged, f"a {kind} left without a record that authorised it")
 
 
@@ -545,11 +595,11 @@ def test_nothing_leaves_on_an_inadmissible_verdict(admitted):
         )
 
 
-def test_a_permit_on_a_refused_path_is_named(admitted, refused):
+def test_a_permit_on_a_refused_path_is_named(older, refused):
     """The refused session, given the permit that left in the admitted one."""
     sent = next(
         record
-        for _, data in read_log(admitted).each(records.AuditPermit.TOPIC)
+        for _, data in read_log(older).each(records.AuditPermit.TOPIC)
         if stage("permit", "sent")(record := records.AuditPermit.model_validate_json(data))
     )
     forged = forge(refused, lambda record: sent if isinstance(record, records.AuditDecision) else record)

@@ -76,6 +76,8 @@ def record(kind, stage, token=1, signed=None, **changes):
     """One record of a permit, start or reset."""
     signed = signed or {"permit": PERMIT, "start": START}.get(kind)
     values = {"kind": kind, "stage": stage, "token": token, "record": signed and signed.canonical().hex()}
+    if stage == "sent":
+        values |= {"log_size": 0, "log_root": bytes(32).hex()}
     if kind == "permit":
         values |= {f"{name}_sha256": digest(name).hex() for name in DIGESTS}
         values["configuration_sha256"] = CONFIGURATION.hex()

@@ -1,6 +1,6 @@
 """What may happen to frames on the bus, one row after the other: tolerated and counted, or stopped."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from io import StringIO
 
 import can
@@ -22,6 +22,7 @@ from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCo
 from cutgate.runtime.interlock.state import Commit, Phase
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
+from tests.runtime.interlock.builders import DURABLE_LOG
 from tests.runtime.session.pair import Stranger
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
 
@@ -220,7 +221,8 @@ def authorising(pair):
 
 def signed(pair):
     """The permit that waits, as it would leave but for its code, which the endpoint makes."""
-    return next(effect for effect in pair.notes.effects if isinstance(effect, Commit)).record
+    committed = next(effect for effect in pair.notes.effects if isinstance(effect, Commit)).record
+    return replace(committed, log=DURABLE_LOG)
 
 
 def test_only_the_stop_makes_the_difference_in_the_next_tests(authorising):

@@ -6,6 +6,7 @@ from hashlib import sha256
 import pytest
 
 from cutgate.firmware_sim.faults import FaultName
+from cutgate.firmware_sim.reports import announcement
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
@@ -75,10 +76,10 @@ def test_an_arm_off_its_start_is_refused_by_the_controller_as_well(pair):
 @pytest.mark.parametrize("state", ["loaded", "permitted", "cutting"])
 def test_a_reboot_ends_the_session(pair, state):
     pair.power_up(f"reboot@{state}", time_scale=0.1)
-    boot = pair.controller.identity.boot_nonce
+    boot = pair.controller.announce_nonce
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause is StopCause.PEER_REBOOTED
-    assert pair.controller.identity.boot_nonce != boot
+    assert pair.controller.announce_nonce != boot
     assert pair.controller.holdings.path is None
     assert pair.controller.state is ControllerState.INHIBITED
 
@@ -132,9 +133,12 @@ def open_request(pair, **changes):
     timing = records.Timing(20, 100, 120, 2000, 500, 200, 10_000, 25)
     values = {
         "protocol_version": records.PROTOCOL_VERSION,
-        "boot_nonce": pair.controller.identity.boot_nonce,
+        "announce_nonce": pair.controller.announce_nonce,
         "runtime_nonce": b"n" * 16,
+        "identity_digest": announcement(pair.controller).identity_digest,
         "registration_digest": pair.job.registration,
+        "place_digest": pair.job.place,
+        "registration_time_us": pair.job.registration_time_us,
         "configuration_digest": pair.job.configuration,
         "verifier_version": pair.job.verifier,
         "timing": timing,
@@ -228,7 +232,42 @@ def test_a_withdrawn_registration_stays_withdrawn_over_a_restart(pair):
     pair.close()
     pair.power_up()
     assert pair.begin().end() is Phase.REFUSED
-    assert pair.state.reason == f"the controller refused the permit: {told(Refusal.REGISTRATION_WITHDRAWN)}"
+    assert pair.state.reason.startswith(
+        "registration stands: withdrawn at the controller; what is taken from 2026-09-21 "
+    )
+    assert not first_frames(pair, records.NonceRequest)
+
+
+def test_a_motion_without_a_session_withdraws_what_was_registered_before_it_and_nothing_else(pair):
+    """The controller alone has seen it; the next session says from when on a registration counts."""
+    pair.controller_terminal.type("bone-motion")
+    pair.run(2.0)
+    assert pair.controller.memory.withdrawal_due
+    pair.to(Phase.HELD).run(0.05).say("acknowledge")
+    assert pair.end() is Phase.REFUSED
+    assert "is not surely later than the last withdrawal that the controller knows" in pair.state.reason
+    barrier_us = pair.state.barrier_us
+    assert 0 <= pair.clock.utc_ns() // 1000 - (barrier_us - 60_000_000) - 2_000_000 <= 1_500_000, (
+        "2 s ago, and skew"
+    )
+    assert (pair.controller.memory.barrier_us, pair.controller.memory.withdrawal_due) == (barrier_us, False)
+    assert pair.controller.memory.withdrawn == frozenset(), "of which place it was, nobody knows"
+    pair.close()
+    (told,) = [one for one in pair.read().of("/audit/decision") if one["event"] == "withdrawal sent"]
+    assert told["reason"].startswith("only a registration later than 2026-09-21 ")
+    pair.run(0.1).begin(replace(pair.job, registration_time_us=barrier_us + 1))
+    assert pair.end() is Phase.DONE
+
+
+def test_a_motion_whose_age_nobody_knows_withdraws_what_this_side_has_seen(pair):
+    """After a power-up: a registration that this side knows is none of later."""
+    pair.controller_terminal.type("bone-motion")
+    pair.run(0.1)
+    pair.power_up()
+    pair.begin().end()
+    assert pair.phase is Phase.REFUSED
+    now_us = pair.clock.utc_ns() // 1000
+    assert 0 <= now_us + 60_000_000 - pair.state.barrier_us <= 1_000_000
 
 
 def test_only_a_withdrawn_registration_is_remembered(pair):

@@ -381,7 +381,7 @@ def test_a_memory_that_cannot_be_written_latches(cutting, monkeypatch):
     assert cutting.end() is Phase.STOPPED
     monkeypatch.undo()
     cutting.run(0.1)
-    assert memory.load(cutting.memory_file) == cutting.controller.memory
+    assert memory.load(cutting.memory_file, now_us=0) == cutting.controller.memory
 
 
 def test_an_error_of_the_controller_on_a_dead_bus_is_still_the_error(cutting, monkeypatch):

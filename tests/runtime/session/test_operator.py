@@ -112,7 +112,10 @@ def test_withdraw_reaches_the_controllers_memory(pair):
     pair.end()
     assert pair.state.cause is StopCause.REGISTRATION_WITHDRAWN
     pair.run(0.2)
-    assert pair.controller.memory.withdrawn == {pair.job.registration}
+    assert pair.controller.memory.withdrawn == {pair.job.place}
+    assert pair.controller.memory.barrier_us == pair.state.barrier_us
+    assert not pair.controller.memory.withdrawal_due, "it was told before the session had stopped"
+    assert not pair.state.withdraw_due
 
 
 # ---------------------------------------------------------------- the worker
@@ -231,7 +234,7 @@ def test_a_word_said_while_the_controller_opens_reaches_it(pair, word, cause):
     assert pair.clock() <= sent + 2 * pair.cycle_s
     assert pair.controller.state is ControllerState.INHIBITED
     assert pair.controller.cause is cause
-    assert (pair.job.registration in pair.controller.memory.withdrawn) is (word == "withdraw")
+    assert (pair.job.place in pair.controller.memory.withdrawn) is (word == "withdraw")
     assert pair.end() is Phase.STOPPED
 
 
@@ -294,4 +297,6 @@ def test_replay_finds_a_permit_that_left_without_the_confirmation(doubtful, chan
 
     forged = forge(doubtful.paths.log.read_bytes(), edit)
     found = replay(read_log(forged), certified.verify, verifier=VERIFIER)
-    assert found.differences == ("a permit left although the warning CUT_TINY was not confirmed",)
+    tampered, unconfirmed = found.differences
+    assert tampered.startswith("the log itself is TAMPERED: "), "the permit names the tree that it left from"
+    assert unconfirmed == "a permit left although the warning CUT_TINY was not confirmed"

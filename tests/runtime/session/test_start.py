@@ -80,9 +80,7 @@ def test_joints_late_within_the_time_out_start_and_later_ones_are_refused_by_the
     ready(pair, late_s).say("start").run(0.1)
     refused = [effect.reason for effect in pair.notes.effects if isinstance(effect, Refused)]
     assert bool(first_frames(pair, records.Start)) is starts
-    assert (
-        any("age of the measured joints: 0.1" in why or "joints: 0.3" in why for why in refused) is not starts
-    )
+    assert any("age of the measured joints: " in why for why in refused) is not starts
     if not starts:
         assert catch_up(pair).phase is Phase.PERMITTED
         pair.say("start").run(0.1)
@@ -90,7 +88,7 @@ def test_joints_late_within_the_time_out_start_and_later_ones_are_refused_by_the
 
 
 @pytest.mark.parametrize(
-    ("heartbeat_ms", "timeout_ms"), [(20, 100), (5, 15), (33, 100), (100, 300), (5, 1000), (100, 1000)]
+    ("heartbeat_ms", "timeout_ms"), [(20, 100), (5, 20), (25, 100), (100, 400), (5, 1000), (100, 1000)]
 )
 def test_a_start_succeeds_at_every_timing_that_is_allowed(pair, heartbeat_ms, timeout_ms):
     """Joints are called as old as is proved of them: with the fewest heartbeats to the time-out that is still enough."""

@@ -69,13 +69,13 @@ class Jitter:
 def test_neither_jitter_nor_tolerated_losses_trip_it(pair, seed):
     """Delays up to what the heartbeat's time-out allows; every fifth frame and its neighbour may be lost.
 
-    A heartbeat that comes at once and the next one late by the most are a period and that delay apart, and each side
-    sees it up to a turn later; the echo is as old. Later than that, HEARTBEAT_LOST is right.
+    A heartbeat that comes at once and the next one late by the most are a period and that delay apart; what they echo was
+    sent a period before, and each side sees it up to a turn later. Later than that, HEARTBEAT_LOST is right.
     """
     draw = random.Random(seed)
     timing = pair.job.timing
-    most_s = (timing.timeout_ms - timing.heartbeat_ms) / 1000 - 2 * pair.cycle_s
-    percent, latest_s = draw.randint(10, 100), draw.choice([0.03, 0.06, most_s])
+    most_s = (timing.timeout_ms - 2 * timing.heartbeat_ms) / 1000 - 3 * pair.cycle_s
+    percent, latest_s = draw.randint(10, 100), draw.choice([0.015, 0.03, most_s])
     pair.power_up(time_scale=draw.choice([1.0, 2.0, 7.0, 60.0]))
     pair.begin(replace(pair.job, timing=replace(timing, approach_speed_percent=percent)))
     pair.to(Phase.STARTING)
@@ -219,7 +219,7 @@ def after_the_end(pair, rule, message):
     return rule(message) if pair.controller.state is ControllerState.DONE else [message]
 
 
-@pytest.mark.parametrize("waiting", [2, 3, 4])
+@pytest.mark.parametrize("waiting", [2, 3])
 @pytest.mark.parametrize("off", range(4))
 def test_of_several_samples_that_came_in_one_turn_each_is_judged(pair, waiting, off):
     """The runtime did not turn for less than its time-out; one of the samples that wait was measured off the path."""

@@ -284,6 +284,8 @@ class Interlock:
     """In this session; what an earlier one withdrew stands in the job."""
     withdraw_due: bool = False
     """A Withdraw of this session's registration has left; the controller's Reply to it is awaited."""
+    withdraw_sent_s: float = 0.0
+    """When it left last."""
     barrier_us: int = records.NO_TIME
     """Of the last Withdraw that left, since 1970, UTC: only a registration later than it counts."""
     acknowledged: StopCause = StopCause.NONE

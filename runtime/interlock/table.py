@@ -118,8 +118,10 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     sent = state.stops_sent | {cause}
     withdraw = (SendWithdraw(state.job.place),) if state.withdraw_due else ()
     if state.phase is Phase.STOPPING:
-        news = sent != state.stops_sent
-        return replace(state, stops_sent=sent), (SendStop(StopCode.STOP, cause), *withdraw) if news else ()
+        if sent == state.stops_sent:
+            return state, ()
+        again = replace(state, stops_sent=sent, withdraw_sent_s=now_s)
+        return again, (SendStop(StopCode.STOP, cause), *withdraw)
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
     stopped = _enter(
@@ -132,6 +134,7 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
         nonce=None,
         tracking=None,
         stops_sent=sent,
+        withdraw_sent_s=now_s,
         answer_due=cause is StopCause.AUTHENTICATION_FAILED and state.phase in SIGNED,
     )
     return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withdraw, *withheld)
@@ -706,11 +709,22 @@ def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: 
     news = state.controller is not None and state.controller.cause is StopCause.NONE  # else it stood before
     seen = _see(state, event)
     if news and event.view.cause in WITHDRAWING and not seen.registration_withdrawn:
-        return _withdrawn(seen), (SendWithdraw(state.job.place),)
-    at_rest = event.view.state in (ControllerState.INHIBITED, ControllerState.FAULT)
-    if at_rest and not state.answer_due and not state.withdraw_due:
-        return _enter(seen, Phase.STOPPED, now_s), ()
-    return seen, ()
+        return _tell_withdrawal(_withdrawn(seen), now_s)
+    if event.view.state not in (ControllerState.INHIBITED, ControllerState.FAULT):
+        return seen, ()
+    if seen.withdraw_due and now_s - seen.withdraw_sent_s >= WITHDRAW_TIMEOUTS * state.job.timing.timeout_s:
+        return _tell_withdrawal(seen, now_s)
+    if seen.answer_due or seen.withdraw_due:
+        return seen, ()
+    return _enter(seen, Phase.STOPPED, now_s), ()
+
+
+WITHDRAW_TIMEOUTS = 2
+"""After so many it is sent again: a stop voids what is on its way with it, on either side."""
+
+
+def _tell_withdrawal(state: Interlock, now_s: float) -> Outcome:
+    return replace(state, withdraw_sent_s=now_s), (SendWithdraw(state.job.place),)
 
 
 def reply_while_stopping(state: Interlock, event: ReplyReceived, now_s: float) -> Outcome:

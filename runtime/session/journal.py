@@ -220,6 +220,8 @@ class Journal:
                 sent = _permit_record(record, stage="sent", token=after.token)
                 self.log.write(sent)
                 self._sent = (sent.kind, after.token)
+            case SendWithdraw():
+                self._sent = None  # what waits from now on is this
             case Withheld(token=token):
                 self.log.write(
                     audit.AuditPermit(

@@ -480,7 +480,8 @@ class Session:
             self._leave_now()
 
     def _withdraw(self, effect: SendWithdraw) -> records.Withdraw:
-        """With its barrier, of which the table is told behind this step."""
+        """With its barrier, of which the table is told behind this step; one that hangs gives way to it."""
+        self._void()
         self._withdrawn_us = self._barrier_us(effect.motion_age_s)
         return records.Withdraw(effect.place, self._withdrawn_us)
 

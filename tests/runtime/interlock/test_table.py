@@ -1551,6 +1551,30 @@ def test_a_withdrawal_is_delivered_before_the_session_has_stopped(refusal):
         assert "a withdrawal, which the controller refused: MEMORY_FAILED" in told.what
 
 
+def test_a_withdrawal_that_is_not_answered_is_sent_again_to_a_controller_at_rest():
+    """It may have been on its way with the stop, which voids it."""
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW))
+    left_s = run.now_s
+    run.feed(AT_REST, after_s=0.199)
+    assert run.effects == ()
+    moving = Run(run.state, left_s).feed(beat(ControllerState.CUTTING), after_s=0.201)
+    assert moving.effects == ()
+    run.feed(AT_REST, after_s=0.002)
+    assert run.effects == (SendWithdraw(JOB.place),)
+    assert run.feed(AT_REST, after_s=0.199).effects == ()
+    assert run.feed(AT_REST, after_s=0.002).effects == (SendWithdraw(JOB.place),)
+    run.feed(reply(records.Withdraw)).feed(AT_REST, after_s=0.3)
+    assert (run.phase, run.effects) == (Phase.STOPPED, ())
+
+
+def test_a_withdrawal_that_was_heard_while_stopping_is_sent_again_as_well():
+    run = Run(in_phase(Phase.STOPPING), NOW).feed(AT_REST)
+    assert run.feed(AT_REST, after_s=0.199).effects == ()
+    assert run.feed(AT_REST, after_s=0.002).effects == (SendWithdraw(JOB.place),)
+    run.feed(CommandGiven(OperatorCommand.STOP))
+    assert run.feed(AT_REST, after_s=0.199).effects == ()
+
+
 def test_a_withdrawal_that_is_not_answered_is_awaited_as_long_as_a_confirmation():
     run = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW), AT_REST)
     assert run.phase is Phase.STOPPING

@@ -338,6 +338,20 @@ def test_whether_the_log_that_the_controller_saw_is_here_is_recorded(log, found,
     assert {key: record[key] for key in record if key in {*told, "log", "reason"}} == told
 
 
+def test_what_waits_behind_a_permit_that_has_left_is_not_called_that_permit(log):
+    """The withdrawal may be voided by another stop; the permit had left long before."""
+    state = in_phase(Phase.AUTHORISING_PERMIT)
+    after, (send,) = step(state, durable(TOKEN), NOW)
+    log.journal.step(state, durable(TOKEN), after, (Send(send.record.with_mac(b"c" * 16)),), NOW)
+    event = CommandGiven(OperatorCommand.WITHDRAW)
+    stopping, effects = step(after, event, NOW)
+    assert WITHDRAWAL in effects
+    log.journal.step(after, event, stopping, effects, NOW)
+    log.journal.voided()
+    paths = log.log.close(final_state="x", clean=True)
+    assert [one["stage"] for one in read_log(paths.log.read_bytes()).of("/audit/permit")] == ["sent"]
+
+
 def test_a_log_that_is_closed_names_its_end(log):
     state = in_phase(Phase.STOPPED, reason=BAD)
     paths = log.journal.close(state, "admissible", Statistics(accepted=7), clean=True)

@@ -7,6 +7,7 @@ from typing import Final
 
 from cutgate.protocol import records
 from cutgate.protocol.states import (
+    WITHDRAWING,
     ControllerState,
     FaultCode,
     Purpose,
@@ -297,6 +298,14 @@ class Interlock:
     """The stop is the controller's answer to a signed record; the Reply with its reason is on the way."""
     stops_sent: frozenset[StopCause] = frozenset()
     """The causes for which a stop has left."""
+
+    def told(self, cause: StopCause) -> StopCause:
+        """What the controller is told of a cause, under this side's code or before it: no withdrawal that is only claimed.
+
+        Else whoever forges a fault frame withdraws a registration, by the mouth of a holder of the key.
+        """
+        claimed = cause in WITHDRAWING and not self.registration_withdrawn
+        return StopCause.PROTOCOL_VIOLATION if claimed else cause
 
 
 # ---------------------------------------------------------------- events

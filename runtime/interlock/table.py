@@ -115,13 +115,14 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
     """
     if cause is StopCause.NONE:  # whoever stops without a cause breaks the protocol
         cause = StopCause.PROTOCOL_VIOLATION
-    sent = state.stops_sent | {cause}
+    told_cause = state.told(cause)
+    sent = state.stops_sent | {told_cause}
     withdraw = (SendWithdraw(state.job.place),) if state.withdraw_due else ()
     if state.phase is Phase.STOPPING:
         if sent == state.stops_sent:
             return state, ()
         again = replace(state, stops_sent=sent, withdraw_sent_s=now_s)
-        return again, (SendStop(StopCode.STOP, cause), *withdraw)
+        return again, (SendStop(StopCode.STOP, told_cause), *withdraw)
     withheld = (Withheld(state.token),) if state.phase in AUTHORISING else ()
     phase = Phase.STOPPING if state.session else Phase.STOPPED
     stopped = _enter(
@@ -137,7 +138,7 @@ def stop(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outco
         withdraw_sent_s=now_s,
         answer_due=cause is StopCause.AUTHENTICATION_FAILED and state.phase in SIGNED,
     )
-    return stopped, (*_link(state), SendStop(StopCode.STOP, cause), *withdraw, *withheld)
+    return stopped, (*_link(state), SendStop(StopCode.STOP, told_cause), *withdraw, *withheld)
 
 
 def _withdrawn(state: Interlock) -> Interlock:

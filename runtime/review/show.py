@@ -301,12 +301,20 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
             for entry in story["collected"]
             if entry.get("matches_approved") is not True
         ),
+        *((entry["offset_s"], _witness(entry)) for entry in story["witness"]),
     ]
     if not lines:
         return
     console.print()
     for offset_s, text in sorted(lines):
         console.print(f"{offset_s:9.3f}  {text.strip()}")
+
+
+def _witness(entry: Mapping[str, Any]) -> str:
+    """Whether the log was found that the controller saw at the start before this session."""
+    reason = _text(entry, "reason")
+    found = _text(entry, "log") if entry.get("found") is True else "NOT FOUND"
+    return f"the log that the controller saw last: {': '.join(filter(None, (found, reason)))}"
 
 
 def _refused(entry: Mapping[str, Any]) -> str:

@@ -26,6 +26,7 @@ from cutgate.runtime.audit.records import (
     AuditProcess,
     AuditRecord,
     AuditVerdict,
+    AuditWitness,
     CanFrame,
 )
 from cutgate.runtime.interlock.phases import MOVING, STOPPING
@@ -58,6 +59,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
             AuditApproach,
             AuditGuidance,
             AuditPermit,
+            AuditWitness,
             AuditFault,
             AuditOperator,
             AuditProcess,
@@ -79,6 +81,7 @@ def story(log: Log, path: Path, candump: Path | None) -> dict[str, Any]:
         "decisions": timed[AuditDecision],
         "collected": timed[AuditCollected],
         "permits": timed[AuditPermit],
+        "witness": timed[AuditWitness],
         "faults": timed[AuditFault],
         "operator": timed[AuditOperator],
         "processes": timed[AuditProcess],

@@ -524,5 +524,5 @@ class Session:
         """What leaves was made in this cycle."""
         endpoint, state = self._port.endpoint, self.state
         if self._cycle.heartbeat_due() and endpoint.link.is_open:
-            beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.cause)
+            beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.told(state.cause))
             endpoint.send_frame(beat, self._cycle.now_s)

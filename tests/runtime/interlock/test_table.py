@@ -350,8 +350,20 @@ def test_every_cause_the_shell_or_the_controller_can_name_stops_the_cut(phase, c
         beat(ControllerState.CUTTING, fresh=False, cause=cause),
     ):
         after, effects = step(in_phase(phase), event, NOW)
-        assert stops(effects) == [cause]
+        claimed = cause in WITHDRAWING and not isinstance(event, HeartbeatReceived)
+        assert stops(effects) == [StopCause.PROTOCOL_VIOLATION if claimed else cause]
         assert (after.phase, after.cause) == (Phase.STOPPING, cause)
+
+
+@pytest.mark.parametrize("cause", StopCause)
+def test_a_withdrawal_is_told_under_this_sides_code_only_once_a_holder_of_the_key_has_said_it(cause):
+    """Claimed by a fault frame, it is none; the controller's own heartbeat makes it one."""
+    claimed, _ = step(in_phase(Phase.CUTTING), FaultReceived(FaultCode.STOPPED, cause), NOW)
+    told = claimed.told(claimed.cause)
+    first = StopCause.PROTOCOL_VIOLATION if cause in {*WITHDRAWING, StopCause.NONE} else cause
+    assert (told, claimed.registration_withdrawn) == (first, False)
+    said, _ = step(claimed, beat(ControllerState.INHIBITED, cause=cause, epoch=NEXT_EPOCH), NOW)
+    assert said.told(said.cause) == (cause if cause in WITHDRAWING else first)
 
 
 @each_phase
@@ -401,6 +413,9 @@ def test_what_carries_no_code_withdraws_nothing_whatever_it_claims(phase, cause)
         after, effects = step(in_phase(phase), event, NOW)
         assert not after.registration_withdrawn
         assert not withdrawals(effects)
+        assert not WITHDRAWING & {*stops(effects), after.told(after.cause)}, (
+            "nor does it by this side's mouth"
+        )
 
 
 @each_phase

@@ -1,12 +1,16 @@
 """The log that the controller saw last is looked up beside the loop; the session shows and records what comes of it."""
 
 import threading
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from cutgate.runtime.audit.witness import WitnessFound
 from cutgate.runtime.interlock.state import Phase, SeekWitness
+from cutgate.runtime.review.show import print_story
+from cutgate.runtime.review.story import story
 from cutgate.runtime.session.witness import WitnessSearch
 from tests.runtime.audit.build import PATIENCE_S
 from tests.runtime.interlock.builders import SEEN_LOG
@@ -73,6 +77,13 @@ def permissive(pair):
     return next(one for one in sent["permissives"] if one["name"] == "controller's witness")
 
 
+def shown(pair):
+    """The log's story on a terminal."""
+    console = Console(file=StringIO(), width=200)
+    print_story(console, story(pair.read(), pair.paths.log, None))
+    return console.file.getvalue()
+
+
 def test_a_controller_that_saw_no_log_has_none_looked_up(pair):
     assert completed(pair).read().of("/audit/witness") == []
     assert not [effect for effect in pair.notes.effects if isinstance(effect, SeekWitness)]
@@ -91,6 +102,7 @@ def test_the_log_of_the_last_start_is_found_by_the_next_session(pair):
     assert (witness["log_size"], witness["log_root"]) == (start["log_size"], start["log_root"])
     assert permissive(pair)["text"] == before.name
     assert not [note for note in pair.notes.notes if "not found" in note]
+    assert f"the log that the controller saw last: {before.name}\n" in shown(pair)
 
 
 def gone(pair):
@@ -111,6 +123,7 @@ def test_a_log_that_is_gone_keeps_from_the_permit_until_that_is_confirmed(pair):
     (witness,) = pair.read().of("/audit/witness")
     assert (witness["found"], witness["reason"].startswith("no log ")) == (False, True)
     assert permissive(pair)["text"].startswith("confirmed: no log ")
+    assert "the log that the controller saw last: NOT FOUND: no log " in shown(pair)
 
 
 def test_a_log_that_is_gone_and_confirmed_by_nobody_ends_the_session(pair):

@@ -12,11 +12,14 @@ from cutgate.runtime.verification.asked import BEST
 from tests.runtime.session.pair import job_of
 
 
+LOG_ID = bytes(range(16))
+
+
 @pytest.mark.processes
 @pytest.mark.parametrize("operator", [None, "Dr. Müller"])
 def test_the_log_says_who_ran_the_session_and_where(tmp_path, tmp_path_factory, operator):
     files, job = job_of(tmp_path_factory)
-    log = new_log(tmp_path, files, job.path, "test/x", BEST, operator)
+    log = new_log(tmp_path, files, job.path, "test/x", BEST, operator, log_id=LOG_ID)
     log.close(final_state=Phase.WAITING, outcome="x", clean=True)
     (opened,) = read_log(log.path.read_bytes(), log.candump_path.read_bytes()).of("/audit/open")
     assert opened.get("operator") == operator

@@ -297,6 +297,4 @@ def test_replay_finds_a_permit_that_left_without_the_confirmation(doubtful, chan
 
     forged = forge(doubtful.paths.log.read_bytes(), edit)
     found = replay(read_log(forged), certified.verify, verifier=VERIFIER)
-    tampered, unconfirmed = found.differences
-    assert tampered.startswith("the log itself is TAMPERED: "), "the permit names the tree that it left from"
-    assert unconfirmed == "a permit left although the warning CUT_TINY was not confirmed"
+    assert found.differences == ("a permit left although the warning CUT_TINY was not confirmed",)

@@ -38,6 +38,14 @@ def test_a_job_names_what_was_read(files):
     assert job.blocks == -(-len(job.path) // BLOCK_BYTES) == len(records.split(job.path))
 
 
+def test_a_job_names_where_the_bone_is_and_when_that_was_found(files):
+    job, said = make_job(files, now=NOW), files.prepared.registration.value
+    assert job.place == said.place
+    assert datetime.fromtimestamp(job.registration_time_us / 1e6, UTC) == said.created
+    bare = make_job(replace(files, prepared=replace(files.prepared, registration=None)), now=NOW)
+    assert (bare.place, bare.registration_time_us) == (records.NO_PLACE, records.NO_TIME)
+
+
 def test_the_age_of_a_registration_counts_from_its_creation(files):
     created = files.prepared.registration.value.created
     assert make_job(files, now=created + timedelta(seconds=90)).registration_age_s == 90.0

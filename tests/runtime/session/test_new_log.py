@@ -11,7 +11,6 @@ from cutgate.runtime.session.new_log import new_log
 from cutgate.runtime.verification.asked import BEST
 from tests.runtime.session.pair import job_of
 
-
 LOG_ID = bytes(range(16))
 
 

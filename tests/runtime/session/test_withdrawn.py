@@ -302,3 +302,11 @@ def test_what_the_barrier_lets_pass_the_list_lets_pass_as_well():
     for seconds in (59.0, 60.0, 60.000_001, 61.0):
         said = later(seconds)
         assert (refusal([entry], FILE, said, SKEW_S) == "") is (withdrawn.since_1970_us(said.created) > told)
+
+
+@pytest.mark.parametrize("year", [1970, withdrawn.YEAR_MAX])
+def test_a_line_for_no_registration_in_particular_is_read_again(tmp_path, year):
+    at = datetime(year, 12, 31, 23, 59, 59, tzinfo=UTC)
+    entry = withdrawn.of_motion("a.mcap", withdrawn.since_1970_us(at), 0.0)
+    withdrawn.add(tmp_path, [entry])
+    assert load(tmp_path) == (entry,)

@@ -302,7 +302,7 @@ def utc(time_us: int) -> str:
         time_us: since 1970, UTC.
     """
     try:
-        return f"{_BEGINNING + timedelta(microseconds=time_us):%Y-%m-%d %H:%M:%S} UTC"
+        return f"{_BEGINNING + timedelta(microseconds=time_us):%Y-%m-%d %H:%M:%S %Z}"
     except OverflowError:  # the controller may say anything
         return f"{time_us} us since 1970"
 

@@ -1582,6 +1582,13 @@ def test_a_withdrawal_that_is_not_answered_is_sent_again_to_a_controller_at_rest
     assert (run.phase, run.effects) == (Phase.STOPPED, ())
 
 
+def test_a_withdrawal_is_sent_again_after_two_time_outs_and_no_earlier():
+    waits = in_phase(Phase.STOPPING, registration_withdrawn=True, withdraw_due=True, withdraw_sent_s=0.0)
+    limit_s = 2 * TIMING.timeout_s
+    assert step(waits, AT_REST, math.nextafter(limit_s, 0.0))[1] == ()
+    assert step(waits, AT_REST, limit_s)[1] == (SendWithdraw(JOB.place),)
+
+
 def test_a_withdrawal_that_was_heard_while_stopping_is_sent_again_as_well():
     run = Run(in_phase(Phase.STOPPING), NOW).feed(AT_REST)
     assert run.feed(AT_REST, after_s=0.199).effects == ()

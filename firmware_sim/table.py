@@ -128,11 +128,15 @@ def _void(state: Controller) -> Controller:
 
 
 def stop_received(state: Controller, event: StopReceived, _now_s: float) -> Outcome:
-    """It may be anybody's: its cause is recorded as claimed, and withdraws nothing."""
-    is_end = event.code is StopCode.END and event.cause not in WITHDRAWING
-    if is_end and state.state is not ControllerState.CUTTING:
+    """It may be anybody's: its cause is recorded as claimed, and withdraws nothing.
+
+    No runtime names a withdrawal in it. One that is named must not come back under the tag of our heartbeat, for what
+    stands there is believed.
+    """
+    claims_withdrawal = event.cause in WITHDRAWING
+    if event.code is StopCode.END and not claims_withdrawal and state.state is not ControllerState.CUTTING:
         return end_session(state)
-    return stop(state, event.cause)
+    return stop(state, StopCause.PROTOCOL_VIOLATION if claims_withdrawal else event.cause)
 
 
 def end_session(state: Controller) -> Outcome:

@@ -109,6 +109,14 @@ WITHDRAWING = frozenset({StopCause.REGISTRATION_WITHDRAWN, StopCause.BONE_MOVED}
 """Causes after which the registration may never be permitted again, where only a holder of the key can have said so."""
 
 
+def claimable(cause: StopCause) -> StopCause:
+    """What a stop frame of the runtime says of a cause, for it carries no code: never that something is withdrawn.
+
+    That is told by the heartbeat and by Withdraw. So a stop frame that names it is a stranger's.
+    """
+    return StopCause.OPERATOR_STOP if cause in WITHDRAWING else cause
+
+
 @unique
 class Purpose(IntEnum):
     """What a nonce was asked for; it serves for nothing else."""

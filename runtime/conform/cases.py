@@ -777,11 +777,11 @@ def outside_session_heartbeats(bench: Bench) -> str:
 
 
 def claimed_withdrawal(bench: Bench) -> str:
-    """A STOP frame carries no code: it stops for the cause it names, and withdraws nothing."""
+    """A STOP frame carries no code: it stops and withdraws nothing, and the heartbeat does not say after it that it did."""
     bench.loaded()
     since, begun_s = len(bench.heard), bench.now_s
     bench.stop(StopCause.REGISTRATION_WITHDRAWN)
-    found = stopped(bench, since, begun_s, StopCause.REGISTRATION_WITHDRAWN, bench.allowance_s)
+    found = stopped(bench, since, begun_s, StopCause.PROTOCOL_VIOLATION, bench.allowance_s)
     bench.finish()
     bench.permitted()
     return f"{found}; in the next session Reply ACCEPTED"

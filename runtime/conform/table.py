@@ -188,7 +188,7 @@ def _starts() -> tuple[Case, ...]:
 def _last() -> tuple[Case, ...]:
     page = "Authentication"
     return (
-        Case("withdraw: claimed by a stop", "Withdrawal", "STOP with REGISTRATION_WITHDRAWN; in the next session a right permit", "stopped; Reply ACCEPTED", c.claimed_withdrawal),
+        Case("withdraw: claimed by a stop", "Withdrawal", "STOP with REGISTRATION_WITHDRAWN; in the next session a right permit", "PROTOCOL_VIOLATION; Reply ACCEPTED", c.claimed_withdrawal),
         Case("withdraw: place", "Withdrawal", "Withdraw with the session's place; a right permit then, and in the next session under another digest", "Reply REGISTRATION_WITHDRAWN to both", c.withdrawn),
         Case("withdraw: barrier", "Withdrawal", "Withdraw with the registration's time as barrier; a right permit; in the next session one for a later registration", "Reply REGISTRATION_TOO_EARLY, then ACCEPTED", c.too_early),
         Case("withdraw: cause in the heartbeat", "Withdrawal", "a heartbeat with BONE_MOVED; in the next session a right permit, then Withdraw", "Opened says that a withdrawal is due; Reply WITHDRAWAL_DUE, then ACCEPTED", c.withdrawn_by_heartbeat),

@@ -28,7 +28,7 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted, JointSample, Violation
 from cutgate.protocol.path import PathHeader
 from cutgate.protocol.port import Port
-from cutgate.protocol.states import StopCause, StopCode
+from cutgate.protocol.states import StopCause, StopCode, claimable
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Durable, LogFailed, Reserved
 from cutgate.runtime.interlock.phases import ENDED, PHASES, STOPPING
@@ -270,7 +270,7 @@ class Session:
     def _stop_now(self, cause: StopCause) -> None:
         endpoint = self._port.endpoint
         if endpoint.link.is_open:
-            endpoint.send_frame(RuntimeStop(StopCode.STOP, cause), self._clock())
+            endpoint.send_frame(RuntimeStop(StopCode.STOP, claimable(cause)), self._clock())
             self._leave_now()
 
     def _look_at_clocks(self) -> None:
@@ -476,7 +476,7 @@ class Session:
         endpoint = self._port.endpoint
         self._void()  # a permit that waits behind the stop must not follow it
         if endpoint.link.is_open:
-            endpoint.send_frame(RuntimeStop(effect.code, effect.cause), self._clock())
+            endpoint.send_frame(RuntimeStop(effect.code, claimable(effect.cause)), self._clock())
             self._leave_now()
 
     def _withdraw(self, effect: SendWithdraw) -> records.Withdraw:

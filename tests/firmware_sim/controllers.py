@@ -242,11 +242,11 @@ STOPPING_EVENTS: dict[str, tuple[Event, StopCause]] = {
     "stop without cause": (StopReceived(StopCode.STOP, StopCause.NONE), StopCause.PROTOCOL_VIOLATION),
     "claimed withdrawal": (
         StopReceived(StopCode.STOP, StopCause.REGISTRATION_WITHDRAWN),
-        StopCause.REGISTRATION_WITHDRAWN,
+        StopCause.PROTOCOL_VIOLATION,
     ),
     "claimed withdrawal as end": (
         StopReceived(StopCode.END, StopCause.REGISTRATION_WITHDRAWN),
-        StopCause.REGISTRATION_WITHDRAWN,
+        StopCause.PROTOCOL_VIOLATION,
     ),
     "stalled loop": (FaultArisen(StopCause.LOOP_STALLED), StopCause.LOOP_STALLED),
     "second node": (FaultArisen(StopCause.SECOND_NODE), StopCause.SECOND_NODE),

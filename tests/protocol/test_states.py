@@ -6,6 +6,7 @@ import pytest
 
 from cutgate.protocol.states import (
     LATCHING,
+    WITHDRAWING,
     ControllerState,
     FaultCode,
     Purpose,
@@ -13,6 +14,7 @@ from cutgate.protocol.states import (
     RuntimeCode,
     StopCause,
     StopCode,
+    claimable,
 )
 
 WORDS = [int(code) for kind in (StopCode, FaultCode) for code in kind]
@@ -26,6 +28,11 @@ def test_what_a_heartbeat_says_fits_three_bits_and_nothing_is_said_by_zero(kind)
 def test_all_codes_that_no_tag_covers_differ_in_at_least_eight_bits_also_from_all_zeros_and_all_ones():
     for first, second in combinations([0x0000, 0xFFFF, *WORDS], 2):
         assert (first ^ second).bit_count() >= 8, (hex(first), hex(second))
+
+
+@pytest.mark.parametrize("cause", StopCause)
+def test_a_stop_frame_says_every_cause_but_a_withdrawing_one(cause):
+    assert claimable(cause) is (StopCause.OPERATOR_STOP if cause in WITHDRAWING else cause)
 
 
 def test_stop_causes_fit_five_bits():

@@ -216,7 +216,7 @@ def test_a_stop_before_any_session_was_held_names_the_cause_in_the_heartbeats(pa
     ("word", "cause"),
     [
         ("stop", StopCause.OPERATOR_STOP),
-        ("withdraw", StopCause.REGISTRATION_WITHDRAWN),
+        ("withdraw", StopCause.OPERATOR_STOP),  # what the stop frame says; the withdrawal follows it
         ("quit", StopCause.NONE),
     ],
 )

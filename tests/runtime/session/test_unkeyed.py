@@ -13,10 +13,11 @@ from cutgate.protocol.frames import (
     IDS,
     ControllerFault,
     ControllerHeartbeat,
+    RuntimeStop,
     encode_frame,
 )
 from cutgate.protocol.records import Side
-from cutgate.protocol.states import ControllerState, FaultCode, Refusal, StopCause
+from cutgate.protocol.states import ControllerState, FaultCode, Refusal, StopCause, StopCode
 from cutgate.runtime.interlock.state import Dropped, Phase
 from tests.runtime.session.pair import KEY
 from tests.runtime.session.test_session import first_frames
@@ -153,6 +154,22 @@ def test_a_forged_fault_frame_stops_and_withdraws_nothing(pair, cause):
     pair.close()
     fault = next(one for one in pair.read().of("/audit/fault") if one["source"] == "controller")
     assert (fault["cause"], fault["detail"]) == (cause.name, "claimed: a fault frame carries no code")
+
+
+@pytest.mark.parametrize("cause", [StopCause.BONE_MOVED, StopCause.REGISTRATION_WITHDRAWN])
+@pytest.mark.parametrize("code", StopCode)
+def test_a_forged_stop_frame_stops_and_does_not_come_back_under_the_controllers_tag(pair, code, cause):
+    """Else the runtime believes it, and withdraws under its own code what a stranger has claimed."""
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING)
+    can_id, data = encode_frame(RuntimeStop(code, cause), 0, pair.state.session.tag)
+    pair.wire.nodes[CONTROLLER].put(can_id, data)
+    assert pair.end() is Phase.STOPPED
+    pair.run(0.2)
+    assert not pair.controller.may_move
+    assert (pair.controller.cause, pair.state.registration_withdrawn) == (StopCause.PROTOCOL_VIOLATION, False)
+    assert not first_frames(pair, records.Withdraw)
+    assert (pair.controller.memory.withdrawn, pair.controller.memory.withdrawal_due) == (frozenset(), False)
 
 
 @pytest.mark.parametrize("phase", [Phase.PERMITTING, Phase.STARTING, Phase.CUTTING], ids=str)

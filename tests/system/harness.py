@@ -26,9 +26,9 @@ from typing import Any, Self
 import can
 
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
-from cutgate.config.key import new_key_file
+from cutgate.config.key import load_key, new_key_file
 from cutgate.protocol import records
-from cutgate.protocol.codes import KEY_BYTES
+from cutgate.protocol.codes import KEY_BYTES, PresharedKey, SessionCodes
 from cutgate.protocol.frames import (
     CONTROL_IDS,
     IDS,
@@ -573,12 +573,12 @@ def judged(path: Path) -> Log:
     return read_log(path.read_bytes(), candump.read_bytes() if candump.exists() else None)
 
 
-def session_tag(bus: Observer) -> int:
-    """What the last OPEN on the bus makes of the session."""
+def session_codes(rig: Rig) -> SessionCodes:
+    """What the last OPEN on the bus and the site's key make of the session."""
     request = next(
-        e.record for e in reversed(bus.records(CONTROL_IDS[0])) if isinstance(e.record, records.Open)
+        e.record for e in reversed(rig.bus.records(CONTROL_IDS[0])) if isinstance(e.record, records.Open)
     )
-    return records.session_tag(records.session_digest(request))
+    return PresharedKey(load_key(rig.folder / "site.key")).session(records.session_digest(request))
 
 
 # ---------------------------------------------------------------- inputs

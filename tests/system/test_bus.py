@@ -1,6 +1,7 @@
 """Other nodes on the bus: stale heartbeats, a stop that overtakes a permit, a second runtime, a second controller."""
 
 import signal
+from dataclasses import replace
 
 import can
 import pytest
@@ -16,6 +17,7 @@ from cutgate.protocol.frames import (
 )
 from cutgate.protocol.states import RuntimeCode, StopCause
 from cutgate.runtime.interlock.state import Phase
+from tests.protocol.sessions import tagged
 from tests.system.children import Script
 from tests.system.harness import (
     FAST,
@@ -25,7 +27,7 @@ from tests.system.harness import (
     begins,
     decoded,
     is_kind,
-    session_tag,
+    session_codes,
     state_of,
 )
 
@@ -52,10 +54,10 @@ def test_queued_heartbeats_do_not_keep_the_gate_open(rig):
     run.signal(signal.SIGSTOP)
     rig.bus.single(ControllerHeartbeat, after=len(rig.bus.frames))  # the runtime's last one has been seen
     last = heartbeats(rig)[-1]
-    beat, tag, given = decoded(last), session_tag(rig.bus), 0
+    beat, codes, given = decoded(last), session_codes(rig), 0
     for number in range(1, STALE + 1):
         mark = len(rig.bus.frames)
-        inject(rig, *encode_frame(beat, (last.data[2] + number) % 256, tag))
+        inject(rig, *tagged(beat, last.data[2] + number, beat.echo, codes))
         given = number
         seen = rig.bus.frame(  # the next one follows a controller heartbeat later: 50 ms
             lambda m: is_kind(m, ControllerHeartbeat) or begins(m, records.Announce), after=mark
@@ -69,6 +71,19 @@ def test_queued_heartbeats_do_not_keep_the_gate_open(rig):
     assert 1 < given < STALE  # they were taken for heartbeats, and not one of them counted
     assert "SEQUENCE_ERROR" not in sim.told
     assert rig.at_rest(sim) == "INHIBITED (HEARTBEAT_LOST)"
+
+
+def test_heartbeats_that_nobody_with_the_key_has_made_stop_the_cut_at_once(rig):
+    """Sound in everything but the tag, as a node that reads the bus can make them while the runtime hangs."""
+    sim, run = rig.cutting()
+    run.signal(signal.SIGSTOP)
+    seen = rig.bus.single(ControllerHeartbeat, after=len(rig.bus.frames))
+    last, tag = heartbeats(rig)[-1], session_codes(rig).tag
+    forged = replace(decoded(last), echo=seen.data[2])
+    inject(rig, *encode_frame(forged, (last.data[2] + 1) % 256, tag))
+    stopped = rig.bus.single(ControllerFault)
+    assert decoded(stopped).cause is StopCause.AUTHENTICATION_FAILED
+    assert rig.at_rest(sim) == "FAULT (AUTHENTICATION_FAILED)"
 
 
 def test_heartbeats_of_the_past_stop_the_cut_by_their_counters(rig):

@@ -12,12 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import can
 from rich.console import Console, Group, RenderableType
 
 from cutgate.firmware_sim.plant import Leg
 from cutgate.protocol import records
 from cutgate.protocol.codes import fingerprint
-from cutgate.protocol.frames import BULK_IDS, ControllerHeartbeat, RuntimeHeartbeat
+from cutgate.protocol.e2e import protect
+from cutgate.protocol.frames import BULK_IDS, DATA_IDS, ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.states import ControllerState
 from cutgate.runtime.audit.log import Paths
 from cutgate.runtime.commands.session_view import approach_line, outcome_lines, stopped, verdict_lines
@@ -87,10 +89,17 @@ def other_state(pair: Pair) -> None:
     pair.process.controller = replace(pair.controller, state=ControllerState.OPEN)
 
 
-def other_key(pair: Pair) -> None:
-    """The controller was given another key file."""
-    identity = replace(pair.controller.identity, key=bytes(32))
-    pair.process.controller = replace(pair.controller, identity=identity)
+def stranger(pair: Pair) -> None:
+    """Somebody without the key makes a heartbeat of the controller that is sound in everything but its tag."""
+    assert pair.state.session is not None  # noqa: S101 - it is cutting
+    tag = pair.state.session.tag
+
+    def forged(message: can.Message) -> list[can.Message]:
+        can_id, data = message.arbitration_id, bytes(message.data)
+        sound = protect(bytes([data[3] ^ 1]) + data[4:], data[2], DATA_IDS[can_id], tag)
+        return [can.Message(arbitration_id=can_id, data=sound, is_extended_id=False)]
+
+    on_the_way(of(ControllerHeartbeat), range(1), forged)(pair)
 
 
 def knocked(pair: Pair) -> None:
@@ -165,7 +174,7 @@ STOPS: Final = (
     Stop("The controller starts anew", left_alone, fault="reboot@cutting"),
     Stop("The controller's program fails", broken_controller),
     Stop("The controller leaves the order of its states", other_state),
-    Stop("The two sides hold different keys", other_key, phase=Phase.UPLOADING),
+    Stop("Somebody without the key speaks for the controller", stranger),
     Stop("Nobody starts", left_alone, phase=Phase.PERMITTED),
 )
 

@@ -405,7 +405,9 @@ class Link:
                 self._count(outside_session=1)
                 return Discarded(f"{can_id:#05x} was sent outside the session")
             return self._corrupt(can_id, now_s)
-        step, lost = self._sequences.setdefault(can_id, Sequence()).judge(data)
+        sequence = self._sequences.setdefault(can_id, Sequence())
+        before = sequence.last
+        step, lost = sequence.judge(data)
         if step is Step.REPEATED:
             self._count(repetitions=1)
             return Discarded(f"{can_id:#05x} repeated")
@@ -414,7 +416,10 @@ class Link:
                 StopCause.SEQUENCE_ERROR, f"{can_id:#05x} counter {data[2]} after a gap of {lost}"
             )
         if can_id in _HEARTBEAT_IDS:
-            return self._heard_heartbeat(can_id, data, lost, now_s)
+            heard = self._heard_heartbeat(can_id, data, lost, now_s)
+            if isinstance(heard, Violation):  # a stranger's does not count: what the peer says next still fits
+                sequence.last = before
+            return heard
         return self._heard_other(can_id, data, lost, now_s)
 
     def _heard_other(self, can_id: int, data: bytes, lost: int, now_s: float) -> Outcome:

@@ -575,6 +575,19 @@ def test_a_heartbeat_changed_in_anything_and_given_a_sound_crc_stops(side: Side,
     assert violated(hearer.receive(can_id, forged, now_s=0.07))
 
 
+@pytest.mark.parametrize("replaced", [True, False])
+def test_after_a_strangers_heartbeat_the_peers_own_still_fits(replaced: bool):
+    """It has stopped; that the peer is at rest must be heard all the same."""
+    runtime, controller = pair()
+    now_s = exchange(runtime, controller, 3)
+    can_id, honest = controller.encode(CUTTING, now_s)
+    forged = protect(bytes([honest[3] ^ 1]) + honest[4:], honest[2], DATA_IDS[can_id], TAG)
+    assert violated(runtime.receive(can_id, forged, now_s=now_s))
+    if not replaced:
+        assert isinstance(runtime.receive(can_id, honest, now_s=now_s), Accepted)
+    assert isinstance(deliver(controller, runtime, CUTTING, now_s), Accepted)
+
+
 @pytest.mark.parametrize("codes", [PresharedKey(bytes(32)).session(DIGEST)])
 def test_a_heartbeat_made_with_another_key_stops(codes):
     assert codes.tag == TAG

@@ -1,102 +1,117 @@
 """Faults: what happens to frames, loops, disk, people and power, drawn from a seed, several things at once."""
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import can
 
 from cutgate.firmware_sim.console import ConsoleCommand
-from cutgate.protocol.frames import FRAMES, TRANSFER_IDS
 from cutgate.protocol.records import Side
 from cutgate.runtime.interlock.state import OperatorCommand
+from tests.fault_injection.tap import SENDER, Tap
 from tests.runtime.session.pair import Pair
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Node
 
-SENDER: dict[int, Side] = {
-    **{can_id: kind.SENDER for can_id, kind in FRAMES.items()},
-    **{can_id: side for side, ids in TRANSFER_IDS.items() for can_id in ids.values()},
-}
-"""Who sends on each identifier."""
-RATES = (0.0, 0.0, 0.0, 0.002, 0.01, 0.05)
+RATES = (*(0.0,) * 9, 0.002, 0.01, 0.05)
 """How often each thing may happen to a frame, or in a cycle, while faults are injected: most things not at all, some often."""
 LATE_S = 0.25
 STILL_S = 0.3
 """The longest delay of a frame, and the longest that a loop stands still, s: above and below the time-out."""
 
-FrameError = Callable[["Injection", can.Message], list[can.Message]]
+FrameError = Callable[["Injection", can.Message], list[can.Message] | None]
+"""What becomes of a frame on its way; None where it is of a kind that this does not concern."""
 Act = Callable[["Injection"], None]
 
 
 @dataclass
 class Injection:
-    """The faults of one seed over one pair; ``only``: nothing but this happens, and that often.
+    """The faults of one seed over one pair.
 
-    ``fell`` is what a person reads when a test has failed: everything that happened, in order.
+    Attributes:
+        frame_errors, acts: what may happen, by the name under which a person reads it.
+        only: nothing but these happen, and that often; everything where empty.
+        fell: what a person reads when a test has failed: everything that happened, in order.
+        tap: what anybody has heard on the bus so far.
+        relays: who takes a frame before anything else may happen to it, until it lets it pass.
     """
 
     pair: Pair
     seed: int
-    only: str | None = None
+    frame_errors: Mapping[str, FrameError]
+    acts: Mapping[str, Act]
+    only: Collection[str] = ()
     blowing: bool = False
     fell: list[str] = field(default_factory=list)
     later: list[tuple[float, Callable[[], None]]] = field(default_factory=list)
+    tap: Tap = field(default_factory=Tap)
+    relays: list[Callable[[can.Message], list[can.Message] | None]] = field(default_factory=list)
     crashed: bool = False
 
     def __post_init__(self) -> None:
         self.draw = random.Random(self.seed)
-        self.frame_rates = {name: self._rate(name) for name in FRAME_ERRORS}
-        self.act_rates = {name: self._rate(name) / 2 for name in ACTS}
+        self.frame_rates = {name: self._rate(name) for name in self.frame_errors}
+        self.act_rates = {name: self._rate(name) / 2 for name in self.acts}
         self.heard: list[can.Message] = []
         self.pair.wire.rules.append(self._frame)
 
     def _rate(self, name: str) -> float:
-        if self.only is None:
+        if not self.only:
             return self.draw.choice(RATES)
-        return RATES[-1] if name == self.only else 0.0
+        return RATES[-1] if name in self.only else 0.0
 
     def note(self, text: str) -> None:
         self.fell.append(f"{self.pair.clock() - 1000:8.3f} s  {text}")
 
     def _frame(self, message: can.Message) -> list[can.Message]:
         """What becomes of one frame; at most one thing, for the next frame brings another."""
+        self.tap.hear(message)
+        for relay in self.relays:
+            taken = relay(message)
+            if taken is not None:
+                return taken
         if self.blowing:
-            for name, change in FRAME_ERRORS.items():
-                if self.draw.random() < self.frame_rates[name]:
+            for name, change in self.frame_errors.items():
+                if not self.draw.random() < self.frame_rates[name]:
+                    continue
+                becomes = change(self, message)
+                if becomes is not None:
                     self.note(f"{message.arbitration_id:03X} {bytes(message.data).hex()} {name}")
-                    return change(self, message)
+                    return becomes
         if len(self.heard) < 5000:
             self.heard.append(message)
         return [message]
 
     def strike(self) -> None:
-        """What happens in this turn besides."""
+        """What happens in this cycle besides."""
         due = [act for due_s, act in self.later if due_s <= self.pair.clock()]
         self.later = [entry for entry in self.later if entry[0] > self.pair.clock()]
         for act in due:
             act()
         if not self.blowing:
             return
-        for name, act in ACTS.items():
+        for name, act in self.acts.items():
             if self.draw.random() < self.act_rates[name]:
                 self.note(name)
                 act(self)
 
     def clear(self) -> None:
-        """The faults are over: nothing is lost, the disk answers, everybody turns. What was done stays done."""
+        """The faults are over: nothing is lost, the disk answers, everybody works. What was done stays done."""
         self.blowing = False
         pair = self.pair
         pair.runtime_runs = pair.controller_runs = True
         pair.disk.answers, pair.disk.delay_s = True, 0.0
         for node in pair.wire.nodes.values():
             node.mute = node.deaf = False
+        self.relays.clear()
+        pair.wire.delay_s.clear()
         self.note("it clears")
 
     # ------------------------------------------------------------ small parts of it
 
-    def hold(self, message: can.Message) -> None:
+    def hold(self, message: can.Message, longest_s: float = LATE_S) -> None:
         """This frame arrives later."""
-        due_s = self.pair.clock() + self.draw.uniform(0.0, LATE_S)
+        due_s = self.pair.clock() + self.draw.uniform(0.0, longest_s)
         self.pair.wire.late.append((due_s, self._receiver(message), message))
 
     def _receiver(self, message: can.Message) -> Node:
@@ -110,7 +125,7 @@ class Injection:
 # ---------------------------------------------------------------- frames
 
 
-def _with(message: can.Message, data: bytes, can_id: int | None = None) -> can.Message:
+def with_data(message: can.Message, data: bytes, can_id: int | None = None) -> can.Message:
     arbitration_id = message.arbitration_id if can_id is None else can_id
     return can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False)
 
@@ -119,11 +134,11 @@ def corrupted(injection: Injection, message: can.Message) -> list[can.Message]:
     data = bytearray(message.data)
     for _ in range(injection.draw.randint(1, 3)):
         data[injection.draw.randrange(len(data))] ^= 1 << injection.draw.randrange(8)
-    return [_with(message, bytes(data))]
+    return [with_data(message, bytes(data))]
 
 
 def shortened(injection: Injection, message: can.Message) -> list[can.Message]:
-    return [_with(message, bytes(message.data)[: injection.draw.randrange(8)])]
+    return [with_data(message, bytes(message.data)[: injection.draw.randrange(8)])]
 
 
 def delayed(injection: Injection, message: can.Message) -> list[can.Message]:
@@ -139,7 +154,7 @@ def said_again(injection: Injection, message: can.Message) -> list[can.Message]:
 
 
 def misaddressed(injection: Injection, message: can.Message) -> list[can.Message]:
-    return [_with(message, bytes(message.data), injection.draw.choice([*SENDER, 0x123]))]
+    return [with_data(message, bytes(message.data), injection.draw.choice([*SENDER, 0x123]))]
 
 
 FRAME_ERRORS: dict[str, FrameError] = {
@@ -151,7 +166,7 @@ FRAME_ERRORS: dict[str, FrameError] = {
     "said again": said_again,
     "misaddressed": misaddressed,
 }
-"""The eight communication errors, as far as chance can make them: nobody here has the key or writes a CRC."""
+"""The eight communication errors, as far as chance can make them: nothing here writes a CRC."""
 
 
 # ---------------------------------------------------------------- people, loops, disk, power

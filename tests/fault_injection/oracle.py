@@ -1,20 +1,114 @@
-"""The oracle: looks at arm, power, people and bus after every turn, and at every log; knows nothing of the rules inside."""
+"""The oracle: looks at arm, power, people and bus after every cycle, and at every log; knows nothing of the rules inside.
+
+It holds the key and judges every code itself: what a session may do it knows from the OPEN that passed on the bus.
+"""
 
 import fcntl
 from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Any
 
-from cutgate.protocol import permit as permits
+import can
+
+from cutgate.firmware_sim.state import ControllerSession, Memory
 from cutgate.protocol import records
+from cutgate.protocol.codes import NO_ECHO, PresharedKey
+from cutgate.protocol.e2e import COUNTER_MODULUS, intact
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
-from cutgate.protocol.states import ControllerState
-from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.protocol.frames import (
+    DATA_IDS,
+    ECHO_NONE,
+    IDS,
+    ControllerHeartbeat,
+    RuntimeHeartbeat,
+    decode_frame,
+)
+from cutgate.protocol.records import Side
+from cutgate.protocol.states import WITHDRAWING, ControllerState, RuntimeCode, StopCause
+from cutgate.runtime.audit.inspect import Log, Status, read_log
 from cutgate.runtime.audit.replay import ReplayOutcome
-from cutgate.runtime.interlock.state import Phase, Send
+from cutgate.runtime.interlock.state import OperatorCommand, Phase, Send
+from tests.fault_injection.tap import SENDER, Tap
 from tests.runtime.session.pair import KEY, Pair
 
-MOVING = (Phase.STARTING, Phase.CUTTING)
+HEARTBEAT_IDS = {IDS[RuntimeHeartbeat], IDS[ControllerHeartbeat]}
+BELIEVED = {
+    Phase.PERMITTED: ControllerState.PERMITTED,
+    Phase.CUTTING: ControllerState.CUTTING,
+    Phase.FINISHING: ControllerState.DONE,
+}
+"""What the controller's heartbeat must have said before the runtime may say so."""
+ACKNOWLEDGED = {"permit": ControllerState.PERMITTED, "start": ControllerState.CUTTING}
+"""Likewise before the log may."""
+
+
+class Session:
+    """One session, by the OPEN that passed: what either side really sent in it.
+
+    Attributes:
+        cut_s: when the runtime sent its last heartbeat that said CUT.
+        cutting_s: when the controller sent its last one that said CUTTING or DONE.
+        states: that the controller's heartbeats have said.
+        withdrawing: the sides whose heartbeats have named a withdrawing cause.
+        permits, starts: with a code that fits, that reached the controller.
+        answers: OPENED of the controller, with a code that fits.
+    """
+
+    def __init__(self, request: records.Open) -> None:
+        self.request = request
+        self.codes = PresharedKey(KEY).session(records.session_digest(request))
+        self.cut_s = self.cutting_s = -1.0
+        self.states: set[ControllerState] = set()
+        self.withdrawing: set[Side] = set()
+        self.permits: list[records.Permit] = []
+        self.starts: list[records.Start] = []
+        self.answers: list[records.Opened] = []
+        self._made: dict[Side, int | None] = dict.fromkeys(Side)
+        self._reached: set[int] = set()
+
+    def first(self, sequence: int) -> bool:
+        """Whether no record with this sequence has reached the controller before."""
+        new = sequence not in self._reached
+        self._reached.add(sequence)
+        return new
+
+    def beat(self, side: Side, data: bytes, now_s: float) -> bool:
+        """A heartbeat as it left; whether its tag fits, and it answers one of the other side's."""
+        last, peer = self._made[side], self._made[side.peer]
+        counter = data[2] if last is None else last + (data[2] - last) % COUNTER_MODULUS
+        self._made[side] = counter
+        echoes = [] if peer is None else [peer - (peer - data[5]) % COUNTER_MODULUS]
+        echoes += [NO_ECHO] if data[5] == ECHO_NONE else []
+        sent = int.from_bytes(data[3:5], "little")
+        fits = any(
+            echo >= 0 and self.codes.heartbeat_tag(side, counter, echo, data[-2:]) == sent for echo in echoes
+        )
+        self._said(decode_frame(IDS[(RuntimeHeartbeat, ControllerHeartbeat)[side]], data), side, now_s)
+        return fits
+
+    def _said(self, frame: Any, side: Side, now_s: float) -> None:
+        if frame.cause in WITHDRAWING:
+            self.withdrawing.add(side)
+        match frame:
+            case RuntimeHeartbeat(code=RuntimeCode.CUT):
+                self.cut_s = now_s
+            case ControllerHeartbeat(state=state):
+                self.states.add(state)
+                if state in (ControllerState.CUTTING, ControllerState.DONE):
+                    self.cutting_s = now_s
+
+
+@dataclass
+class Seen:
+    """The controller as the last look found it."""
+
+    arm: Any
+    state: ControllerState
+    cause: StopCause
+    session: ControllerSession | None
+    memory: Memory
+    resets: int
+    acknowledged: int
 
 
 @dataclass
@@ -22,123 +116,238 @@ class Oracle:
     """What has been seen of one pair.
 
     Attributes:
-        permits, starts: authentic ones that reached the controller since it was switched on.
-        upheld_s: when a runtime that turned last wanted the arm to move.
-        cutting_s: when a controller that turned last said that it cuts.
-        named: registrations that the controller opened sessions for since the bone has moved.
-        gone: registrations of bones that have moved.
+        sessions: by digest, those whose OPEN a holder of the key has made.
+        opened: digests of the sessions that a controller has opened, in order.
+        moved_us: only a registration later than this counts: the bone's last motion, or an authentic barrier; since 1970.
         wrong: what must never be, and was.
     """
 
     pair: Pair
-    permits: list[records.Permit] = field(default_factory=list)
-    starts: list[records.Start] = field(default_factory=list)
+    sessions: dict[bytes, Session] = field(default_factory=dict)
+    opened: list[bytes] = field(default_factory=list)
     resets: int = 0
-    upheld_s: float = -1.0
-    cutting_s: float = -1.0
-    named: set[bytes] = field(default_factory=set)
-    gone: set[bytes] = field(default_factory=set)
+    acknowledged: int = 0
+    withdraws: list[records.Withdraw] = field(default_factory=list)
+    moved_us: int = records.NO_TIME
     wrong: list[str] = field(default_factory=list)
     moved: int = 0
     ends: list[Phase] = field(default_factory=list)
+    commands: set[str] = field(default_factory=set)
     _sent: int = 0
+    _phases: int = 0
     _said: int = 0
-    _seen: tuple[Any, Any, Any] = (None, None, None)
+    _seen: Seen | None = None
+    _unfit: list[str] = field(default_factory=list)
+    """Told when all has come to rest: what follows from it is worse, and told at once."""
 
     def __post_init__(self) -> None:
         timing = self.pair.job.timing
-        self.bound_s = (2 * timing.timeout_ms + timing.heartbeat_ms) / 1000 + 2 * self.pair.cycle_s
-        """docs/controllers.md, reaction time: a dead runtime on a bus that delays as much as is tolerated."""
+        self.bound_s = timing.timeout_s + timing.heartbeat_s + self.pair.cycle_s
+        """docs/controllers.md, reaction time: from the sending of the last heartbeat that said CUT, whoever holds it back."""
+        self._tap = Tap()
+        self.pair.wire.rules.insert(0, self._passes)
+
+    # ------------------------------------------------------------ the bus, before anybody changes anything
+
+    def _passes(self, message: can.Message) -> list[can.Message]:
+        for envelope in self._tap.hear(message):
+            self._record(envelope)
+        if message.arbitration_id in HEARTBEAT_IDS:
+            self._beat(message.arbitration_id, bytes(message.data))
+        return [message]
+
+    def _record(self, envelope: records.Envelope) -> None:
+        record = envelope.record
+        if isinstance(record, records.Open) and PresharedKey(KEY).open_authentic(record):
+            self.sessions.setdefault(records.session_digest(record), Session(record))
+        session = self._of_tag(envelope.session)
+        if (
+            isinstance(record, records.Opened)
+            and session is not None
+            and session.codes.authentic(record, envelope.sequence)
+        ):
+            session.answers.append(record)
+
+    def _beat(self, can_id: int, data: bytes) -> None:
+        for session in reversed(self.sessions.values()):
+            if intact(data, DATA_IDS[can_id], session.codes.tag):
+                if not session.beat(SENDER[can_id], data, self.pair.clock()):
+                    self._unfit.append(
+                        f"a heartbeat left that answers none of the other side's: {data.hex()}"
+                    )
+                return
+
+    def _of_tag(self, tag: int) -> Session | None:
+        return next((one for one in self.sessions.values() if one.codes.tag == tag), None)
+
+    def _session(self) -> Session | None:
+        """The controller's."""
+        session = self.pair.controller.session
+        return None if session is None else self.sessions.get(session.digest)
 
     # ------------------------------------------------------------ the controller
 
     def controller_powered(self) -> None:
-        """A controller that has just been switched on: listen to what reaches it."""
-        self.permits, self.starts = [], []
-        self._listen(self.pair.process.port.endpoint)
-        _, state, resets = self._seen
-        self._seen = (None, state, resets)  # a latch outlasts a loss of power
+        """A controller that has just been switched on: listen to what reaches it. A latch and its memory outlast that."""
+        endpoint = self.pair.process.port.endpoint
+        if self._seen is not None:
+            self._seen.arm = None
+            self._seen.session = None
+            self._seen.cause = StopCause.NONE
+        self._listen(endpoint)
 
     def _listen(self, endpoint: Endpoint) -> None:
-        receive = endpoint.receive
+        receive, use_session = endpoint.receive, endpoint.use_session
 
         def listening(*args: Any, **options: Any) -> list[Any]:
             items = receive(*args, **options)
             for item in items:
                 if isinstance(item, RecordReceived) and isinstance(item.record, records.SignedRecord):
-                    self._signed(item.record)
+                    self._reached(item)
             return items
 
-        endpoint.receive = listening  # type: ignore[method-assign]
+        def opening(digest: bytes | None) -> None:
+            if digest is not None:
+                self._opens(digest)
+            use_session(digest)
 
-    def _signed(self, record: records.SignedRecord) -> None:
-        if not permits.verify(KEY, record):
+        endpoint.receive = listening  # type: ignore[method-assign]
+        endpoint.use_session = opening  # type: ignore[method-assign]
+
+    def _opens(self, digest: bytes) -> None:
+        if digest not in self.sessions:
+            self.wrong.append("a session was opened that no holder of the key asked for")
+        if digest in self.opened:
+            self.wrong.append("the same OPEN has opened twice")
+        self.opened.append(digest)
+
+    def _reached(self, item: RecordReceived) -> None:
+        """A signed record has reached the controller; what counts is this side's own judgement, and only once."""
+        session = self._of_tag(item.session)
+        record = item.record
+        if session is None or not isinstance(record, records.SignedRecord):
+            return
+        if not session.codes.authentic(record, item.sequence) or not session.first(item.sequence):
             return
         match record:
             case records.Permit():
-                self.permits.append(record)
+                session.permits.append(record)
             case records.Start():
-                self.starts.append(record)
+                session.starts.append(record)
             case records.Reset():
                 self.resets += 1
+            case records.Acknowledge():
+                self.acknowledged += 1
+            case records.Withdraw():
+                self.withdraws.append(record)
+                self.moved_us = max(self.moved_us, record.barrier_us)
 
-    # ------------------------------------------------------------ every turn
+    # ------------------------------------------------------------ every cycle
 
     def look(self) -> None:
-        """After a turn of both."""
-        pair, now_s = self.pair, self.pair.clock()
-        process, controller = pair.process, pair.controller
-        arm = process.arm.state.joints
-        before, state, resets = self._seen
-        self._seen = (arm, controller.state, self.resets)
-        if before is not None and arm != before:
-            self.moved += 1
-            self._motion(now_s)
-        if controller.session is not None:
-            self.named.add(controller.session.registration)
-        if "bone motion reported" in pair.said[self._said :]:
-            self.gone |= self.named
-            self.named = set()
+        """After a cycle of both."""
+        pair = self.pair
+        controller = pair.controller
+        before, self._seen = self._seen, self._sight()
+        moved_now = "bone motion reported" in pair.said[self._said :]
         self._said = len(pair.said)
-        if state is ControllerState.FAULT is not controller.state and resets == self.resets:
+        if moved_now:
+            self.moved_us = max(self.moved_us, pair.clock.utc_ns() // 1000)
+        if before is not None:
+            if before.arm is not None and self._seen.arm != before.arm:
+                self.moved += 1
+                self._motion(pair.clock())
+            self._inhibition(before, self._seen)
+            self._withdrawals(before, self._seen, moved_now)
+        if controller.cutting_mode and not (self._session() and self._session().permits):  # type: ignore[union-attr]
+            self.wrong.append("cutting mode without a permit that a holder of the key made")
+        self.withdraws.clear()
+        self._runtime(pair.clock())
+
+    def _sight(self) -> Seen:
+        controller = self.pair.controller
+        return Seen(
+            arm=self.pair.process.arm.state.joints,
+            state=controller.state,
+            cause=controller.cause,
+            session=controller.session,
+            memory=controller.memory,
+            resets=self.resets,
+            acknowledged=self.acknowledged,
+        )
+
+    def _inhibition(self, before: Seen, now: Seen) -> None:
+        if before.state is ControllerState.FAULT is not now.state and before.resets == now.resets:
             self.wrong.append("a latch was left without an authentic reset")
-        if pair.controller_runs and controller.state in (ControllerState.CUTTING, ControllerState.DONE):
-            self.cutting_s = now_s
-        self._runtime(now_s)
+        cleared = before.cause is not StopCause.NONE and now.cause is StopCause.NONE
+        if cleared and before.acknowledged == now.acknowledged:
+            self.wrong.append(f"{before.cause.name} was cleared without an authentic acknowledgement")
+
+    def _withdrawals(self, before: Seen, now: Seen, moved_now: bool) -> None:
+        """Only keyed words and the wired input withdraw; nothing restores."""
+        named = {withdraw.place_digest for withdraw in self.withdraws}
+        heard = moved_now
+        for seen in (before.session, now.session):
+            session = None if seen is None else self.sessions.get(seen.digest)
+            if session is not None and (moved_now or Side.RUNTIME in session.withdrawing):
+                named.add(session.request.place_digest)
+                heard = True
+        was, becomes = before.memory, now.memory
+        if becomes.withdrawn - was.withdrawn - named:
+            self.wrong.append("a place was withdrawn though neither a keyed word nor a wired input said so")
+        if becomes.withdrawal_due and not was.withdrawal_due and not heard:
+            self.wrong.append("a withdrawal is due though neither a keyed word nor a wired input said so")
+        if becomes.barrier_us > was.barrier_us and becomes.barrier_us not in {
+            withdraw.barrier_us for withdraw in self.withdraws
+        }:
+            self.wrong.append("a barrier was raised without an authentic withdrawal")
+        if was.withdrawal_due and not becomes.withdrawal_due and not self.withdraws:
+            self.wrong.append("a bone's motion was forgotten without an authentic withdrawal")
+        if was.withdrawn - becomes.withdrawn or becomes.barrier_us < was.barrier_us:
+            self.wrong.append("what was withdrawn was restored")
 
     def _motion(self, now_s: float) -> None:
         controller = self.pair.controller
-        inputs, held = controller.inputs, controller.holdings
+        inputs, held, session = controller.inputs, controller.holdings, self._session()
         if not (inputs.device_pressed and inputs.emergency_stop_clear):
             self.wrong.append("the arm moved with the device released or the emergency stop pressed")
-        if not self.permits or not self.starts:
+        if session is None or not session.permits or not session.starts:
             self.wrong.append("the arm moved without an authentic permit and start")
             return
-        permit, start = self.permits[-1], self.starts[-1]
+        permit, start = session.permits[-1], session.starts[-1]
         if start.permit_digest != permit.digest:
             self.wrong.append("the arm moved on a start for another permit")
-        if permit.boot_nonce != controller.identity.boot_nonce:
+        if permit.announce_nonce != session.request.announce_nonce:
             self.wrong.append("the arm moved on a permit from before a reboot")
-        if permit.registration_digest in self.gone:
+        if session.request.registration_time_us <= self.moved_us:
             self.wrong.append("the arm moved on the registration of a bone that had moved")
         holds = tuple(sha256(data or b"").digest() for data in (held.limits, held.calibration, held.tool))
         if holds != (permit.limits_digest, permit.calibration_digest, permit.tool_digest):
             self.wrong.append("the arm moved with other parameters than permitted")
         if held.path is not None and sha256(held.path).digest() != permit.path_digest:
             self.wrong.append("the arm moved along another path than permitted")
-        if not now_s - self.upheld_s <= self.bound_s:
-            self.wrong.append(f"the arm moved {now_s - self.upheld_s:.3f} s after the runtime wanted it to")
+        if not now_s - session.cut_s <= self.bound_s:
+            self.wrong.append(f"the arm moved {now_s - session.cut_s:.3f} s after the runtime last said CUT")
+
+    # ------------------------------------------------------------ the runtime
 
     def _runtime(self, now_s: float) -> None:
         pair = self.pair
         if pair.session is None or not pair.runtime_runs:
             return
-        if pair.phase in MOVING:
-            self.upheld_s = now_s
-        if pair.phase is Phase.CUTTING and not now_s - self.cutting_s <= self.bound_s:
-            self.wrong.append(
-                f"the runtime takes the arm for cutting, {now_s - self.cutting_s:.3f} s after it did"
-            )
+        state = pair.state
+        session = None if state.session is None else self.sessions.get(state.session.digest)
+        for phase in pair.notes.phases[self._phases :]:
+            if phase in BELIEVED and (session is None or BELIEVED[phase] not in session.states):
+                self.wrong.append(f"the runtime says {phase}, which no heartbeat of the controller said")
+        self._phases = len(pair.notes.phases)
+        if pair.phase is Phase.CUTTING and not (session and now_s - session.cutting_s <= self.bound_s):
+            self.wrong.append("the runtime takes the arm for cutting, longer than the bound after it was")
+        if state.opened is not None and (session is None or state.opened not in session.answers):
+            self.wrong.append("the runtime believes an OPENED that the controller did not say")
+        keyed = session is not None and Side.CONTROLLER in session.withdrawing
+        if state.registration_withdrawn and not keyed and OperatorCommand.WITHDRAW not in self.commands:
+            self.wrong.append("the runtime withdrew a registration on nobody's keyed word")
         orders = [effect for effect in pair.notes.effects[self._sent :] if isinstance(effect, Send)]
         self._sent = len(pair.notes.effects)
         for order in orders:
@@ -157,7 +366,20 @@ class Oracle:
     # ------------------------------------------------------------ sessions
 
     def session_begins(self) -> None:
-        self._sent = 0
+        self._sent = self._phases = 0
+        self.commands = set()
+        heard = self.pair.terminal.type
+
+        def typed(text: str) -> None:
+            self.commands.add(text)
+            heard(text)
+
+        self.pair.terminal.type = typed  # type: ignore[method-assign]
+
+    def at_rest(self) -> None:
+        """Nobody moves any more."""
+        self.wrong += self._unfit
+        self._unfit = []
 
     def session_ends(self, *, crashed: bool) -> None:
         """Its log is whole, names one first cause, and decides the same again."""
@@ -176,5 +398,15 @@ class Oracle:
         causes = {entry.get("first_out") for entry in log.of("/audit/decision")} - {None}
         if len(causes) > 1:
             self.wrong.append(f"several first causes: {causes}")
+        self._acknowledgements(log)
         if pair.replayed().outcome is ReplayOutcome.DIFFERS:
             self.wrong.append(f"replayed differently: {pair.replayed().differences}")
+
+    def _acknowledgements(self, log: Log) -> None:
+        named = self.pair.state.session
+        session = None if named is None else self.sessions.get(named.digest)
+        states = set() if session is None else session.states
+        for entry in log.of("/audit/permit"):
+            wanted = ACKNOWLEDGED.get(entry["kind"])
+            if entry["stage"] == "acknowledged" and wanted is not None and wanted not in states:
+                self.wrong.append(f"the log says that a {entry['kind']} was acknowledged, which nobody said")

@@ -63,13 +63,13 @@ def changing(
     return mock.patch.object(Endpoint, "_signed", sign)
 
 
-def judged(pair: Pair) -> Log:
-    """The closed log; it is whole, and the arm has never moved."""
+def judged(pair: Pair, status: Status = Status.OK) -> Log:
+    """The closed log; it is whole, and the arm has never moved. TAMPERED where a record that left names another tree."""
     assert pair.process.arm.state.joints == pair.options.joints
     assert not any("state CUTTING" in line for line in pair.said)
     assert pair.close().closed
     log = pair.read()
-    assert log.report.status is Status.OK
+    assert log.report.status is status
     return log
 
 
@@ -112,11 +112,14 @@ SAME_AS_HELD = {
 WITHIN_ROUNDING = ("approach.entry_um", "approach.exit_um")
 """One um is the rounding of either side; 1000 um are another entry."""
 
-EVERY_FIELD = (*SAME_AS_HELD, *WITHIN_ROUNDING)
+OF_THE_LOG = {"log.log_id": Status.OK, "log.size": Status.TAMPERED, "log.root": Status.TAMPERED}
+"""What a permit says of the log is held against the start under it, and the log against what it says."""
+
+EVERY_FIELD = (*SAME_AS_HELD, *WITHIN_ROUNDING, *OF_THE_LOG)
 
 
 def test_every_field_of_the_permit_is_altered():
-    blocks = {"branch": records.Branch, "approach": records.Approach}
+    blocks = {"branch": records.Branch, "approach": records.Approach, "log": records.TreeHead}
     names = [
         f"{field.name}.{part.name}" if field.name in blocks else field.name
         for field in fields(records.Permit)
@@ -147,23 +150,24 @@ def test_a_signed_permit_for_another_entry_or_exit_is_refused(pair, name):
     assert refused_in(judged(pair), "permit") == [Refusal.APPROACH.name]
 
 
-@pytest.mark.parametrize("name", WITHIN_ROUNDING)
+@pytest.mark.parametrize("name", [*WITHIN_ROUNDING, *OF_THE_LOG])
 def test_a_start_under_another_permit_than_the_decided_one_is_refused(pair, name):
     with changing(records.Permit, lambda permit: altered(permit, name), signed=True):
         pair.to(Phase.PERMITTED)
     pair.until(lambda: bool(words_refused(pair)), act=pair._lead)
     assert words_refused(pair)[0] == f"the controller refused the start: {told(Refusal.PERMIT_MISMATCH)}"
     pair.say("quit").end()
-    assert refused_in(judged(pair), "start") == [Refusal.PERMIT_MISMATCH.name]
+    log = judged(pair, OF_THE_LOG.get(name, Status.OK))
+    assert refused_in(log, "start") == [Refusal.PERMIT_MISMATCH.name]
 
 
 @pytest.mark.parametrize("name", EVERY_FIELD)
 def test_a_permit_altered_without_the_key_latches_whatever_was_altered(pair, name):
     with changing(records.Permit, lambda permit: altered(permit, name), signed=False):
-        masqueraded(pair, "permit")
+        masqueraded(pair, "permit", OF_THE_LOG.get(name, Status.OK))
 
 
-def masqueraded(pair: Pair, kind: str) -> None:
+def masqueraded(pair: Pair, kind: str, status: Status = Status.OK) -> None:
     """The session ends with a latched fault of both sides, in the log and on the screen."""
     pair.begin() if pair.session is None else None
     pair.until(lambda: pair.phase is Phase.STOPPED, act=pair._lead)
@@ -177,7 +181,7 @@ def masqueraded(pair: Pair, kind: str) -> None:
     assert any(
         line.startswith("refused: MAC_INVALID: the runtime has another key file") for line in pair.said
     )
-    log = judged(pair)
+    log = judged(pair, status)
     assert {record.get("first_out") for record in log.of("/audit/decision")} - {None} == {
         "AUTHENTICATION_FAILED"
     }
@@ -279,11 +283,28 @@ def kept(into: list[Any]) -> Any:
     return changing(records.Permit, keep, signed=False)
 
 
-def test_a_permit_replayed_under_a_new_number_is_refused_before_and_after_the_stop(pair):
+def test_a_permit_replayed_under_a_new_number_latches(pair):
     signed: list[Any] = []
     with kept(signed):
         pair.to(Phase.PERMITTED)
-    stranger = Stranger(pair, pair.state.session.tag)
+    stranger = Stranger(pair, pair.state.session.digest)
+    said(stranger, signed[0])
+    pair.run(0.1)
+    assert [reply.refusal for reply in stranger.replies] == [Refusal.MAC_INVALID]
+    assert (pair.controller.state, pair.controller.cause) == (
+        ControllerState.FAULT,
+        StopCause.AUTHENTICATION_FAILED,
+    ), "its code is that of another number"
+    assert not pair.controller.cutting_mode
+    judged(pair)
+
+
+def test_a_permit_signed_anew_is_refused_before_and_after_the_stop(pair):
+    """By a second holder of the key."""
+    signed: list[Any] = []
+    with kept(signed):
+        pair.to(Phase.PERMITTED)
+    stranger = Stranger(pair, pair.state.session.digest)
     stranger.say(signed[0])
     pair.run(0.1)
     pair.say("stop")
@@ -294,6 +315,12 @@ def test_a_permit_replayed_under_a_new_number_is_refused_before_and_after_the_st
     judged(pair)
 
 
+def said(stranger: Stranger, record: Any) -> None:
+    """Without signing it anew: the code is the one that it carries."""
+    with mock.patch.object(Endpoint, "_signed", lambda _endpoint, given, _sequence: given):
+        stranger.say(record)
+
+
 def test_a_permit_of_another_session_and_of_another_boot_is_refused(pair):
     """Carried over by a runtime that signs what it kept."""
     signed: list[Any] = []
@@ -301,26 +328,35 @@ def test_a_permit_of_another_session_and_of_another_boot_is_refused(pair):
         pair.to(Phase.PERMITTED)
     pair.say("quit").end()
     pair.close()
-    for prepare, refusal in (
-        (pair.run, Refusal.WRONG_SESSION),
-        (lambda _s: pair.power_up(), Refusal.WRONG_BOOT),
-    ):
+    for prepare in (pair.run, lambda _s: pair.power_up()):
         prepare(0.3)
         pair.begin()
-        with changing(records.Permit, lambda _permit: signed[0], signed=False):
+        with changing(records.Permit, lambda permit: replace(signed[0], log=permit.log), signed=True):
             assert pair.end() is Phase.REFUSED
-        assert pair.state.reason == f"the controller refused the permit: {told(refusal)}"
-        assert refused_in(judged(pair), "permit") == [refusal.name]
+        assert pair.state.reason == f"the controller refused the permit: {told(Refusal.WRONG_SESSION)}"
+        assert refused_in(judged(pair), "permit") == [Refusal.WRONG_SESSION.name]
+
+
+def test_the_code_of_a_permit_of_another_session_latches(pair):
+    signed: list[Any] = []
+    with kept(signed):
+        pair.to(Phase.PERMITTED)
+    pair.say("quit").end()
+    pair.close()
+    pair.run(0.3)
+    pair.begin()
+    with changing(records.Permit, lambda _permit: signed[0], signed=False):
+        masqueraded(pair, "permit", Status.TAMPERED)
 
 
 def test_a_permit_on_its_way_when_the_controller_reboots_is_ignored(pair):
     signed: list[Any] = []
     with kept(signed):
         pair.to(Phase.PERMITTING)
-    tag = pair.state.session.tag
+    session = pair.state.session.digest
     pair.process._happen(FaultName.REBOOT)
-    stranger = Stranger(pair, tag)
-    stranger.say(signed[0])
+    stranger = Stranger(pair, session)
+    said(stranger, signed[0])
     pair.run(0.1)
     assert stranger.replies == []
     assert (pair.controller.state, pair.controller.permit) == (ControllerState.INHIBITED, None)
@@ -378,8 +414,8 @@ def test_a_permit_expires_on_the_controllers_own_clock_before_a_start_can_use_it
     timed(pair, permit_lifetime_s=10)
     pair.to(Phase.PERMITTED)
     late = replace(pair.controller, permit_issued_at_s=pair.clock() - 10.1)
-    stranger = Stranger(pair, pair.state.session.tag)
-    stranger.say(SIGN(KEY, start_of(pair, late)))
+    stranger = Stranger(pair, pair.state.session.digest)
+    stranger.say(start_of(pair, late))
     pair.process.controller = late
     pair.run(0.05)
     assert pair.controller.cause is StopCause.PERMIT_EXPIRED
@@ -396,6 +432,7 @@ def start_of(pair: Pair, controller: Any) -> records.Start:
         session_digest=pair.state.session.digest,
         permit_digest=controller.permit.digest,
         start_joints_u=controller.permit.start_joints_u,
+        log=replace(controller.permit.log, size=controller.permit.log.size + 1),
     )
 
 
@@ -410,6 +447,7 @@ def start_of(pair: Pair, controller: Any) -> records.Start:
         ("session_digest", Refusal.WRONG_SESSION),
         ("permit_digest", Refusal.PERMIT_MISMATCH),
         ("start_joints_u", Refusal.START_JOINTS),
+        ("log.log_id", Refusal.LOG_NOT_CONTINUED),
     ],
 )
 def test_a_signed_start_of_something_else_is_refused_with_its_reason(pair, name, refusal):

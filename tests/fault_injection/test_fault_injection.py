@@ -327,11 +327,6 @@ SEEDED = {
         ("he rewrites a code of the runtime",),
         "cutting mode without a permit",
     ),
-    "any code of an acknowledgement fits": (
-        _any_code_fits(records.Acknowledge),
-        (PERSON, "he rewrites a code of the runtime"),
-        "without an authentic acknowledgement",
-    ),
     "any code of a withdrawal fits": (
         _any_code_fits(records.Withdraw),
         ("he withdraws",),

@@ -60,6 +60,7 @@ BY_SILENCE = Bound("time-out and a heartbeat", TIMEOUT_S + HEARTBEAT_S + BOTH_WA
 BY_AGE = Bound("two time-outs and a heartbeat", 2 * TIMEOUT_S + HEARTBEAT_S + BOTH_WAYS_S)
 BY_CARRIER = Bound("a transfer's frames", 6 * CYCLE_S + BOTH_WAYS_S)
 BY_REPLY = Bound("reply time-out", REPLY_S + BOTH_WAYS_S)
+BY_NEXT_REPLY = Bound("reply time-out, from the next request on", REPLY_S + 20 * CYCLE_S + BOTH_WAYS_S)
 BY_UPLOAD = Bound(
     "upload time-out, from the upload on", SHORT["transfer_timeout_s"] + 10 * CYCLE_S + BOTH_WAYS_S
 )
@@ -117,6 +118,7 @@ FOUND: dict[str, str] = {
     "deadline": r"within [\d.]+ s|did not arrive|no measured joints",
     "session tag": r"outside the session|record of session|corrupted",
     "own identifier": r"received on our own identifier",
+    "tag": r"its tag is none",
     "authentication code": r"reply MAC_INVALID|AUTHENTICATION_FAILED",
     "nonce": r"reply N\w+",
     "state": r"reply \w+|dropped|LIMITS_CHANGED|not asked for|announced itself anew",
@@ -202,11 +204,7 @@ def _cyclic() -> Iterator[Row]:
     """Frames that come with every heartbeat, while the arm cuts."""
     for message in CYCLIC:
         # a sound Progress that nobody sent is off reference trajectory before its successor's counter is wrong
-        unlike = (
-            ("tracking monitor", stops(StopCause.TRACKING_DEVIATION), AT_ONCE)
-            if message is PROGRESS
-            else ("counter", stops(StopCause.SEQUENCE_ERROR), BY_LEVEL)
-        )
+        unlike = UNLIKE[message.kind]
         for row in (
             Row(message, Error.CORRUPTION, True, "one bit of two frames", do.corrupt_frames(2), "CRC-16"),
             Row(message, Error.CORRUPTION, False, "one bit of three frames within a second", do.corrupt_frames(3),
@@ -224,9 +222,25 @@ def _cyclic() -> Iterator[Row]:
             Row(message, Error.MASQUERADE, False, "three frames of another session", do.masquerade_frames(3),
                 "session tag", stops(StopCause.CORRUPTION), AT_ONCE),
             Row(message, Error.MASQUERADE, False, "a sound frame of a second node", do.second_node_frame,
-                "own identifier", latches(StopCause.SECOND_NODE), AT_ONCE),
+                "own identifier", SECOND_BEAT.get(message.kind, latches(StopCause.SECOND_NODE)), AT_ONCE),
         ):  # fmt: skip
             yield replace(row, stage=Scene.cutting)
+
+
+UNTAGGED = ("tag", latches(StopCause.AUTHENTICATION_FAILED), BY_LEVEL)
+UNLIKE = {
+    RuntimeHeartbeat: UNTAGGED,
+    ControllerHeartbeat: UNTAGGED,
+    **dict.fromkeys((Joints01, Joints23), ("counter", latches(StopCause.SEQUENCE_ERROR), BY_LEVEL)),
+    Joint4: UNTAGGED,
+    Progress: ("tracking monitor", stops(StopCause.TRACKING_DEVIATION), AT_ONCE),
+}
+"""What finds a frame with a sound CRC that nobody sent; of joints its successor's counter, then the sample's tag latches."""
+SECOND_BEAT = {
+    RuntimeHeartbeat: End("stopped", "FAULT", StopCause.SECOND_NODE, StopCause.AUTHENTICATION_FAILED),
+    ControllerHeartbeat: End("stopped", "FAULT", StopCause.AUTHENTICATION_FAILED, StopCause.SECOND_NODE),
+}
+"""Whose identifier it is finds a second node, the other side a wrong tag."""
 
 
 def _heartbeats() -> Iterator[Row]:
@@ -358,13 +372,16 @@ def _records() -> Iterator[Row]:
     for message in (PERMIT, START, RESET):
         yield _own_end(Row(message, Error.MASQUERADE, False, "a code made without the key", do.unsigned,
                            "authentication code", latches(StopCause.AUTHENTICATION_FAILED), BY_CARRIER))  # fmt: skip
-    again = "the record again under a number of its own"
+    again, masqueraded = (
+        "the record again under a number of its own",
+        latches(StopCause.AUTHENTICATION_FAILED),
+    )
     for row in (
         Row(COLLECT, Error.REPETITION, False, again, do.say_twice, "state", stops(StopCause.LIMITS_CHANGED), BY_CARRIER),
         Row(TOOL, Error.REPETITION, False, again, do.say_twice, "state", stops(StopCause.CALIBRATION_CHANGED), BY_CARRIER),
         Row(ASK_PERMIT, Error.REPETITION, False, again, do.say_twice, "nonce", refused(), BY_CARRIER),
-        Row(PERMIT, Error.REPETITION, True, again, do.say_twice, "state"),
-        Row(START, Error.REPETITION, True, again, do.say_twice, "state"),
+        Row(PERMIT, Error.REPETITION, False, again, do.say_twice, "authentication code", masqueraded, BY_CARRIER),
+        Row(START, Error.REPETITION, False, again, do.say_twice, "authentication code", masqueraded, BY_CARRIER),
     ):  # fmt: skip
         yield row
 
@@ -375,7 +392,7 @@ def _own_end(row: Row) -> Row:
     if row.message not in (ACKNOWLEDGE, RESET):
         return row
     held = replace(row, stage=Scene.held)
-    if row.end == GOES_ON:
+    if row.end == GOES_ON or row.injected == COPY:
         return held
     return replace(held, end=replace(row.end, state="FAULT", controller=StopCause.SECOND_NODE))
 
@@ -405,6 +422,22 @@ EXCEPTIONS: dict[tuple[str, str], dict[str, object]] = {
         (name, SECOND): _INTERRUPTED
         for name in ("Limits", "Calibration", "Tool", "BlockStored", "PathStored")
     },
+    # its code is that of its own number
+    **{
+        (name, COPY): {
+            "tolerated": False,
+            "found_by": "authentication code",
+            "end": latches(StopCause.AUTHENTICATION_FAILED),
+            "bound": BY_CARRIER,
+        }
+        for name in ("Permit", "Start", "Acknowledge", "Reset")
+    },
+    # that it was accepted is believed by the heartbeat alone
+    **{
+        (f"Reply to {name}", what): {"tolerated": True, "end": GOES_ON, "bound": None, "found_by": "nobody"}
+        for name, what in (("Permit", WHOLE), ("Start", WHOLE), ("Start", LATE))
+    },
+    ("Reply to Permit", LATE): {"bound": BY_NEXT_REPLY, "found_by": "transfer"},
     ("PathBlock", WHOLE): {"bound": BY_UPLOAD},
     ("PathStored", WHOLE): {"bound": BY_UPLOAD},
     # nobody waits for the last block's receipt: PathStored follows it
@@ -423,15 +456,19 @@ def _openings() -> Iterator[Row]:
         yield from (
             Row(message, Error.CORRUPTION, True, "one bit of a carrying frame", do.corrupt_record, "CRC-32"),
             Row(message, Error.CORRUPTION, False, "one bit in every one", do.corrupt_every_record, "CRC-32", refused(), bound),
-            Row(message, Error.SEQUENCE, True, "two carrying frames change places", do.swap_carriers, "nobody"),
-            Row(message, Error.LOSS, True, ONE, do.lose_carrier, "nobody"),
             Row(message, Error.LOSS, True, WHOLE, do.lose_record, "nobody"),
             Row(message, Error.LOSS, False, "every one", do.lose_every_record, "deadline", refused(), bound),
             Row(message, Error.DELAY, True, "by a heartbeat", do.delay_record(HEARTBEAT_S), "nobody"),
             Row(message, Error.ADDRESS, True, "once more on an identifier that is not listed", do.misaddress_record, "nobody"),
             Row(message, Error.ADDRESS, True, "on the other channel", do.wrong_channel, "record's channel"),
         )  # fmt: skip
+    swapped = "two carrying frames change places"
     yield from (
+        Row(ANNOUNCE, Error.SEQUENCE, True, swapped, do.swap_carriers, "nobody"),
+        Row(ANNOUNCE, Error.LOSS, True, ONE, do.lose_carrier, "nobody"),
+        # longer than one block of frames: what follows waits behind it
+        Row(OPEN, Error.SEQUENCE, False, swapped, do.swap_carriers, "deadline", refused(), BY_REPLY),
+        Row(OPEN, Error.LOSS, False, ONE, do.lose_carrier, "deadline", refused(), BY_REPLY),
         Row(ANNOUNCE, Error.REPETITION, True, "the record twice", do.repeat_record, "nobody"),
         Row(OPEN, Error.REPETITION, True, "the record twice", do.repeat_record, "record number"),
         Row(OPEN, Error.REPETITION, True, "the record again under a number of its own", do.say_twice, "state"),
@@ -477,13 +514,15 @@ NO_ROW: tuple[tuple[tuple[Message, ...], Error, bool, str], ...] = (
     ((FAULT,), Error.INSERTION, True, "a fault frame from outside the session is discarded like one of another session: see masquerade"),
     (ONCE, Error.ADDRESS, False, "it is sent once: there is no third one to go astray"),
     (IN_SESSION, Error.CORRUPTION, True, "a record is used once and whole: one that is not ends the session"),
-    (tuple(m for m in IN_SESSION if m not in (COLLECT, TOOL, ASK_PERMIT)), Error.REPETITION, False, "any number of repetitions is discarded by its number"),
-    (tuple(m for m in IN_SESSION if m is not BLOCK_STORED), Error.LOSS, True, "a record is sent once: without it the conversation does not go on, and its deadline ends it"),
-    (tuple(m for m in IN_SESSION if m not in (LIMITS, CALIBRATION, TOOL)), Error.INSERTION, False, "out of its step a record is refused or dropped and changes nothing"),
+    (tuple(m for m in IN_SESSION if m not in (COLLECT, TOOL, ASK_PERMIT, PERMIT, START)), Error.REPETITION, False, "any number of repetitions is discarded by its number"),
+    (tuple(m for m in IN_SESSION if m not in (BLOCK_STORED, REPLY_PERMIT, REPLY_START)), Error.LOSS, True, "a record is sent once: without it the conversation does not go on, and its deadline ends it"),
+    (tuple(m for m in IN_SESSION if m not in (LIMITS, CALIBRATION, TOOL, PERMIT, START, ACKNOWLEDGE, RESET)), Error.INSERTION, False, "out of its step a record is refused or dropped and changes nothing"),
     (RECORDS, Error.MASQUERADE, True, "a second node is never tolerated, nor is a code without the key"),
     ((ANNOUNCE,), Error.REPETITION, False, "outside a session it says nothing new; inside one it is an insertion"),
     ((OPEN,), Error.REPETITION, False, "any number of repetitions is discarded, or refused while the session lives"),
-    ((ANNOUNCE, OPEN), Error.SEQUENCE, False, "a broken transfer is followed by another, as after a loss"),
+    ((REPLY_START,), Error.DELAY, False, "the heartbeat says first that it was accepted, and nobody waits for more"),
+    ((ANNOUNCE,), Error.SEQUENCE, False, "a broken transfer is followed by another, as after a loss"),
+    ((OPEN,), Error.SEQUENCE, True, "it is longer than a block of frames: the next one waits behind it until the deadline"),
     ((ANNOUNCE,), Error.INSERTION, True, "it belongs to no session that it could come from; outside a session it is one of many"),
     ((OPEN,), Error.INSERTION, False, "a session in use is not opened a second time"),
     ((ANNOUNCE, OPEN), Error.ADDRESS, False, "on the other channel it is not believed, as if it were lost"),

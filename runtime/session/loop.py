@@ -502,7 +502,10 @@ class Session:
 
     def _send(self, record: records.Record) -> records.Record:
         """The record as it leaves, with its code."""
-        session = 0 if isinstance(record, records.Open) else None
+        session = None
+        if isinstance(record, records.Open):  # one sent before may wait for a flow control that never comes
+            self._port.endpoint.stop_sending()
+            session = 0
         sent = self._port.endpoint.send_record(record, self._clock(), session=session)
         self._journal.record_sent(sent.record, sent.payload)
         return sent.record

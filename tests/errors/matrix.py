@@ -456,19 +456,15 @@ def _openings() -> Iterator[Row]:
         yield from (
             Row(message, Error.CORRUPTION, True, "one bit of a carrying frame", do.corrupt_record, "CRC-32"),
             Row(message, Error.CORRUPTION, False, "one bit in every one", do.corrupt_every_record, "CRC-32", refused(), bound),
+            Row(message, Error.SEQUENCE, True, "two carrying frames change places", do.swap_carriers, "nobody"),
+            Row(message, Error.LOSS, True, ONE, do.lose_carrier, "nobody"),
             Row(message, Error.LOSS, True, WHOLE, do.lose_record, "nobody"),
             Row(message, Error.LOSS, False, "every one", do.lose_every_record, "deadline", refused(), bound),
             Row(message, Error.DELAY, True, "by a heartbeat", do.delay_record(HEARTBEAT_S), "nobody"),
             Row(message, Error.ADDRESS, True, "once more on an identifier that is not listed", do.misaddress_record, "nobody"),
             Row(message, Error.ADDRESS, True, "on the other channel", do.wrong_channel, "record's channel"),
         )  # fmt: skip
-    swapped = "two carrying frames change places"
     yield from (
-        Row(ANNOUNCE, Error.SEQUENCE, True, swapped, do.swap_carriers, "nobody"),
-        Row(ANNOUNCE, Error.LOSS, True, ONE, do.lose_carrier, "nobody"),
-        # longer than one block of frames: what follows waits behind it
-        Row(OPEN, Error.SEQUENCE, False, swapped, do.swap_carriers, "deadline", refused(), BY_REPLY),
-        Row(OPEN, Error.LOSS, False, ONE, do.lose_carrier, "deadline", refused(), BY_REPLY),
         Row(ANNOUNCE, Error.REPETITION, True, "the record twice", do.repeat_record, "nobody"),
         Row(OPEN, Error.REPETITION, True, "the record twice", do.repeat_record, "record number"),
         Row(OPEN, Error.REPETITION, True, "the record again under a number of its own", do.say_twice, "state"),
@@ -521,8 +517,7 @@ NO_ROW: tuple[tuple[tuple[Message, ...], Error, bool, str], ...] = (
     ((ANNOUNCE,), Error.REPETITION, False, "outside a session it says nothing new; inside one it is an insertion"),
     ((OPEN,), Error.REPETITION, False, "any number of repetitions is discarded, or refused while the session lives"),
     ((REPLY_START,), Error.DELAY, False, "the heartbeat says first that it was accepted, and nobody waits for more"),
-    ((ANNOUNCE,), Error.SEQUENCE, False, "a broken transfer is followed by another, as after a loss"),
-    ((OPEN,), Error.SEQUENCE, True, "it is longer than a block of frames: the next one waits behind it until the deadline"),
+    ((ANNOUNCE, OPEN), Error.SEQUENCE, False, "a broken transfer is followed by another, as after a loss"),
     ((ANNOUNCE,), Error.INSERTION, True, "it belongs to no session that it could come from; outside a session it is one of many"),
     ((OPEN,), Error.INSERTION, False, "a session in use is not opened a second time"),
     ((ANNOUNCE, OPEN), Error.ADDRESS, False, "on the other channel it is not believed, as if it were lost"),

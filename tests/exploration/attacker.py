@@ -13,29 +13,36 @@ from typing import Any
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
+from cutgate.firmware_sim.reports import announcement
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.interlock import state as r
 from tests.exploration.names import (
+    BARRIER_US,
     BOOT,
+    CUT,
     DEAD,
+    EARLIER_BARRIER_US,
     EARLIER_BOOT,
     EARLIER_EPOCH,
     EARLIER_NONCE,
+    EARLIER_PLACE,
     EARLIER_REGISTRATION,
     EARLIER_SESSION,
     EPOCH,
     GIVEN,
     KINDS,
+    LATELY_US,
     LIVE,
-    REGISTRATION,
+    NEXT_BOOT,
+    OPEN,
     RUNTIME_NONCE,
     SESSION,
     SESSION_OF_EARLIER_BOOT,
+    WITHDRAWS,
     Message,
     digest_of,
-    signed,
 )
-from tests.exploration.world import FLIPPED_PATH, OTHER_LIMITS, World
+from tests.exploration.world import FLIPPED_PATH, OTHER_LIMITS, POWERED_UP, World
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
 
@@ -56,14 +63,13 @@ LIMITS = (builders.LIMITS, records.Limits.parse(OTHER_LIMITS))
 
 def announced(boot: bytes) -> r.Announced:
     """A controller of this boot without a session, with the nonce the runtime draws for it."""
-    return r.Announced(replace(builders.ANNOUNCE, boot_nonce=boot), RUNTIME_NONCE)
+    return r.Announced(replace(announcement(POWERED_UP), announce_nonce=boot), RUNTIME_NONCE)
 
 
 def unsigned_records() -> Iterable[r.Event]:
     """Every record that carries no code, as far as the table tells them apart."""
     for epoch in (EPOCH, EARLIER_EPOCH):
-        yield r.SessionOpened(epoch, ControllerState.OPEN, StopCause.NONE)
-        yield r.SessionOpened(epoch, ControllerState.FAULT, StopCause.NONE)
+        yield r.SessionOpened(records.Opened(epoch, ControllerState.OPEN, StopCause.NONE), authentic=False)
         for purpose in Purpose:
             yield r.NonceReceived(purpose, DEAD, epoch)
     for record in (*LIMITS, builders.CALIBRATION, builders.TOOL):
@@ -72,21 +78,45 @@ def unsigned_records() -> Iterable[r.Event]:
     yield r.PathConfirmed(STORED)
     yield r.PathConfirmed(replace(STORED, refusal=Refusal.POSE_OUTSIDE_LIMITS))
     yield r.PathConfirmed(replace(STORED, digest=bytes(32)))
-    for kind in (records.Open, records.Permit, records.Start, records.Reset, records.Acknowledge):
+    for kind in builders.REQUESTS:
         for refusal in (Refusal.ACCEPTED, Refusal.NOT_IN_STATE, Refusal.MAC_INVALID):
-            yield r.ReplyReceived(kind.TYPE, refusal, StopCause.NONE, device_pressed=False)
-            yield r.ReplyReceived(kind.TYPE, refusal, StopCause.NONE, device_pressed=True)
+            yield r.ReplyReceived(kind.TYPE, refusal, StopCause.NONE)
 
 
-def heartbeats(causes: tuple[StopCause, ...]) -> Iterable[r.HeartbeatReceived]:
-    """Every heartbeat of a controller, as far as the table tells them apart: a cause, or another epoch, comes first."""
+def opened(world: World) -> Iterable[r.SessionOpened]:
+    """What a controller may say as it opens the session: of its state and, where bones move, of the registration."""
+    memories: list[dict[str, Any]] = [{}]
+    if world.bone:
+        memories += [
+            {"withdrawal_due": 1},
+            {"withdrawal_due": 1, "registration": Refusal.REGISTRATION_WITHDRAWN},
+            {"registration": Refusal.REGISTRATION_WITHDRAWN, "barrier_us": BARRIER_US},
+            {"registration": Refusal.REGISTRATION_TOO_EARLY, "barrier_us": BARRIER_US},
+            {"barrier_us": EARLIER_BARRIER_US},
+        ]
+    for epoch, state, memory in product(
+        (EPOCH, EARLIER_EPOCH), (ControllerState.OPEN, ControllerState.FAULT), memories
+    ):
+        yield r.SessionOpened(records.Opened(epoch, state, StopCause.NONE, **memory), authentic=True)
+
+
+TOLD = (ControllerState.PERMITTED, ControllerState.CUTTING, ControllerState.DONE)
+"""What the runtime believes of the controller's heartbeat only once that has said it in this session."""
+
+
+def heartbeats(causes: tuple[StopCause, ...], own_epoch: int) -> Iterable[r.HeartbeatReceived]:
+    """Every heartbeat of a controller that it may have said in a session, but for those that only stop alike.
+
+    In a session a controller has one epoch until it stops: what it said of ``TOLD`` has the runtime's own.
+    """
+    other = EARLIER_EPOCH if own_epoch == EPOCH else EPOCH
     for state, pressed, clear, fresh in product(ControllerState, *[(True, False)] * 3):
         mode = state in (ControllerState.PERMITTED, ControllerState.CUTTING)
-        yield r.HeartbeatReceived(r.ControllerView(state, StopCause.NONE, EPOCH, pressed, clear, mode), fresh)
+        yield r.HeartbeatReceived(r.ControllerView(state, StopCause.NONE, own_epoch, pressed, clear, mode), fresh)
     for state, cause, clear, fresh in product(STOPPED, causes[1:], *[(True, False)] * 2):
-        yield r.HeartbeatReceived(r.ControllerView(state, cause, EPOCH, False, clear, False), fresh)
+        yield r.HeartbeatReceived(r.ControllerView(state, cause, own_epoch, False, clear, False), fresh)
     for state, cause in product(STOPPED, causes):
-        yield r.HeartbeatReceived(r.ControllerView(state, cause, EARLIER_EPOCH, False, True, False), True)
+        yield r.HeartbeatReceived(r.ControllerView(state, cause, other, False, True, False), True)
 
 
 STOPPED = (ControllerState.INHIBITED, ControllerState.OPEN, ControllerState.FAULT)
@@ -100,11 +130,19 @@ TOO_FAR, NOWHERE = builders.BEYOND, r.ProgressReported(2, 0)
 # ---------------------------------------------------------------- to the controller
 
 
-def opens(world: World) -> Iterable[c.OpenReceived]:
-    """Opens an earlier session of this boot again, or one with a nonce of his own, for any registration."""
-    earlier = replace(fixed.OPEN, boot_nonce=BOOT, runtime_nonce=EARLIER_NONCE)
-    for registration in (REGISTRATION, EARLIER_REGISTRATION)[: 1 + world.bone]:
-        yield c.OpenReceived(replace(earlier, registration_digest=registration), 1)
+def opens(world: World, announced: bytes) -> Iterable[c.OpenReceived]:
+    """OPEN with any content under a wrong code, and those of earlier runtimes that were held back, for any registration."""
+    yield c.OpenReceived(replace(OPEN, announce_nonce=announced), 1, authentic=False, fresh=NEXT_BOOT)
+    if announced == NEXT_BOOT:  # which no runtime has heard of yet
+        return
+    held = replace(OPEN, runtime_nonce=EARLIER_NONCE)
+    yield c.OpenReceived(held, 1, authentic=True, fresh=NEXT_BOOT)
+    if world.bone:
+        held = replace(held, registration_digest=EARLIER_REGISTRATION, place_digest=EARLIER_PLACE)
+        yield c.OpenReceived(held, 1, authentic=True, fresh=NEXT_BOOT)
+        yield c.OpenReceived(
+            replace(held, registration_time_us=LATELY_US), 1, authentic=True, fresh=NEXT_BOOT
+        )
 
 
 def uploads(world: World) -> Iterable[c.PathChecked]:
@@ -121,13 +159,30 @@ def unsigned(causes: Iterable[StopCause]) -> Iterable[c.Event]:
         yield c.NonceRequested(purpose, GIVEN)
     yield c.CollectReceived()
     for cause in causes:
-        yield c.AcknowledgeReceived(cause, 1)
         yield c.StopReceived(StopCode.STOP, cause)
         yield c.StopReceived(StopCode.END, cause)
-        for code in RuntimeCode:
-            for epoch in (EPOCH, EARLIER_EPOCH):
-                yield c.HeartbeatReceived(code, epoch, cause, fresh=True)
-                yield c.HeartbeatReceived(code, epoch, cause, fresh=False)
+
+
+def beats(causes: Iterable[StopCause]) -> Iterable[c.HeartbeatReceived]:
+    """The runtime's heartbeats that may have been said in any session: all that order no motion and withdraw nothing.
+
+    A stale CUT among them, and one of an earlier epoch.
+    """
+    for cause in causes:
+        if cause is not StopCause.BONE_MOVED:
+            for code, epoch, fresh in product(RuntimeCode, (EPOCH, EARLIER_EPOCH), (True, False)):
+                beat = c.HeartbeatReceived(code, epoch, cause, fresh)
+                if beat != CUT:
+                    yield beat
+
+
+def believed_by_a_fault(link: str) -> Iterable[c.HeartbeatReceived]:
+    """What a link lets through that does not look at the tag, or whose tag is the same in every session."""
+    if link == "tag":
+        yield CUT
+        yield WITHDRAWS
+    if link == "session":
+        yield CUT
 
 
 @cache
@@ -141,21 +196,22 @@ def earlier_records(
     """
     foreign = EARLIER_SESSION if session.digest == SESSION else SESSION
     nonce = DEAD if exact else LIVE
-    names = [(foreign, BOOT, nonce, EPOCH), (SESSION_OF_EARLIER_BOOT, EARLIER_BOOT, nonce, EPOCH)]
+    announced = session.announce_nonce
+    names = [(foreign, announced, nonce, EPOCH), (SESSION_OF_EARLIER_BOOT, EARLIER_BOOT, nonce, EPOCH)]
     if not exact:
-        names += [(session.digest, BOOT, DEAD, EPOCH), (session.digest, BOOT, LIVE, EARLIER_EPOCH)]
+        names += [(session.digest, announced, DEAD, EPOCH), (session.digest, announced, LIVE, EARLIER_EPOCH)]
     found = [record for one in names for record in _records(session, latched, *one)]
     if not exact and issued is not None:
-        others = _records(session, latched, session.digest, BOOT, LIVE, EPOCH)
+        others = _records(session, latched, session.digest, announced, LIVE, EPOCH)
         found += [one for one in others if KINDS[issued] is not type(one)]
-    return tuple(Message(0, signed(record), old=True) for record in found)
+    return tuple(Message(0, record, old=True) for record in found)
 
 
 def _records(
-    of: c.ControllerSession, latched: StopCause, session: bytes, boot: bytes, nonce: bytes, epoch: int
+    of: c.ControllerSession, latched: StopCause, session: bytes, announced: bytes, nonce: bytes, epoch: int
 ) -> list[Any]:
     names: dict[str, Any] = {"nonce": nonce, "session_digest": session, "epoch": epoch}
-    permit = replace(fixed.PERMIT, boot_nonce=boot, registration_digest=of.registration, **names)
+    permit = replace(fixed.PERMIT, announce_nonce=announced, registration_digest=of.registration, **names)
     accepted = replace(permit, nonce=DEAD)
     start = replace(fixed.START, permit_digest=digest_of(accepted), **names)
     return [permit, start, replace(fixed.RESET, cause=latched, **names)]
@@ -165,14 +221,16 @@ def present_records(
     session: c.ControllerSession, permit: records.Permit | None, latched: StopCause
 ) -> list[Any]:
     """Permit, start and reset for the present session, epoch and nonce, not signed."""
-    new, start, reset = _records(session, latched, session.digest, BOOT, LIVE, EPOCH)
+    new, start, reset = _records(session, latched, session.digest, session.announce_nonce, LIVE, EPOCH)
     return [new, replace(start, permit_digest=permit.digest) if permit else start, reset]
 
 
-@cache
-def forged_records(
-    session: c.ControllerSession, permit: records.Permit | None, latched: StopCause
-) -> tuple[Message, ...]:
-    """The same with a wrong code: all that they name can be read on the bus."""
-    forged = (one.with_mac(bytes(15) + b"x") for one in present_records(session, permit, latched))
-    return tuple(Message(0, record) for record in forged)
+def forged(state: c.Controller) -> Iterable[c.Event]:
+    """All that is signed, with the most tempting content, under a code that does not fit."""
+    assert state.session is not None
+    permit, start, reset = present_records(state.session, state.permit, state.memory.latched)
+    yield c.PermitReceived(permit, 1, authentic=False)
+    yield c.StartReceived(start, 1, authentic=False)
+    yield c.ResetReceived(reset, 1, authentic=False)
+    yield c.AcknowledgeReceived(records.Acknowledge(epoch=EPOCH, cause=state.cause), 1, authentic=False)
+    yield c.WithdrawReceived(records.Withdraw(state.session.place, BARRIER_US), 1, authentic=False)

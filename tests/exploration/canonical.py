@@ -13,11 +13,12 @@ The result is again a concrete state on which the real step functions run; nothi
 from dataclasses import replace
 
 from cutgate.firmware_sim import state as c
+from cutgate.protocol import records
 from cutgate.protocol.states import LATCHING, ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from tests.exploration.names import TOKEN, RuntimeSide
+from tests.exploration.names import EPOCH, TOKEN, RuntimeSide
 from tests.exploration.world import JOB, VERDICT
 from tests.firmware_sim.controllers import START_JOINTS
 
@@ -37,12 +38,14 @@ def cause_class(cause: StopCause) -> StopCause:
 def canonical_controller(state: c.Controller) -> c.Controller:
     """Without clock values and without what only a live session or a permit gives meaning."""
     live = state.session is not None and state.session.live
-    memory = replace(state.memory, latched=cause_class(state.memory.latched))
+    memory = _canonical_memory(state.memory)
     return replace(
         state,
         cause=cause_class(state.cause),
         memory=memory,
         written=memory if state.written == state.memory else None,
+        moved_at_s=None,
+        awaiting=_canonical_awaiting(state.awaiting) if state.awaiting else None,
         issued=replace(state.issued, at_s=NOW) if state.issued else None,
         permit_issued_at_s=NOW if state.permit else 0.0,
         started_at_s=NOW if state.state is ControllerState.CUTTING else 0.0,
@@ -50,6 +53,15 @@ def canonical_controller(state: c.Controller) -> c.Controller:
         device=state.device if state.permit else c.DeviceCycle.UNSEEN,
         heartbeat_fresh=state.heartbeat_fresh and live,
     )
+
+
+def _canonical_awaiting(awaiting: c.Awaiting) -> c.Awaiting:
+    return replace(awaiting, memory=_canonical_memory(awaiting.memory))
+
+
+def _canonical_memory(memory: c.Memory) -> c.Memory:
+    """The log of the last start is only told on; it is the controller's own affair (``tests/firmware_sim``)."""
+    return replace(memory, latched=cause_class(memory.latched), log=records.NO_TREE_HEAD)
 
 
 def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
@@ -69,6 +81,9 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
             cause=cause_class(state.cause),
             stops_sent=frozenset(map(cause_class, state.stops_sent)),
             answer_due=state.answer_due,
+            registration_withdrawn=state.registration_withdrawn,
+            withdraw_due=state.withdraw_due,
+            controller=state.controller,
         )
         side = replace(side, commits=())
     state = _canonical_view(state)
@@ -83,8 +98,27 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         nonce=state.nonce if state.phase in AUTHORISING else None,
         acknowledged=cause_class(state.acknowledged) if state.phase in HELD else StopCause.NONE,
         reason="",
+        announced_version=None if state.session is None else records.PROTOCOL_VERSION,
+        opened=_canonical_opened(state.opened) if state.opened else None,
+        witness=None,
     )
     return _canonical_tokens(state, side.commits)
+
+
+def _canonical_opened(opened: records.Opened) -> records.Opened:
+    """What it says of the registration; state, cause and epoch are looked at as it comes, the log was found."""
+    return replace(
+        opened,
+        epoch=EPOCH,
+        state=ControllerState.OPEN,
+        cause=StopCause.NONE,
+        log=records.NO_TREE_HEAD,
+        motion_age_s=records.AGE_UNKNOWN,
+    )
+
+
+STOOD = r.ControllerView(ControllerState.OPEN, StopCause.NONE, EPOCH, False, True, False)
+"""Before a stop, no cause stood."""
 
 
 def _canonical_view(state: r.Interlock) -> r.Interlock:
@@ -93,8 +127,9 @@ def _canonical_view(state: r.Interlock) -> r.Interlock:
     The device and the permitted state count from the permit on, and once the arm moves only what comes next counts.
     """
     view = state.controller
-    if state.phase in (r.Phase.CUTTING, r.Phase.FINISHING) or view is None:
-        return replace(state, controller=None, device=r.DeviceCycle.UNSEEN, heartbeat_fresh=False)
+    if state.phase in (r.Phase.CUTTING, r.Phase.FINISHING, r.Phase.STOPPING) or view is None:
+        kept = STOOD if view is not None and view.cause is StopCause.NONE else None
+        return replace(state, controller=kept, device=r.DeviceCycle.UNSEEN, heartbeat_fresh=False)
     view = replace(view, cause=cause_class(view.cause))
     if state.phase in BEFORE_PERMIT:
         latched = view.state is ControllerState.FAULT

@@ -15,11 +15,20 @@ from tests.exploration.canonical import NOW, canonical_controller, cause_class
 from tests.exploration.labels import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
 from tests.exploration.names import (
     BOOT,
+    CUT,
+    EARLIER_BOOT,
+    EARLIER_SESSION,
+    EARLIER_TAG,
     EPOCH,
     GIVEN,
     LIVE,
+    NEXT_BOOT,
+    SESSION,
+    TAG,
+    WITHDRAWS,
     Message,
     Passing,
+    Told,
     rename_controller,
 )
 from tests.exploration.world import (
@@ -69,12 +78,15 @@ class Controller:
         if key not in self.heard:
             state = self.states.values[number]
             feed = partial(self.feed, state, "bus > controller", message=message)
-            if isinstance(message.content, records.Open):
-                self.heard[key] = self._with_failures(
-                    number, lambda: [feed(c.OpenReceived(message.content, 1))]
-                )
+            content = message.content
+            if isinstance(content, records.Open):
+                opening = c.OpenReceived(content, 1, authentic=True, fresh=NEXT_BOOT)
+                self.heard[key] = self._with_failures(number, lambda: [feed(opening)])
+            elif isinstance(content, c.HeartbeatReceived):
+                beats = [content, replace(content, fresh=False)]
+                self.heard[key] = self._with_failures(number, lambda: [feed(one) for one in beats])
             else:
-                looks = partial(self._looks_at, feed, message.content)
+                looks = partial(self._looks_at, feed, content)
                 self.heard[key] = self._with_failures(number, looks if state.session else list)
         return self.heard[key]
 
@@ -127,7 +139,7 @@ class Controller:
         memories = {state.memory, state.written or replace(state.memory, latched=StopCause.NONE)}
         for memory in sorted(memories, key=repr):
             again = c.Controller.powered_up(
-                state.identity, replace(state.holdings, path=None, ends=None), memory
+                state.identity, replace(state.holdings, path=None, ends=None), memory, BOOT
             )
             again = replace(again, epoch=EPOCH, inputs=state.inputs)
             wrong = invariants.reboot(state, again)
@@ -145,7 +157,7 @@ class Controller:
     def _beats(self, number: int, state: c.Controller) -> Iterable[Change]:
         if state.session is None:
             move = Move("controller", "announces itself", sound=True)
-            yield Change(move, number, (Message(0, attacker.announced(BOOT)),))
+            yield Change(move, number, (Message(0, attacker.announced(state.announce_nonce)),))
             return
         view = r.ControllerView(
             state.state,
@@ -162,33 +174,37 @@ class Controller:
 
     def _said(self, state: c.Controller) -> Iterable[Change]:
         feed = partial(self.feed, state, "bus > controller")
-        for event in attacker.opens(self.world):
+        for event in attacker.opens(self.world, state.announce_nonce):
             yield feed(event)
         if state.session is None:
             return
-        for event in attacker.unsigned(attacker.causes(self.world)):
+        causes, link = attacker.causes(self.world), self.world.link
+        for event in (*attacker.unsigned(causes), *attacker.beats(causes), *attacker.forged(state)):
             yield feed(event)
+        for event in attacker.believed_by_a_fault(link):
+            yield feed(event, forged=True)
         if state.state in (ControllerState.OPEN, ControllerState.LOADED):
             for event in attacker.uploads(self.world):
                 yield feed(event)
         session, latched = state.session, state.memory.latched
         issued = state.issued.purpose if state.issued else None
         said = attacker.earlier_records(session, issued, latched, exact=self.world.exact)
-        for message in said + attacker.forged_records(session, state.permit, latched):
+        for message in said:
             yield from self._looks_at(partial(feed, message=message), message.content)
 
     def _looks_at(self, feed: Callable[..., Change], record: Any) -> list[Change]:
         """Permit, start and reset: looked at in time or too late, the arm at its start or away from it."""
-        if isinstance(record, records.Reset):
-            reset = c.ResetReceived(record, 1)
-            return [feed(reset), feed(reset, late_s=NONCE_OLD)]
-        permit = isinstance(record, records.Permit)
-        event = c.PermitReceived(record, 1) if permit else c.StartReceived(record, 1)
-        return [
-            feed(event, first=STANDING),
-            feed(event, first=STANDING, late_s=PERMIT_OLD if permit else NONCE_OLD),
-            feed(event, first=AWAY),
-        ]
+        event = fixed.RECEIVED[type(record)](record, 1, True)
+        match record:
+            case records.Acknowledge() | records.Withdraw():
+                return [feed(event)]
+            case records.Reset():
+                return [feed(event), feed(event, late_s=NONCE_OLD)]
+            case records.Permit():
+                late = [feed(event, first=STANDING, late_s=PERMIT_OLD)]
+            case _:
+                late = [feed(event, first=STANDING, late_s=NONCE_OLD), feed(event, first=STANDING, slow_s=NONCE_OLD)]
+        return [feed(event, first=STANDING), *late, feed(event, first=AWAY)]
 
     def hears(self, number: int, message: Message) -> Change:
         """A message of the real runtime arrives, in time."""
@@ -197,17 +213,13 @@ class Controller:
         )
         match message.content:
             case records.Open() as request:
-                return feed(c.OpenReceived(request, 1))
+                return feed(c.OpenReceived(request, 1, authentic=True, fresh=NEXT_BOOT))
             case records.NonceRequest(purpose=purpose):
                 return feed(c.NonceRequested(purpose, GIVEN))
-            case records.Permit() as permit:
-                return feed(c.PermitReceived(permit, 1), first=STANDING)
-            case records.Start() as start:
-                return feed(c.StartReceived(start, 1), first=STANDING)
-            case records.Reset() as reset:
-                return feed(c.ResetReceived(reset, 1))
-            case records.Acknowledge(cause=cause):
-                return feed(c.AcknowledgeReceived(cause, 1))
+            case records.Permit() | records.Start() as record:
+                return feed(fixed.RECEIVED[type(record)](record, 1, True), first=STANDING)
+            case records.SignedRecord() as record:
+                return feed(fixed.RECEIVED[type(record)](record, 1, True))
             case records.Collect():
                 return feed(c.CollectReceived())
         return feed(message.content)
@@ -225,30 +237,45 @@ class Controller:
         first: c.Event | None = None,
         message: Message | None = None,
         memory_fails: bool = False,
+        slow_s: float = 0.0,
+        forged: bool = False,
     ) -> Change:
-        """One step of the real table, judged, and what it sends."""
+        """One step of the real table, judged, and what it sends.
+
+        Args:
+            slow_s: how long the memory takes.
+            forged: a link that is at fault lets through what no holder of the key has said.
+        """
         at_hand = self.step(state, first, NOW)[0] if first is not None else state
         after, effects = self.step(at_hand, event, NOW + late_s)
-        text = describe(event) + lateness(late_s, first)
+        text = describe(event) + lateness(late_s, first) + (", its memory is slow" if slow_s else "")
         for effect in effects:
             if isinstance(effect, c.Persist):
                 answer = c.PersistFailed() if memory_fails else c.Persisted(effect.memory)
-                after, more = self.step(after, answer, NOW + late_s)
+                after, more = self.step(after, answer, NOW + late_s + slow_s)
                 effects += more
                 text += ", its memory cannot be written" if memory_fails else ""
                 if not memory_fails:
                     again = partial(
-                        self.feed, state, actor, event, late_s=late_s, first=first, message=message
+                        self.feed,
+                        state,
+                        actor,
+                        event,
+                        late_s=late_s,
+                        first=first,
+                        message=message,
+                        forged=forged,
                     )
                     self.written.append(again)
-        wrong = invariants.controller_step(state, event, after, message)
+        wrong = invariants.controller_step(state, event, after, message, forged=forged, late_s=late_s + slow_s)
         sent = tuple(one for effect in effects for one in sent_by(state, effect))
         stopped = any(isinstance(effect, c.SendFault) for effect in effects)
         passing = passing_between(state, after) | (Passing.STOP if stopped else 0)
-        key = after, passing & Passing.NONCE
+        renamed = passing & (Passing.NONCE | Passing.BOOT)
+        key = after, renamed
         number = self.known.get(key)
         if number is None:
-            canonical = canonical_controller(rename_controller(present(after), passing & Passing.NONCE))
+            canonical = canonical_controller(rename_controller(present(after), renamed))
             number = self.known[key] = self.states.number(canonical)
         move = Move(actor, text, sound, wrong)
         return Change(move, number, sent, passing)
@@ -261,6 +288,8 @@ def passing_between(before: c.Controller, after: c.Controller) -> int:
         passing |= Passing.STOP | Passing.EPOCH
     if before.issued is not None and (after.issued is None or after.issued.nonce != before.issued.nonce):
         passing |= Passing.NONCE
+    if after.session is not None and after.session != before.session and before.session is None:
+        passing |= Passing.OPENED if after.session.digest == SESSION else Passing.BOOT
     return passing
 
 
@@ -269,7 +298,10 @@ def present(state: c.Controller) -> c.Controller:
     issued = state.issued
     if issued is not None and issued.nonce == GIVEN:
         issued = replace(issued, nonce=LIVE)
-    return replace(state, epoch=EPOCH, issued=issued)
+    session = state.session
+    if session is not None and session.digest != SESSION:
+        session = replace(session, tag=EARLIER_TAG, digest=EARLIER_SESSION, announce_nonce=EARLIER_BOOT)
+    return replace(state, epoch=EPOCH, issued=issued, session=session)
 
 
 def sent_by(before: c.Controller, effect: c.Effect) -> list[Message]:
@@ -284,3 +316,10 @@ def sent_by(before: c.Controller, effect: c.Effect) -> list[Message]:
         case c.SendFault(code=code, cause=cause) if before.session is not None:
             return [Message(before.session.tag, r.FaultReceived(code, cause_class(cause)))]
     return []
+
+
+def told(state: c.Controller) -> tuple[Message, ...]:
+    """What its heartbeat says from now on to the runtime, of what the runtime believes of it alone."""
+    if state.session is not None and state.session.tag == TAG and state.state in attacker.TOLD:
+        return (Message(TAG, Told(state.state)),)
+    return ()

@@ -3,15 +3,15 @@
 Judged from outside: from what was sent, held and committed, never by asking the guards that are under test.
 """
 
-from typing import Any
+from dataclasses import replace
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
 from cutgate.protocol.records import digest
-from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
+from cutgate.protocol.states import WITHDRAWING, ControllerState, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.phases import PHASES
-from tests.exploration.names import Message, RuntimeSide, signed
+from tests.exploration.names import Message, RuntimeSide
 
 MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})
 ENABLING = (records.Permit, records.Start, records.Reset)
@@ -28,8 +28,13 @@ def controller_state(state: c.Controller) -> str | None:
     bound = (permit.limits_digest, permit.calibration_digest, permit.tool_digest, permit.path_digest)
     if bound != tuple(map(digest, (held.limits, held.calibration, held.tool, held.path))):
         return "1: motion under a permit for something else than what is held"
-    if permit.registration_digest in state.memory.withdrawn:
+    session, memory = state.session, state.memory
+    if memory.withdrawal_due:
+        return "1: motion while a withdrawal is due"
+    if session is None or session.place in memory.withdrawn:
         return "1: motion on a withdrawn registration"
+    if memory.barrier_us != records.NO_TIME and not session.registration_time_us > memory.barrier_us:
+        return "1: motion on a registration not later than the barrier"
     if not state.inputs.device_pressed:
         return "7: motion with the enabling device released"
     return None
@@ -48,25 +53,41 @@ def must_stand_after(event: c.Event) -> bool:
 
 
 def controller_step(
-    before: c.Controller, event: c.Event, after: c.Controller, message: Message | None
+    before: c.Controller,
+    event: c.Event,
+    after: c.Controller,
+    message: Message | None,
+    *,
+    forged: bool = False,
+    late_s: float = 0.0,
 ) -> str | None:
-    """Those of the state reached, then invariants 3, 4 and 6 at the controller."""
+    """Those of the state reached, then invariants 3, 4, 6, 9, 10 at the controller.
+
+    Args:
+        message: what the event brings, if it was said before.
+        forged: no holder of the key has said it.
+        late_s: how late it was carried out.
+    """
     wrong = controller_state(after)
     if wrong:
         return wrong
-    if not before.memory.withdrawn <= after.memory.withdrawn:
-        return "1: a withdrawal was forgotten"
+    wrong = _memory_step(before, event, after, forged=forged) or _session_step(before, event, after, message)
+    if wrong:
+        return wrong
     if must_stand_after(event) and after.may_move:
         return f"3: motion after {type(event).__name__}"
     if before.state is ControllerState.FAULT and after.state is not ControllerState.FAULT:
-        authentic = isinstance(event, c.ResetReceived) and signed(_bare(event.reset)) == event.reset
-        if not authentic:
+        if not (isinstance(event, c.ResetReceived) and event.authentic):
             return f"4: a latch was left by {type(event).__name__}"
     if isinstance(event, c.ResetReceived) and (after.may_move, after.cutting_mode) > (
         before.may_move,
         before.cutting_mode,
     ):
         return "4: a reset started something"
+    cutting = ControllerState.CUTTING
+    started = isinstance(event, c.StartReceived) and after.state is cutting is not before.state
+    if started and before.session is not None and late_s > before.session.start_lifetime_s:
+        return "6: a start was carried out after its lifetime"
     acted = isinstance(event, SIGNS) and after.state is not before.state
     if acted and message is not None and message.old and after.state is not ControllerState.FAULT:
         return f"6: a {type(message.content).__name__} from before a stop was acted upon"
@@ -82,13 +103,68 @@ def reboot(before: c.Controller, after: c.Controller) -> str | None:
         return None
     if known.latched is not StopCause.NONE and after.state is not ControllerState.FAULT:
         return "4: a latch was left by a loss of power"
-    if not known.withdrawn <= after.memory.withdrawn:
+    if _forgotten(known, after.memory) or known.withdrawal_due > after.memory.withdrawal_due:
         return "1: a withdrawal was forgotten by a loss of power"
     return None
 
 
-def _bare(record: Any) -> Any:
-    return record.with_mac(records.NO_MAC)
+def _forgotten(before: c.Memory, after: c.Memory) -> bool:
+    return not before.withdrawn <= after.withdrawn or after.barrier_us < before.barrier_us
+
+
+def _memory_step(before: c.Controller, event: c.Event, after: c.Controller, *, forged: bool) -> str | None:
+    """Invariant 9: what memory holds of registrations is changed by who holds the key, or by the wired sensor, alone."""
+    old, new = before.memory, after.memory
+    if _forgotten(old, new):
+        return "1: a withdrawal was forgotten"
+    if _barrier_not_kept(before, event, new):
+        return "1: the barrier that a Withdraw tells was not kept"
+    if old.withdrawal_due and not new.withdrawal_due and not isinstance(event, c.WithdrawReceived):
+        return f"9: a withdrawal that was due is not, after {type(event).__name__}"
+    same = (old.withdrawn, old.barrier_us, old.withdrawal_due) == (
+        new.withdrawn,
+        new.barrier_us,
+        new.withdrawal_due,
+    )
+    match event:
+        case c.BoneMoved():
+            entitled = True
+        case c.WithdrawReceived(authentic=authentic):
+            entitled = authentic
+        case c.HeartbeatReceived(cause=cause):
+            entitled = cause in WITHDRAWING and not forged
+        case _:
+            entitled = False
+    if not same and not entitled:
+        return f"9: a registration was withdrawn or restored by {type(event).__name__} that no holder of the key made"
+    return None
+
+
+def _barrier_not_kept(before: c.Controller, event: c.Event, after: c.Memory) -> bool:
+    if not (isinstance(event, c.WithdrawReceived) and event.authentic and before.session is not None):
+        return False
+    meant = event.withdraw.place_digest in (before.session.place, records.NO_PLACE)
+    return meant and after.barrier_us < event.withdraw.barrier_us
+
+
+def _session_step(
+    before: c.Controller, event: c.Event, after: c.Controller, message: Message | None
+) -> str | None:
+    """Invariants 9 and 10: a session is named by a holder of the key, and the same OPEN opens once."""
+    if after.session is None or (before.session and before.session.digest == after.session.digest):
+        return None
+    if not (isinstance(event, c.OpenReceived) and event.authentic):
+        return f"9: a registration was named by {type(event).__name__} that no holder of the key made"
+    if message is not None and message.old:
+        return "10: the same OPEN opened twice"
+    return None
+
+
+def outlasts(moving: bool, cut_is_fresh: bool) -> str | None:
+    """Invariant 8: nothing moves once a time-out has passed since the runtime's heartbeat last said CUT."""
+    if moving and not cut_is_fresh:
+        return "8: motion outlasts the runtime's will by more than the time-out"
+    return None
 
 
 def runtime_step(
@@ -98,8 +174,17 @@ def runtime_step(
     effects: tuple[r.Effect, ...],
     *,
     deviates: bool = False,
+    forged: bool = False,
 ) -> str | None:
-    """Invariants 2 and 3 at the runtime; ``deviates``: the event shows an arm that is not where it was verified."""
+    """Invariants 2, 3, 9 and 11 at the runtime.
+
+    Args:
+        deviates: the event shows an arm that is not where it was verified.
+        forged: no holder of the key has said it.
+    """
+    wrong = _believed(before.interlock, event, after, forged=forged)
+    if wrong:
+        return wrong
     for effect in effects:
         if isinstance(effect, r.Send) and isinstance(effect.record, ENABLING):
             wrong = _left_without_cover(before, event, effect.record)
@@ -114,6 +199,33 @@ def runtime_step(
         if not ended:
             return f"3: no stop left after {type(event).__name__}"
     return None
+
+
+def _believed(before: r.Interlock, event: r.Event, after: r.Interlock, *, forged: bool) -> str | None:
+    """Invariants 9 and 11: what the controller is believed, and what withdraws, comes from a holder of the key."""
+    heartbeat = isinstance(event, r.HeartbeatReceived) and not forged
+    for phase, earlier, state in BELIEVED:
+        if after.phase is phase and before.phase is earlier:
+            if not (heartbeat and event.view.state is state):
+                return f"11: {phase} is believed by {type(event).__name__}, and no heartbeat of the controller said so"
+    if before.phase is r.Phase.OPENING and after.phase in (r.Phase.HELD, r.Phase.COLLECTING):
+        if not (isinstance(event, r.SessionOpened) and event.authentic):
+            return f"11: a session is believed to be open by {type(event).__name__}"
+    if after.registration_withdrawn and not before.registration_withdrawn:
+        by_key = heartbeat and event.view.cause in WITHDRAWING
+        by_person = isinstance(event, r.CommandGiven) and event.command is r.OperatorCommand.WITHDRAW
+        if not (by_key or by_person):
+            return f"9: a registration was withdrawn by {type(event).__name__} that no holder of the key made"
+    return None
+
+
+BELIEVED = (
+    (r.Phase.PERMITTED, r.Phase.PERMITTING, ControllerState.PERMITTED),
+    (r.Phase.CUTTING, r.Phase.STARTING, ControllerState.CUTTING),
+    (r.Phase.FINISHING, r.Phase.STARTING, ControllerState.DONE),
+    (r.Phase.FINISHING, r.Phase.CUTTING, ControllerState.DONE),
+)
+"""What is reached from where by what the controller's heartbeat says."""
 
 
 def _stop_cause(before: r.Interlock, event: r.Event) -> bool:
@@ -143,7 +255,7 @@ def _left_without_cover(before: RuntimeSide, event: r.Event, record: records.Rec
         for commit in before.commits
         if isinstance(event, r.RecordDurable) and commit.token == event.token
     ]
-    if durable != [record]:
+    if durable != [replace(record, log=records.NO_TREE_HEAD) if hasattr(record, "log") else record]:
         return f"2: a {name} left without its durable record"
     if isinstance(record, records.Reset):
         return None

@@ -63,8 +63,8 @@ def describe(event: Any) -> str:  # noqa: C901 - one line for each kind
             return f"reply to {records.RECORDS[kind].__name__}: {refusal.name}"
         case records.NonceRequest() | c.NonceRequested() | records.Nonce() | r.NonceReceived():
             return f"{name} {event.purpose.name}"
-        case c.AcknowledgeReceived() | records.Acknowledge():
-            return f"{name}{_named(event.cause)}"
+        case c.AcknowledgeReceived(acknowledge=asked):
+            return f"{name}{_named(asked.cause)}"
         case r.VerdictReady(verdict=verdict):
             return f"verdict {'admissible' if verdict.admissible and verdict.approach else 'inadmissible'}"
         case r.JointsMeasured(joints_u=joints_u):

@@ -13,26 +13,28 @@ from typing import Any, NamedTuple
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
-from tests.exploration.controller_side import Controller
+from tests.exploration import invariants
+from tests.exploration.controller_side import Controller, told
 from tests.exploration.names import (
-    BOOT,
-    EARLIER_REGISTRATION,
+    CUT,
+    EARLIER_PLACE,
     EARLIER_TAG,
     EPOCH,
     KINDS,
-    REGISTRATION,
     STALE,
     TAG,
+    WITHDRAWS,
     Message,
     Passing,
+    Quiet,
+    Told,
     rename_controller,
     rename_message,
     rename_runtime,
     stale,
-    without_registration,
 )
-from tests.exploration.runtime_side import Runtime
-from tests.exploration.world import Move, Numbers, World
+from tests.exploration.runtime_side import Heard, Runtime
+from tests.exploration.world import Change, Move, Numbers, World
 
 State = tuple[int, int, int]
 """A runtime, a controller and what has been said, by number."""
@@ -71,13 +73,14 @@ class Model:
         self.world = world
         self.runtime, self.controller = Runtime(world, runtime_step), Controller(world, controller_step)
         self.messages = Numbers()
+        self.quiet = 1 << self.messages.number(Message(0, Quiet()))
         self.memo: dict[Any, Any] = {}
         self.runtimes_after = lru_cache(SETS)(self._runtimes_after)
         self.renamed_runtimes = lru_cache(SETS)(self._renamed_runtimes)
 
     def begin(self) -> tuple[int, int, int]:
         """No process, the controller as the world begins, nothing said."""
-        return self.runtime.none, self.controller.states.number(self.world.begin), 0
+        return self.runtime.none, self.controller.states.number(self.world.begin), self.quiet
 
     # ------------------------------------------------------------ one state
 
@@ -85,44 +88,85 @@ class Model:
         """Every enabled move with the state it leads to."""
         if run == self.runtime.none:
             yield from self.starts(con, said)
-        for step in self.of_runtime(run, self.nonce_given(con)):
+        for step in self.of_runtime(run, self.heard(con, said)):
             following, now = self.with_runtime(con, said, step.said, step.passing)
             yield step.move, (step.side, following, now)
         for step in self.of_controller(con, said):
             yield step.move, (self.renamed_runtime(run, step.passing), step.side, step.said)
+        move, following, now = self.ages(con, said, cuts=bool(self.runtime.cut >> run & 1))
+        yield move, (run, following, now)
+
+    def ages(self, con: int, said: int, *, cuts: bool) -> tuple[Move, int, int]:
+        """A time-out passes: of the runtime's heartbeats what it says now is fresh, or nothing that orders motion is.
+
+        A controller that moved by what has aged has lost the heartbeat meanwhile. All that it heard instead is a move.
+        """
+        key = "ages", con, said, cuts
+        found = self.memo.get(key)
+        if found is None:
+            following, now = con, said
+            if not cuts:
+                following, now = self._aged(con, said)
+            state = self.controller.states.values[following]
+            move = Move("clock", "a time-out passes", wrong=self._outlasts(state, now))
+            found = self.memo[key] = move, following, now
+        return found
+
+    def _aged(self, con: int, said: int) -> tuple[int, int]:
+        state, kept, stale = self.controller.states.values[con], 0, False
+        for bit, message in enumerate(self.messages.values):
+            if said >> bit & 1:
+                if message.content == CUT:
+                    stale = bool(self.world.link)
+                elif message.content != Quiet():
+                    kept |= 1 << bit
+        if stale:
+            kept |= 1 << self.messages.number(Message(0, Quiet(stale=True)))
+        if state.may_move and self.world.link != "arrival":
+            change = self.controller.feed(state, "clock", c.HeartbeatLost())
+            return change.side, self.after(kept, change.passing, change.side)
+        return con, self.after(kept, 0, con)
+
+    def _outlasts(self, state: c.Controller, said: int) -> str | None:
+        fresh = any(message.content == CUT for message in self.said(said))
+        return invariants.outlasts(state.may_move, fresh)
 
     def starts(self, con: int, said: int) -> list[tuple[Move, State]]:
         """A person starts a session: for the last registration, for an earlier one, for a new one."""
         fresh, state = self.runtime.fresh(), self.controller.states.values[con]
         found = [(Move("person", "starts a session", sound=True), (fresh, con, said))]
-        known = state.memory.named | state.memory.withdrawn
-        if REGISTRATION not in known:
+        bone = self.world.bone
+        if not bone:
             return found
         swapped = self.with_runtime(con, said, 0, Passing.REGISTRATION)
-        if EARLIER_REGISTRATION in known:
-            found.append((Move("person", "starts a session for an earlier registration"), (fresh, *swapped)))
-        if self.world.bone:
-            in_session = state.session is not None and state.session.registration == EARLIER_REGISTRATION
-            following, now = (con, said) if in_session else swapped
-            number = self.controller.states.number(
-                without_registration(self.controller.states.values[following])
-            )
-            move = Move("person", "starts a session with a new registration", sound=True)
-            found.append((move, (fresh, number, now)))
+        found.append((Move("person", "starts a session for an earlier registration"), (fresh, *swapped)))
+        barred = self.with_runtime(con, said, 0, Passing.REGISTRATION | Passing.OLD)
+        move = Move("person", "starts a session for a registration before the barrier")
+        found.append((move, (fresh, *barred)))
+        session = state.session
+        in_session = session is not None and session.place == EARLIER_PLACE
+        new = Passing.NEW if in_session else Passing.NEW | Passing.REGISTRATION
+        move = Move("person", "starts a session with a new registration", sound=True)
+        found.append((move, (fresh, *self.with_runtime(con, said, 0, new))))
         return found
 
-    def nonce_given(self, con: int) -> bool:
-        """Whether a nonce has been given that still counts."""
-        return self.controller.states.values[con].issued is not None
+    def heard(self, con: int, said: int) -> Heard:
+        """Whether a nonce has been given that still counts, and what the controller has told in the runtime's session."""
+        key = "heard", con, said
+        found = self.memo.get(key)
+        if found is None:
+            told = frozenset(one.content.state for one in self.said(said) if isinstance(one.content, Told))
+            found = self.memo[key] = Heard(self.controller.states.values[con].issued is not None, told)
+        return found
 
-    def of_runtime(self, run: int, nonce_given: bool) -> list[Step]:
+    def of_runtime(self, run: int, heard: Heard) -> list[Step]:
         """Moves of the runtime; ``said`` is what it says with them."""
-        key = "runtime", run, nonce_given
+        key = "runtime", run, heard
         found = self.memo.get(key)
         if found is None:
             steps = [
-                Step(one.move, self._settled(one.side), self.kept(one.sent), one.passing)
-                for one in self.runtime.changes(run, nonce_given)
+                Step(one.move, self._settled(one.side), self.kept(one.sent) | self.orders(run, one.side), one.passing)
+                for one in self.runtime.changes(run, heard)
             ]
             found = self.memo[key] = self._distinct(run, 0, steps)
         return found
@@ -134,13 +178,29 @@ class Model:
         if found is None:
             changes = list(self.controller.changes(con))
             for message in self.said(said):
-                changes += self.controller.repeated(con, message)
-            steps = [
-                Step(one.move, one.side, self.after(said, one.passing, one.side), one.passing & ~Passing.STOP)
-                for one in changes
-            ]
+                if message.content == Quiet(stale=True) and self.world.link in ("round", "arrival"):
+                    changes += self.controller.repeated(con, Message(TAG, CUT))
+                if not isinstance(message.content, Quiet | Told):
+                    changes += self.controller.repeated(con, message)
+            steps = [self.with_controller(said, one) for one in changes]
             found = self.memo[key] = self._distinct(con, said, steps)
         return found
+
+    def with_controller(self, said: int, change: Change) -> Step:
+        """A move of the controller, with what its heartbeat tells from then on."""
+        state = self.controller.states.values[change.side]
+        now = said
+        for message in told(state):
+            now |= 1 << self.messages.number(message)
+        now = self.after(now, change.passing, change.side)
+        wrong = change.move.wrong or self._outlasts(state, now)
+        return Step(change.move._replace(wrong=wrong), change.side, now, change.passing & ~(Passing.STOP | Passing.OPENED))
+
+    def orders(self, before: int, run: int) -> int:
+        """That its heartbeat says CUT from now on."""
+        if before == run or not self.runtime.cut >> run & 1:
+            return 0
+        return 1 << self.messages.number(Message(TAG, CUT))
 
     def with_runtime(self, con: int, said: int, sent: int, passing: int) -> tuple[int, int]:
         """The controller and what was said, after a move of the runtime."""
@@ -168,7 +228,7 @@ class Model:
     # ------------------------------------------------------------ many runtimes at once
 
     def _runtimes_after(
-        self, runs: int, nonce_given: bool
+        self, runs: int, heard: Heard
     ) -> tuple[Groups, int, tuple[tuple[int, Move], ...]]:
         """Where every move leads these runtimes, the number of moves, and those that are wrong."""
         groups: Groups = defaultdict(int)
@@ -176,10 +236,10 @@ class Model:
         wrong: list[tuple[int, Move]] = []
         for place, byte in enumerate(_bytes(runs)):
             if byte:
-                key = "after", place, byte, nonce_given
+                key = "after", place, byte, heard
                 found = self.memo.get(key)
                 if found is None:
-                    found = self.memo[key] = self._eight_after(place, byte, nonce_given)
+                    found = self.memo[key] = self._eight_after(place, byte, heard)
                 for group, reached in found[0]:
                     groups[group] |= reached
                 count += found[1]
@@ -187,12 +247,12 @@ class Model:
         return groups, count, tuple(wrong)
 
     def _eight_after(
-        self, place: int, byte: int, nonce_given: bool
+        self, place: int, byte: int, heard: Heard
     ) -> tuple[Any, int, list[tuple[int, Move]]]:
         groups: Groups = defaultdict(int)
         count, wrong = 0, []
         for run in _numbers(byte, place):
-            for step in self.of_runtime(run, nonce_given):
+            for step in self.of_runtime(run, heard):
                 groups[step.said, step.passing] |= 1 << step.side
                 count += 1
                 if step.move.wrong:
@@ -223,32 +283,34 @@ class Model:
         return [message for bit, message in enumerate(self.messages.values) if said >> bit & 1]
 
     def kept(self, sent: tuple[Message, ...]) -> int:
-        """Of what the runtime sends: what carries its code, and OPEN, in the present session of the present boot."""
+        """Of what the runtime sends: what carries its code, in the present session or for the nonce that is announced."""
         kept = 0
         for message in sent:
             content = message.content
-            present = (
-                self.world.exact or not isinstance(content, records.SignedRecord) or content.epoch == EPOCH
-            )
-            if (
-                message.tag in (0, TAG)
-                and present
-                and isinstance(content, records.SignedRecord | records.Open)
-            ):
+            keyed = isinstance(content, records.SignedRecord) or content == WITHDRAWS
+            epoch = getattr(content, "epoch", EPOCH)
+            present = self.world.exact or epoch == EPOCH or content == WITHDRAWS
+            if message.tag in (0, TAG) and present and keyed:
                 kept |= 1 << self.messages.number(Message(TAG, content))
         return kept
 
     def _counts(self, content: Any, state: c.Controller) -> bool:
-        """Whether it is remembered that it was said, and not taken as said already."""
-        if isinstance(content, records.SignedRecord):
-            issued = state.issued
-            serves = (
-                issued is not None
-                and issued.nonce == content.nonce
-                and KINDS[issued.purpose] is type(content)
-            )
-            return self.world.exact or (serves and content.epoch == EPOCH)
-        return isinstance(content, records.Open) and content.boot_nonce == BOOT
+        """Whether it is remembered that it was said, and not taken as said already, or done already."""
+        match content:
+            case records.Open():
+                return content.announce_nonce == state.announce_nonce
+            case records.Acknowledge():
+                return content.epoch == EPOCH and content.cause is state.cause
+            case records.Withdraw(place_digest=place, barrier_us=barrier_us):
+                memory = state.memory
+                return state.cutting_mode or memory.with_barrier(place, barrier_us) != memory
+            case c.HeartbeatReceived():
+                return content == CUT or (content == WITHDRAWS and not _withdrawn(state))
+        issued = state.issued
+        serves = (
+            issued is not None and issued.nonce == content.nonce and KINDS[issued.purpose] is type(content)
+        )
+        return self.world.exact or (serves and content.epoch == EPOCH)
 
     def after(self, said: int, passing: int, con: int) -> int:
         """As it is named now. Of sessions that neither side is in, the attacker's earlier records stand for it."""
@@ -257,8 +319,16 @@ class Model:
         if found is None:
             state = self.controller.states.values[con]
             session = state.session
-            found = 0
-            for message in self.said(said) if not passing & Passing.BOOT else ():
+            found, fresh = 0, False
+            for message in self.said(said):
+                if isinstance(message.content, Told | Quiet):
+                    if isinstance(message.content, Told) and not passing & Passing.SESSION:
+                        found |= 1 << self.messages.number(message)
+                    if message.content == Quiet(stale=True) and not passing & (Passing.EPOCH | Passing.BOOT):
+                        found |= 1 << self.messages.number(message)
+                    continue
+                if passing & Passing.BOOT:
+                    continue
                 renamed = rename_message(message, passing)
                 if not self._counts(renamed.content, state):
                     continue
@@ -266,7 +336,8 @@ class Model:
                 gone = renamed.tag == EARLIER_TAG
                 if (held and not isinstance(renamed.content, records.Open)) if gone else True:
                     found |= 1 << self.messages.number(renamed)
-            self.memo[key] = found
+                    fresh |= renamed.content == CUT
+            self.memo[key] = found = found if fresh else found | self.quiet
         return found
 
     # ------------------------------------------------------------ small parts
@@ -287,6 +358,10 @@ class Model:
             if step.side != side or step.passing or step.said != said or step.move.wrong:
                 found.setdefault((step.side, step.passing, step.said, step.move.wrong), step)
         return list(found.values())
+
+
+def _withdrawn(state: c.Controller) -> bool:
+    return state.session is not None and state.session.withdrawn and state.memory.withdrawal_due
 
 
 def _bytes(bits: int) -> bytes:

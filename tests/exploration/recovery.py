@@ -4,10 +4,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from cutgate.runtime.interlock import state as r
+from tests.exploration import attacker
 from tests.exploration.model import Model, State
 from tests.exploration.names import Message, rename_message
-from tests.exploration.runtime_side import tag_of
+from tests.exploration.runtime_side import Heard, tag_of
 from tests.exploration.world import Change, Move
+
+EVERYTHING = tuple(Heard(nonce, frozenset(attacker.TOLD)) for nonce in (False, True))
+"""All that a runtime can be told."""
 
 DELIVERIES = 50
 """Answers to answers end before this."""
@@ -77,11 +81,12 @@ class Recovery:
         run, con, said = state
         if by_runtime:
             up.extend(change.sent)
+            sent = self.model.kept(change.sent) | self.model.orders(run, change.side)
             run = change.side
-            con, said = self.model.with_runtime(con, said, self.model.kept(change.sent), change.passing)
+            con, said = self.model.with_runtime(con, said, sent, change.passing)
         else:
             con = change.side
-            said = self.model.after(said, change.passing, con)
+            said = self.model.with_controller(said, change).said
             run = self.model.renamed_runtime(run, change.passing, settled=False)
         for messages in (up, down):
             renamed = [rename_message(one, change.passing) for one in messages]
@@ -96,7 +101,7 @@ def stuck(model: Model, controllers: Iterable[int]) -> list[int]:
     """The controllers from which, without a process and with an empty bus, no recovery way leads to motion."""
     recovery, good, found = Recovery(model), set(), []
     for con in controllers:
-        way = _way(recovery, (model.runtime.none, con, 0), good)
+        way = _way(recovery, (model.runtime.none, con, model.quiet), good)
         good.update(way)
         if not way:
             found.append(con)
@@ -114,7 +119,7 @@ def _way(recovery: Recovery, start: State, good: set[tuple[int, int]]) -> list[t
         for _move, (run, con, _said) in moves:
             if (run, con) not in visited:
                 visited.add((run, con))
-                path.append(((run, con), recovery.moves((run, con, 0))))
+                path.append(((run, con), recovery.moves((run, con, model.quiet))))
                 break
         else:
             path.pop()
@@ -135,7 +140,7 @@ def runtimes_that_do_not_end(model: Model) -> list[int]:
     found = []
     for number in range(1, len(sides)):
         if ends(number):
-            led = [one.side for live in (False, True) for one in model.runtime.changes(number, live)]
+            led = [one.side for heard in EVERYTHING for one in model.runtime.changes(number, heard)]
             waited = [one.side for one in model.runtime.own(number)]
             if not all(map(ends, led)) or model.runtime.none not in waited:
                 found.append(number)

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
 from cutgate.protocol.states import (
+    WITHDRAWING,
     ControllerState,
     FaultCode,
     Purpose,
@@ -21,21 +22,28 @@ from tests.exploration import attacker, invariants
 from tests.exploration.canonical import NOW, canonical_runtime, cause_class
 from tests.exploration.labels import ARRIVED, COMMIT_OLD, LATE, SAMPLE_OLD, describe, lateness
 from tests.exploration.names import (
+    BARRIER_US,
     BOOT,
+    CUT,
     EARLIER_BOOT,
     EPOCH,
     LIVE,
+    NEXT_BOOT,
+    TAG,
     TOKEN,
+    WITHDRAWS,
     Message,
     Passing,
     RuntimeSide,
     digest_of,
-    signed,
 )
 from tests.exploration.world import (
     FRESH,
     OFF_START,
     OTHER_LIMITS,
+    PERMIT_LOG,
+    SOUGHT,
+    START_LOG,
     VERDICT,
     WARNED,
     Change,
@@ -51,6 +59,15 @@ STANDING, AWAY = (r.JointsMeasured(joints_u, NOW) for joints_u in (fixed.START_J
 ORDERS = (r.Phase.STARTING, r.Phase.CUTTING)
 
 
+class Heard(NamedTuple):
+    """What a runtime can be told beyond what anybody can say: a nonce that counts, and what the controller's heartbeat has told."""
+
+    live_nonce: bool
+    told: frozenset[ControllerState]
+
+
+NOTHING = Heard(False, frozenset())
+
 class Runtime:
     """Every runtime met, by number, and what can happen to it.
 
@@ -64,22 +81,31 @@ class Runtime:
         self.sides = Numbers()
         self.none = self.sides.number(None)
         self.known: dict[RuntimeSide, int] = {}
-        self.attacked: dict[tuple[int, bool], list[Change]] = {}
+        self.attacked: dict[tuple[int, Heard], list[Change]] = {}
+        self.cut = 0
+        """The bits of those whose heartbeat says CUT in the controller's present epoch and the present session."""
         self.recovery: dict[int, list[Change]] = {}
 
     def fresh(self) -> int:
         """A process that has just begun."""
         return self.sides.number(RuntimeSide(FRESH))
 
-    def changes(self, number: int, live_nonce: bool) -> list[Change]:
-        """Everything: its own acts, people, disk, clock, and whatever anybody without the key can say to it."""
-        key = number, live_nonce
+    def changes(self, number: int, heard: Heard) -> list[Change]:
+        """Everything: its own acts, people, disk, clock, whatever anybody can say to it, and what the controller has said.
+
+        Args:
+            number: which runtime.
+            heard: a nonce that counts was given; the states that the controller's heartbeat has told.
+        """
+        key = number, heard
         if key not in self.attacked:
-            side = self.sides.values[number]
+            side, (live_nonce, told) = self.sides.values[number], heard
             if side is None:
                 found = []
             elif live_nonce:
-                found = [*self.changes(number, False), *self._nonce_said(side)]
+                found = [*self.changes(number, Heard(False, told)), *self._nonce_said(side)]
+            elif told:
+                found = [*self.changes(number, NOTHING), *self._told(side, told)]
             else:
                 found = [*self._own(side), *self._said(side)]
             self.attacked[key] = distinct(number, found)
@@ -111,7 +137,7 @@ class Runtime:
         if state.phase is r.Phase.FINISHING:
             yield feed("arm", STANDING, sound=True)
         for commit in side.commits:
-            yield from self._durable(feed, r.RecordDurable(commit.token))
+            yield from self._durable(feed, durable(commit))
         yield feed("shell", r.Failed(StopCause.SECOND_NODE, ""))
         yield feed("shell", r.Gone(StopCause.INTERNAL_ERROR, ""))
         if self.world.disk:
@@ -156,23 +182,49 @@ class Runtime:
             for late_s in (0.0, 1.0):
                 yield feed(attacker.announced(BOOT), late_s=late_s)
                 yield feed(attacker.announced(EARLIER_BOOT), late_s=late_s)
+            if state.phase is r.Phase.OPENING:
+                yield feed(attacker.announced(NEXT_BOOT))
         else:
             yield feed(attacker.announced(BOOT))
         if state.session is None:
             return
         for event in attacker.unsigned_records():
             yield feed(event)
+        for event in attacker.opened(self.world) if state.phase is r.Phase.OPENING else ():
+            yield feed(event)
         yield feed(r.PathConfirmed(attacker.STORED), first=STANDING)
         if link_open(state):
             for cause in attacker.causes(self.world):
                 yield feed(r.FaultReceived(FaultCode.LATCHED, cause))
-            for beat in attacker.heartbeats(attacker.causes(self.world)):
-                early = state.phase in ORDERS and beat.view.state is ControllerState.DONE
-                yield feed(beat, first=STANDING, deviates=early)
-                if early:
-                    yield feed(beat, first=STANDING, late_s=ARRIVED)
+            for beat in attacker.heartbeats(attacker.causes(self.world), state.epoch):
+                if self._must_be_told(state, beat):
+                    if self.world.link in ("tag", "session"):
+                        yield from self._beat(feed, state, beat, forged=True)
+                else:
+                    yield from self._beat(feed, state, beat)
         if state.tracking is not None:
             yield from self._tracked(feed)
+
+    def _must_be_told(self, state: r.Interlock, beat: r.HeartbeatReceived) -> bool:
+        """Whether this phase believes it, so that it comes only once the controller has said it; elsewhere it stops."""
+        return beat.view.state in attacker.TOLD and beat.view.epoch == state.epoch and state.phase in BELIEVING
+
+    def _told(self, side: RuntimeSide, told: frozenset[ControllerState]) -> Iterable[Change]:
+        """What the controller's heartbeat has said in this session, now or held back."""
+        state = side.interlock
+        if link_open(state):
+            feed = partial(self.feed, side, "bus > runtime")
+            for beat in attacker.heartbeats(attacker.causes(self.world), state.epoch):
+                if self._must_be_told(state, beat) and beat.view.state in told:
+                    yield from self._beat(feed, state, beat)
+
+    def _beat(
+        self, feed: Callable[..., Change], state: r.Interlock, beat: r.HeartbeatReceived, *, forged: bool = False
+    ) -> Iterable[Change]:
+        early = state.phase in ORDERS and beat.view.state is ControllerState.DONE
+        yield feed(beat, first=STANDING, deviates=early, forged=forged)
+        if early:
+            yield feed(beat, first=STANDING, late_s=ARRIVED, forged=forged)
 
     def _tracked(self, feed: Callable[..., Change]) -> Iterable[Change]:
         """Joints and progress of an arm that is where it was verified, and of one that is not, in each way."""
@@ -197,7 +249,7 @@ class Runtime:
                 done = content.view.state is ControllerState.DONE
                 return feed(content, first=STANDING, late_s=ARRIVED if done else 0.0)
             case records.Opened():
-                return feed(r.SessionOpened(content.epoch, content.state, content.cause))
+                return feed(r.SessionOpened(content, authentic=True))
             case records.Limits() | records.Calibration() | records.Tool():
                 return feed(r.ParameterReceived(content))
             case records.PathStored(digest=digest, refusal=refusal, pose=pose):
@@ -205,8 +257,7 @@ class Runtime:
             case records.Nonce():
                 return feed(r.NonceReceived(content.purpose, content.nonce, content.epoch))
             case records.Reply() as reply:
-                pressed = reply.detail != 0
-                return feed(r.ReplyReceived(reply.request_type, reply.refusal, reply.cause, pressed))
+                return feed(r.ReplyReceived(reply.request_type, reply.refusal, reply.cause))
             case r.Announced():
                 return feed(content, late_s=1.0)
         return feed(content)
@@ -223,14 +274,20 @@ class Runtime:
         late_s: float = 0.0,
         first: r.Event | None = None,
         deviates: bool = False,
+        forged: bool = False,
     ) -> Change:
         """One step of the real table, judged, and what it sends; ``deviates``: by it the arm is not where it may be."""
         state = side.interlock
         if first is not None:
             state, _ = self.step(state, first, NOW)
         after, effects = self.step(state, event, NOW + late_s)
+        for effect in effects:
+            answer = answered(effect)
+            if answer is not None:
+                after, more = self.step(after, answer, NOW + late_s)
+                effects += more
         wrong = invariants.runtime_step(
-            replace(side, interlock=state), event, after, effects, deviates=deviates
+            replace(side, interlock=state), event, after, effects, deviates=deviates, forged=forged
         )
         commits = [
             commit
@@ -242,10 +299,50 @@ class Runtime:
         sent = tuple(message for effect in effects for message in sent_by(state, following, effect))
         number = self.known.get(following)
         if number is None:
-            number = self.known[following] = self.sides.number(canonical_runtime(following))
+            number = self.known[following] = self.sides.number(canonical_runtime(present(following)))
+            if says_cut(self.sides.values[number]):
+                self.cut |= 1 << number
         left = state.session is not None and (number == self.none or after.session != state.session)
         move = Move(actor, describe(event) + lateness(late_s, first), sound, wrong)
         return Change(move, number, sent, Passing.SESSION if left else 0)
+
+
+BELIEVING = frozenset(
+    {r.Phase.PERMITTING, r.Phase.PERMITTED, r.Phase.NONCE_START, r.Phase.AUTHORISING_START, *ORDERS, r.Phase.FINISHING}
+)
+"""Where what the controller's heartbeat tells leads on, or lets the phase last."""
+
+
+def durable(commit: r.Commit) -> r.RecordDurable:
+    """The log goes on from permit to start."""
+    log = START_LOG if isinstance(commit.record, records.Start) else PERMIT_LOG
+    return r.RecordDurable(commit.token, log)
+
+
+def answered(effect: r.Effect) -> r.Event | None:
+    """What the shell answers at once: a Withdraw has left, the log was found."""
+    match effect:
+        case r.SendWithdraw():
+            return r.WithdrawalSent(BARRIER_US)
+        case r.SeekWitness():
+            return SOUGHT
+    return None
+
+
+def present(side: RuntimeSide) -> RuntimeSide:
+    """The announce nonce that its OPEN names is the present one."""
+    session = side.interlock.session
+    if session is None or session.announce_nonce != NEXT_BOOT:
+        return side
+    session = replace(session, request=replace(session.request, announce_nonce=BOOT))
+    return replace(side, interlock=replace(side.interlock, session=session))
+
+
+def says_cut(side: RuntimeSide | None) -> bool:
+    """Whether its heartbeat orders motion from a controller that listens."""
+    if side is None or tag_of(side) != TAG or side.interlock.epoch != EPOCH:
+        return False
+    return PHASES[side.interlock.phase].heartbeat is CUT.code
 
 
 def link_open(state: r.Interlock) -> bool:
@@ -263,11 +360,17 @@ def sent_by(before: r.Interlock, after: RuntimeSide, effect: r.Effect) -> list[M
     """What an effect puts on the bus."""
     match effect:
         case r.Send(record=records.Open() as request):
-            return [Message(0, request)]
+            named = BOOT if request.announce_nonce == NEXT_BOOT else request.announce_nonce
+            return [Message(0, replace(request, announce_nonce=named))]
         case r.Send(record=records.SignedRecord() as record):
             if isinstance(record, records.Permit):
                 digest_of(record)
-            return [Message(tag_of(after), signed(record))]
+            return [Message(tag_of(after), record)]
+        case r.SendWithdraw(place=place):
+            return [
+                Message(tag_of(after), records.Withdraw(place, BARRIER_US)),
+                *([Message(tag_of(after), WITHDRAWS)] if after.interlock.cause in WITHDRAWING else []),
+            ]
         case r.Send(record=record):
             return [Message(tag_of(after), record)]
         case r.SendBlock():

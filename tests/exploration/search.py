@@ -73,7 +73,7 @@ def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
         if runs & nobody:
             for _move, (started, following, now) in model.starts(con, said):
                 reached[following, now] |= 1 << started
-        groups, count, broken = model.runtimes_after(runs, model.nonce_given(con))
+        groups, count, broken = model.runtimes_after(runs, model.heard(con, said))
         wrong = list(broken)
         for (sent, passing), after in groups.items():
             reached[model.with_runtime(con, said, sent, passing)] |= after
@@ -86,6 +86,12 @@ def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
             if step.move.wrong:
                 wrong.append((runs.bit_length() - 1, step.move))
         count += runs.bit_count() * len(model.of_controller(con, said))
+        for cuts, which in ((True, runs & model.runtime.cut), (False, runs & ~model.runtime.cut)):
+            if which:
+                move, following, now = model.ages(con, said, cuts=cuts)
+                reached[following, now] |= which
+                if move.wrong:
+                    wrong.append((which.bit_length() - 1, move))
         found.transitions += count
         if wrong:
             found.wrong = (wrong[0][0], con, said), wrong[0][1]

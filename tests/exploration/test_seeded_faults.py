@@ -12,16 +12,34 @@ import cutgate.firmware_sim.table
 import cutgate.runtime.interlock.permissives
 import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
-from cutgate.firmware_sim.rules import PERMIT_RULES, RESET_RULES, START_RULES
-from cutgate.protocol.states import ControllerState, FaultCode, Refusal
-from cutgate.runtime.interlock.state import Gone, HeartbeatLost, NonceReceived, Phase, Send, Tick
+from cutgate.firmware_sim.rules import (
+    OPEN_RULES,
+    PERMIT_RULES,
+    REGISTRATION_RULES,
+    RESET_RULES,
+    START_RULES,
+    WITHDRAW_RULES,
+)
+from cutgate.protocol import records
+from cutgate.protocol.states import WITHDRAWING, ControllerState, FaultCode, Refusal
+from cutgate.runtime.interlock.state import (
+    FaultReceived,
+    Gone,
+    HeartbeatLost,
+    NonceReceived,
+    Phase,
+    ReplyReceived,
+    Send,
+    SessionOpened,
+    Tick,
+)
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.model import Model
 from tests.exploration.recovery import Recovery, runtimes_that_do_not_end, stuck
 from tests.exploration.search import explore, trace, trace_to_controller
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
 from tests.exploration.world import World
-from tests.firmware_sim.controllers import PERMIT
+from tests.exploration.names import BARRIER_US, PLACE
 
 pytestmark = pytest.mark.no_cover
 DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
@@ -62,6 +80,23 @@ def _blind(monkeypatch, unseen):
         monkeypatch.setattr(module, name, tuple(kept))
 
 
+def _remembering(**memory):
+    """The controller at the beginning, with this in its memory."""
+    begin = World().begin
+    remembered = replace(begin.memory, **memory)
+    return replace(begin, memory=remembered, written=remembered)
+
+
+def _without_of_registrations(monkeypatch, refusal):
+    """A controller that does not look at this of its memory, nor tells it in OPENED."""
+    for name, rules in (
+        ("REGISTRATION_RULES", REGISTRATION_RULES),
+        ("PERMIT_RULES", PERMIT_RULES),
+        ("START_RULES", START_RULES),
+    ):
+        _without(monkeypatch, name, rules, refusal)
+
+
 # ---------------------------------------------------------------- 1, 2, 3
 
 
@@ -73,11 +108,41 @@ def test_without_the_digest_rules_motion_under_a_permit_for_other_limits_is_foun
 
 @pytest.mark.slow
 def test_without_the_list_of_the_withdrawn_motion_on_a_withdrawn_registration_is_found(monkeypatch):
-    for name, rules in (("PERMIT_RULES", PERMIT_RULES), ("START_RULES", START_RULES)):
-        _without(monkeypatch, name, rules, Refusal.REGISTRATION_WITHDRAWN)
-    withdrawn = replace(World().begin.memory, withdrawn=frozenset({PERMIT.registration_digest}))
-    begin = replace(World().begin, memory=withdrawn, written=withdrawn)
+    _without_of_registrations(monkeypatch, Refusal.REGISTRATION_WITHDRAWN)
+    begin = _remembering(withdrawn=frozenset({PLACE}))
     _finds(World(begin=begin), TO_PERMITTED, "1: motion on a withdrawn registration", 10)
+
+
+@pytest.mark.slow
+def test_where_neither_side_compares_with_the_barrier_motion_on_an_earlier_registration_is_found(monkeypatch):
+    _without_of_registrations(monkeypatch, Refusal.REGISTRATION_TOO_EARLY)
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.registration_stands)
+    begin = _remembering(barrier_us=BARRIER_US)
+    _finds(World(begin=begin), TO_PERMITTED, "1: motion on a registration not later than the barrier", 10)
+
+
+def test_a_controller_that_does_not_keep_the_barrier_is_found(monkeypatch):
+    real = c.Memory.with_barrier
+    monkeypatch.setattr(
+        c.Memory,
+        "with_barrier",
+        lambda memory, place, barrier_us: replace(
+            real(memory, place, barrier_us), barrier_us=memory.barrier_us
+        ),
+    )
+    _finds(World(bone=True), TO_PERMITTED, "1: the barrier that a Withdraw tells was not kept", 3)
+
+
+@pytest.mark.slow
+def test_where_a_withdrawal_that_is_due_is_only_noted_motion_is_found(monkeypatch):
+    def noted(state, _event, now_s):
+        return cutgate.firmware_sim.table._with_motion(state, now_s), ()
+
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.BoneMoved, noted)
+    _without(
+        monkeypatch, "START_RULES", START_RULES, Refusal.WITHDRAWAL_DUE, Refusal.REGISTRATION_WITHDRAWN
+    )
+    _finds(World(bone=True), TO_PERMITTED, "1: motion while a withdrawal is due", 10)
 
 
 def test_without_a_look_at_the_verdict_a_permit_without_an_admissible_one_is_found(monkeypatch):
@@ -158,7 +223,7 @@ def test_a_latch_that_a_loss_of_power_opens_is_found(monkeypatch):
 
 def test_a_reset_whose_code_nobody_verifies_is_found(monkeypatch):
     _without(monkeypatch, "RESET_RULES", RESET_RULES, Refusal.MAC_INVALID)
-    _finds(World(begin=LATCHED), (), "4: a latch was left by ResetReceived", 8)
+    _finds(World(begin=LATCHED), TO_RESET[:6], "4: a latch was left by ResetReceived", 8)
 
 
 def test_a_cause_that_can_never_be_acknowledged_is_found_as_a_trap(monkeypatch):
@@ -229,3 +294,112 @@ def test_a_release_that_does_not_stop_is_found(monkeypatch):
 
     _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.InputsChanged, noted)
     _finds(World(), TO_MOVING, "7: motion with the enabling device released", 2)
+
+
+# ---------------------------------------------------------------- 8: heartbeats
+
+
+@pytest.mark.parametrize("link", ["tag", "session", "round", "arrival"])
+def test_motion_that_heartbeats_uphold_which_the_link_must_not_let_through_is_found(link):
+    """Made up, of another session, of a round of the counter before, held back and counted from its arrival."""
+    _finds(World(link=link), TO_MOVING, "8: motion outlasts the runtime's will", 5)
+
+
+@pytest.mark.parametrize("link", ["tag", "session"])
+def test_a_permitted_controller_that_only_a_made_up_heartbeat_reports_is_found(link):
+    found = "11: permitted is believed by HeartbeatReceived"
+    _finds(World(link=link), TO_PERMITTED[:5], found, 6)
+
+
+def test_a_controller_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch):
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.HeartbeatLost, _unchanged)
+    _finds(World(), TO_MOVING, "3: motion after HeartbeatLost", 2)
+
+
+# ---------------------------------------------------------------- 9: registrations
+
+
+def test_a_withdrawal_by_a_made_up_heartbeat_is_found():
+    _finds(World(link="tag", bone=True), TO_VERIFYING, "9: a registration was withdrawn or restored", 3)
+
+
+def test_a_controller_that_an_unkeyed_stop_makes_withdraw_is_found(monkeypatch):
+    def obedient(state, event, now_s):
+        if event.cause in WITHDRAWING:
+            state = cutgate.firmware_sim.table._with_motion(state, now_s)
+        return cutgate.firmware_sim.table.stop(state, event.cause)
+
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.StopReceived, obedient)
+    _finds(World(bone=True), TO_VERIFYING, "9: a registration was withdrawn or restored by StopReceived", 2)
+
+
+def test_a_runtime_that_an_unkeyed_fault_makes_withdraw_is_found(monkeypatch):
+    def obedient(state, event, now_s):
+        return cutgate.runtime.interlock.table._stopped_by(state, event.cause, "", now_s)
+
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.EVERYWHERE, FaultReceived, obedient)
+    _finds(World(bone=True), TO_VERIFYING, "9: a registration was withdrawn by FaultReceived", 2)
+
+
+@pytest.mark.parametrize("seeded", ["withdraw", "open"])
+def test_a_withdraw_and_an_open_whose_code_nobody_verifies_are_found(monkeypatch, seeded):
+    if seeded == "open":
+        _without(monkeypatch, "OPEN_RULES", OPEN_RULES, Refusal.MAC_INVALID)
+        _finds(World(), (), "9: a registration was named by OpenReceived", 2)
+    else:
+        _without(monkeypatch, "WITHDRAW_RULES", WITHDRAW_RULES, Refusal.MAC_INVALID)
+        _finds(World(), TO_VERIFYING, "9: a registration was withdrawn or restored by WithdrawReceived", 2)
+
+
+# ---------------------------------------------------------------- 10, 11: what opens, what is believed
+
+
+def test_an_open_that_opens_twice_is_found_where_no_new_announce_nonce_is_drawn(monkeypatch):
+    real = cutgate.firmware_sim.table.open_received
+
+    def constant(state, event, now_s):
+        opened, effects = real(state, event, now_s)
+        return replace(opened, announce_nonce=state.announce_nonce), effects
+
+    _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.OpenReceived, constant)
+    _finds(World(), (), "10: the same OPEN opened twice", 6)
+
+
+@pytest.mark.parametrize(
+    ("awaiting", "record", "believed", "way"),
+    [
+        (Phase.PERMITTING, records.Permit, Phase.PERMITTED, TO_PERMITTED[:5]),
+        (Phase.STARTING, records.Start, Phase.CUTTING, TO_MOVING[:-2]),
+    ],
+)
+def test_a_permit_and_a_start_that_an_unkeyed_reply_makes_believed_are_found(
+    monkeypatch, awaiting, record, believed, way
+):
+    def credulous(state, event, _now_s):
+        accepted = event.request_type == record.TYPE and event.refusal is Refusal.ACCEPTED
+        return (replace(state, phase=believed) if accepted else state), ()
+
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.TABLE, (awaiting, ReplyReceived), credulous)
+    _finds(World(), way, f"11: {believed} is believed by ReplyReceived", 6)
+
+
+def test_an_opened_whose_code_nobody_verifies_is_found(monkeypatch):
+    real = cutgate.runtime.interlock.table.opened
+
+    def credulous(state, event, now_s):
+        return real(state, replace(event, authentic=True), now_s)
+
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.TABLE, (Phase.OPENING, SessionOpened), credulous)
+    _finds(World(), (), "11: a session is believed to be open by SessionOpened", 4)
+
+
+# ---------------------------------------------------------------- 6: the memory takes its time
+
+
+def test_a_start_that_is_not_judged_again_once_it_is_durable_is_found(monkeypatch):
+    def begun(state, event, now_s):
+        cutting = replace(state, state=ControllerState.CUTTING, issued=None, started_at_s=now_s)
+        return cutting, (cutgate.firmware_sim.table._accept(cutting, event.start, event.sequence),)
+
+    monkeypatch.setattr(cutgate.firmware_sim.table, "begin_cut", begun)
+    _finds(World(), TO_MOVING[:-2], "6: a start was carried out after its lifetime", 6)

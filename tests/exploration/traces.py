@@ -27,6 +27,7 @@ TO_PERMITTED = (
     *TO_VERIFYING,
     "worker: verdict admissible",
     "disk: record durable",
+    "controller: sends its heartbeat",
     "person: device pressed",
     "controller: sends its heartbeat",
 )

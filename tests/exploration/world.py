@@ -5,16 +5,23 @@ from typing import Any, NamedTuple
 
 from cutgate.firmware_sim import state as c
 from cutgate.runtime.interlock import state as r
-from tests.exploration.names import BOOT, EPOCH, REGISTRATION, TOKEN
+from tests.exploration.names import BOOT, EPOCH, OPEN, TOKEN
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
 
+SOUGHT = r.WitnessSought(found=True, text="")
+"""The log that the controller saw last is here."""
+PERMIT_LOG, START_LOG = fixed.PERMIT_LOG, fixed.START_LOG
 JOB = replace(
     builders.JOB,
     path=fixed.PATH.body(),
     branch=fixed.PERMIT.branch,
-    configuration=fixed.PERMIT.configuration_digest,
-    registration=REGISTRATION,
+    registration=OPEN.registration_digest,
+    place=OPEN.place_digest,
+    registration_time_us=OPEN.registration_time_us,
+    configuration=OPEN.configuration_digest,
+    verifier=OPEN.verifier_version,
+    timing=OPEN.timing,
     registration_max_age_s=None,
 )
 FRESH = r.Interlock(job=JOB, log=builders.READY.log, token=TOKEN)
@@ -33,7 +40,7 @@ VERDICT = r.CutVerdict(
 )
 WARNED = replace(VERDICT, to_confirm=("CUT_TINY",))
 POWERED_UP = replace(
-    fixed.POWERED_UP, identity=replace(fixed.POWERED_UP.identity, boot_nonce=BOOT), epoch=EPOCH
+    fixed.POWERED_UP, announce_nonce=BOOT, epoch=EPOCH
 )
 OFF_START = (0, *fixed.START_JOINTS[1:])
 OTHER_LIMITS = fixed.OTHER_LIMITS.body()
@@ -51,6 +58,7 @@ class World:
         emergency_stop: it is pressed and released.
         disk: records late, log failing, the arm away from where it was verified, verdicts against the path.
         warned: the verdict comes with a warning, which the operator confirms or does not.
+        link: what the link of either side lets through although it must not (seeded faults).
         exact: of the signed records of the present session only those are said again that were said. Without it
             every record is taken as said already that differs in nothing but an earlier nonce, epoch, session or boot.
         begin: the controller at the beginning.
@@ -62,6 +70,7 @@ class World:
     emergency_stop: bool = False
     disk: bool = False
     warned: bool = False
+    link: str = ""
     exact: bool = False
     begin: c.Controller = POWERED_UP
 

@@ -12,13 +12,12 @@ from itertools import product
 from typing import Any
 
 from cutgate.firmware_sim import state as c
-from cutgate.protocol import records
 from cutgate.firmware_sim.reports import announcement
+from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.interlock import state as r
 from tests.exploration.names import (
     BARRIER_US,
-    BOOT,
     CUT,
     DEAD,
     EARLIER_BARRIER_US,
@@ -112,7 +111,9 @@ def heartbeats(causes: tuple[StopCause, ...], own_epoch: int) -> Iterable[r.Hear
     other = EARLIER_EPOCH if own_epoch == EPOCH else EPOCH
     for state, pressed, clear, fresh in product(ControllerState, *[(True, False)] * 3):
         mode = state in (ControllerState.PERMITTED, ControllerState.CUTTING)
-        yield r.HeartbeatReceived(r.ControllerView(state, StopCause.NONE, own_epoch, pressed, clear, mode), fresh)
+        yield r.HeartbeatReceived(
+            r.ControllerView(state, StopCause.NONE, own_epoch, pressed, clear, mode), fresh
+        )
     for state, cause, clear, fresh in product(STOPPED, causes[1:], *[(True, False)] * 2):
         yield r.HeartbeatReceived(r.ControllerView(state, cause, own_epoch, False, clear, False), fresh)
     for state, cause in product(STOPPED, causes):
@@ -176,13 +177,20 @@ def beats(causes: Iterable[StopCause]) -> Iterable[c.HeartbeatReceived]:
                     yield beat
 
 
-def believed_by_a_fault(link: str) -> Iterable[c.HeartbeatReceived]:
-    """What a link lets through that does not look at the tag, or whose tag is the same in every session."""
-    if link == "tag":
+def withdrawals(session: c.ControllerSession) -> Iterable[c.Event]:
+    """What the session's runtime may have said of its registration, taken as said in every session."""
+    barrier_us = BARRIER_US if session.digest == SESSION else EARLIER_BARRIER_US
+    for place in (session.place, records.NO_PLACE):
+        yield c.WithdrawReceived(records.Withdraw(place, barrier_us), 1, authentic=True)
+    yield WITHDRAWS
+
+
+def believed_by_a_fault(world: World) -> Iterable[c.HeartbeatReceived]:
+    """What the controller's link lets through if it does not look at the tag, or if the tag is the same in every session."""
+    if world.link in ("controller: tag", "controller: session"):
         yield CUT
+    if world.link == "controller: tag":
         yield WITHDRAWS
-    if link == "session":
-        yield CUT
 
 
 @cache

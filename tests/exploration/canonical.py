@@ -14,11 +14,20 @@ from dataclasses import replace
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
-from cutgate.protocol.states import LATCHING, ControllerState, StopCause
+from cutgate.protocol.states import LATCHING, ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import state as r
+from cutgate.runtime.interlock.permissives import registration_stands
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from tests.exploration.names import EPOCH, TOKEN, RuntimeSide
+from tests.exploration.names import (
+    BARRIER_US,
+    EPOCH,
+    LATELY_US,
+    LONG_AGO_US,
+    REGISTERED_US,
+    TOKEN,
+    RuntimeSide,
+)
 from tests.exploration.world import JOB, VERDICT
 from tests.firmware_sim.controllers import START_JOINTS
 
@@ -45,6 +54,7 @@ def canonical_controller(state: c.Controller) -> c.Controller:
         memory=memory,
         written=memory if state.written == state.memory else None,
         moved_at_s=None,
+        session=_canonical_session(state) if state.session else None,
         awaiting=_canonical_awaiting(state.awaiting) if state.awaiting else None,
         issued=replace(state.issued, at_s=NOW) if state.issued else None,
         permit_issued_at_s=NOW if state.permit else 0.0,
@@ -53,6 +63,18 @@ def canonical_controller(state: c.Controller) -> c.Controller:
         device=state.device if state.permit else c.DeviceCycle.UNSEEN,
         heartbeat_fresh=state.heartbeat_fresh and live,
     )
+
+
+def _canonical_session(state: c.Controller) -> c.ControllerSession:
+    """Of its registration's time only counts on which side of the barrier it lies; a later barrier is later than all."""
+    session, barrier_us = state.session, state.memory.barrier_us
+    assert session is not None
+    later = session.registration_time_us > barrier_us
+    if barrier_us == BARRIER_US:
+        time_us = LATELY_US if later else REGISTERED_US
+    else:
+        time_us = REGISTERED_US if later else LONG_AGO_US
+    return replace(session, registration_time_us=time_us)
 
 
 def _canonical_awaiting(awaiting: c.Awaiting) -> c.Awaiting:
@@ -99,22 +121,22 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         acknowledged=cause_class(state.acknowledged) if state.phase in HELD else StopCause.NONE,
         reason="",
         announced_version=None if state.session is None else records.PROTOCOL_VERSION,
-        opened=_canonical_opened(state.opened) if state.opened else None,
+        opened=_canonical_opened(state) if state.opened else None,
+        barrier_us=records.NO_TIME,
         witness=None,
     )
     return _canonical_tokens(state, side.commits)
 
 
-def _canonical_opened(opened: records.Opened) -> records.Opened:
-    """What it says of the registration; state, cause and epoch are looked at as it comes, the log was found."""
-    return replace(
-        opened,
-        epoch=EPOCH,
-        state=ControllerState.OPEN,
-        cause=StopCause.NONE,
-        log=records.NO_TREE_HEAD,
-        motion_age_s=records.AGE_UNKNOWN,
-    )
+def _canonical_opened(state: r.Interlock) -> records.Opened:
+    """What it says of the registration: that it stands, or that it does not, which stays so for the session.
+
+    State, cause and epoch are looked at as OPENED comes; the log was found.
+    """
+    said = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE)
+    if registration_stands(replace(state, registration_withdrawn=False), NOW).holds:
+        return said
+    return replace(said, registration=Refusal.REGISTRATION_WITHDRAWN)
 
 
 STOOD = r.ControllerView(ControllerState.OPEN, StopCause.NONE, EPOCH, False, True, False)

@@ -15,7 +15,6 @@ from tests.exploration.canonical import NOW, canonical_controller, cause_class
 from tests.exploration.labels import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
 from tests.exploration.names import (
     BOOT,
-    CUT,
     EARLIER_BOOT,
     EARLIER_SESSION,
     EARLIER_TAG,
@@ -25,7 +24,6 @@ from tests.exploration.names import (
     NEXT_BOOT,
     SESSION,
     TAG,
-    WITHDRAWS,
     Message,
     Passing,
     Told,
@@ -178,15 +176,17 @@ class Controller:
             yield feed(event)
         if state.session is None:
             return
-        causes, link = attacker.causes(self.world), self.world.link
+        session, causes = state.session, attacker.causes(self.world)
         for event in (*attacker.unsigned(causes), *attacker.beats(causes), *attacker.forged(state)):
             yield feed(event)
-        for event in attacker.believed_by_a_fault(link):
+        for event in attacker.withdrawals(session) if self.world.bone else ():
+            yield feed(event)
+        for event in attacker.believed_by_a_fault(self.world):
             yield feed(event, forged=True)
         if state.state in (ControllerState.OPEN, ControllerState.LOADED):
             for event in attacker.uploads(self.world):
                 yield feed(event)
-        session, latched = state.session, state.memory.latched
+        latched = state.memory.latched
         issued = state.issued.purpose if state.issued else None
         said = attacker.earlier_records(session, issued, latched, exact=self.world.exact)
         for message in said:
@@ -203,7 +203,10 @@ class Controller:
             case records.Permit():
                 late = [feed(event, first=STANDING, late_s=PERMIT_OLD)]
             case _:
-                late = [feed(event, first=STANDING, late_s=NONCE_OLD), feed(event, first=STANDING, slow_s=NONCE_OLD)]
+                late = [
+                    feed(event, first=STANDING, late_s=NONCE_OLD),
+                    feed(event, first=STANDING, slow_s=NONCE_OLD),
+                ]
         return [feed(event, first=STANDING), *late, feed(event, first=AWAY)]
 
     def hears(self, number: int, message: Message) -> Change:
@@ -267,7 +270,9 @@ class Controller:
                         forged=forged,
                     )
                     self.written.append(again)
-        wrong = invariants.controller_step(state, event, after, message, forged=forged, late_s=late_s + slow_s)
+        wrong = invariants.controller_step(
+            state, event, after, message, forged=forged, late_s=late_s + slow_s
+        )
         sent = tuple(one for effect in effects for one in sent_by(state, effect))
         stopped = any(isinstance(effect, c.SendFault) for effect in effects)
         passing = passing_between(state, after) | (Passing.STOP if stopped else 0)

@@ -204,18 +204,18 @@ def runtime_step(
 def _believed(before: r.Interlock, event: r.Event, after: r.Interlock, *, forged: bool) -> str | None:
     """Invariants 9 and 11: what the controller is believed, and what withdraws, comes from a holder of the key."""
     heartbeat = isinstance(event, r.HeartbeatReceived) and not forged
-    for phase, earlier, state in BELIEVED:
-        if after.phase is phase and before.phase is earlier:
-            if not (heartbeat and event.view.state is state):
-                return f"11: {phase} is believed by {type(event).__name__}, and no heartbeat of the controller said so"
-    if before.phase is r.Phase.OPENING and after.phase in (r.Phase.HELD, r.Phase.COLLECTING):
-        if not (isinstance(event, r.SessionOpened) and event.authentic):
-            return f"11: a session is believed to be open by {type(event).__name__}"
+    name = type(event).__name__
+    led = next((one for one in BELIEVED if (after.phase, before.phase) == one[:2]), None)
+    if led and not (heartbeat and event.view.state is led[2]):
+        return f"11: {after.phase} is believed by {name}, and no heartbeat of the controller said so"
+    opening = before.phase is r.Phase.OPENING and after.phase in (r.Phase.HELD, r.Phase.COLLECTING)
+    if opening and not (isinstance(event, r.SessionOpened) and event.authentic):
+        return f"11: a session is believed to be open by {name}"
     if after.registration_withdrawn and not before.registration_withdrawn:
         by_key = heartbeat and event.view.cause in WITHDRAWING
         by_person = isinstance(event, r.CommandGiven) and event.command is r.OperatorCommand.WITHDRAW
         if not (by_key or by_person):
-            return f"9: a registration was withdrawn by {type(event).__name__} that no holder of the key made"
+            return f"9: a registration was withdrawn by {name} that no holder of the key made"
     return None
 
 

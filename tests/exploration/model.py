@@ -23,7 +23,6 @@ from tests.exploration.names import (
     KINDS,
     STALE,
     TAG,
-    WITHDRAWS,
     Message,
     Passing,
     Quiet,
@@ -73,7 +72,9 @@ class Model:
         self.world = world
         self.runtime, self.controller = Runtime(world, runtime_step), Controller(world, controller_step)
         self.messages = Numbers()
-        self.quiet = 1 << self.messages.number(Message(0, Quiet()))
+        self.quiet, self.stale = (
+            1 << self.messages.number(Message(0, Quiet(stale=stale))) for stale in (False, True)
+        )
         self.memo: dict[Any, Any] = {}
         self.runtimes_after = lru_cache(SETS)(self._runtimes_after)
         self.renamed_runtimes = lru_cache(SETS)(self._renamed_runtimes)
@@ -104,28 +105,36 @@ class Model:
         key = "ages", con, said, cuts
         found = self.memo.get(key)
         if found is None:
-            following, now = con, said
+            state, link = self.controller.states.values[con], self.world.link
+            following, now, upheld = con, said, False
+            if cuts and link == "controller: round":
+                now |= self.stale
             if not cuts:
-                following, now = self._aged(con, said)
-            state = self.controller.states.values[following]
-            move = Move("clock", "a time-out passes", wrong=self._outlasts(state, now))
-            found = self.memo[key] = move, following, now
+                upheld = self._upheld_by_a_fault(said)
+                fresh = self._bits(said, lambda message: message.content == CUT)
+                passing = 0
+                if state.may_move and not upheld:
+                    change = self.controller.feed(state, "clock", c.HeartbeatLost())
+                    following, passing = change.side, change.passing
+                now = self.after(said & ~fresh, passing, following)
+            text = "a time-out passes" + (", with heartbeats CUT that the link must refuse" if upheld else "")
+            wrong = self._outlasts(self.controller.states.values[following], now)
+            found = self.memo[key] = Move("clock", text, wrong=wrong), following, now
         return found
 
-    def _aged(self, con: int, said: int) -> tuple[int, int]:
-        state, kept, stale = self.controller.states.values[con], 0, False
-        for bit, message in enumerate(self.messages.values):
-            if said >> bit & 1:
-                if message.content == CUT:
-                    stale = bool(self.world.link)
-                elif message.content != Quiet():
-                    kept |= 1 << bit
-        if stale:
-            kept |= 1 << self.messages.number(Message(0, Quiet(stale=True)))
-        if state.may_move and self.world.link != "arrival":
-            change = self.controller.feed(state, "clock", c.HeartbeatLost())
-            return change.side, self.after(kept, change.passing, change.side)
-        return con, self.after(kept, 0, con)
+    def _upheld_by_a_fault(self, said: int) -> bool:
+        """Whether a link that is at fault hears CUT as fresh although the runtime says it no longer."""
+        match self.world.link:
+            case "controller: tag" | "controller: session":
+                return True
+            case "controller: round":
+                return bool(said & self.stale)
+            case "controller: arrival":
+                return bool(self._bits(said, lambda message: message.content == CUT))
+        return False
+
+    def _bits(self, said: int, which: Callable[[Message], bool]) -> int:
+        return sum(1 << bit for bit, one in enumerate(self.messages.values) if said >> bit & 1 and which(one))
 
     def _outlasts(self, state: c.Controller, said: int) -> str | None:
         fresh = any(message.content == CUT for message in self.said(said))
@@ -165,7 +174,12 @@ class Model:
         found = self.memo.get(key)
         if found is None:
             steps = [
-                Step(one.move, self._settled(one.side), self.kept(one.sent) | self.orders(run, one.side), one.passing)
+                Step(
+                    one.move,
+                    self._settled(one.side),
+                    self.kept(one.sent) | self.orders(run, one.side),
+                    one.passing,
+                )
                 for one in self.runtime.changes(run, heard)
             ]
             found = self.memo[key] = self._distinct(run, 0, steps)
@@ -178,8 +192,6 @@ class Model:
         if found is None:
             changes = list(self.controller.changes(con))
             for message in self.said(said):
-                if message.content == Quiet(stale=True) and self.world.link in ("round", "arrival"):
-                    changes += self.controller.repeated(con, Message(TAG, CUT))
                 if not isinstance(message.content, Quiet | Told):
                     changes += self.controller.repeated(con, message)
             steps = [self.with_controller(said, one) for one in changes]
@@ -194,7 +206,12 @@ class Model:
             now |= 1 << self.messages.number(message)
         now = self.after(now, change.passing, change.side)
         wrong = change.move.wrong or self._outlasts(state, now)
-        return Step(change.move._replace(wrong=wrong), change.side, now, change.passing & ~(Passing.STOP | Passing.OPENED))
+        return Step(
+            change.move._replace(wrong=wrong),
+            change.side,
+            now,
+            change.passing & ~(Passing.STOP | Passing.OPENED),
+        )
 
     def orders(self, before: int, run: int) -> int:
         """That its heartbeat says CUT from now on."""
@@ -227,9 +244,7 @@ class Model:
 
     # ------------------------------------------------------------ many runtimes at once
 
-    def _runtimes_after(
-        self, runs: int, heard: Heard
-    ) -> tuple[Groups, int, tuple[tuple[int, Move], ...]]:
+    def _runtimes_after(self, runs: int, heard: Heard) -> tuple[Groups, int, tuple[tuple[int, Move], ...]]:
         """Where every move leads these runtimes, the number of moves, and those that are wrong."""
         groups: Groups = defaultdict(int)
         count: int = 0
@@ -246,9 +261,7 @@ class Model:
                 wrong += found[2]
         return groups, count, tuple(wrong)
 
-    def _eight_after(
-        self, place: int, byte: int, heard: Heard
-    ) -> tuple[Any, int, list[tuple[int, Move]]]:
+    def _eight_after(self, place: int, byte: int, heard: Heard) -> tuple[Any, int, list[tuple[int, Move]]]:
         groups: Groups = defaultdict(int)
         count, wrong = 0, []
         for run in _numbers(byte, place):
@@ -287,9 +300,8 @@ class Model:
         kept = 0
         for message in sent:
             content = message.content
-            keyed = isinstance(content, records.SignedRecord) or content == WITHDRAWS
-            epoch = getattr(content, "epoch", EPOCH)
-            present = self.world.exact or epoch == EPOCH or content == WITHDRAWS
+            keyed = isinstance(content, records.SignedRecord) and not isinstance(content, records.Withdraw)
+            present = self.world.exact or getattr(content, "epoch", EPOCH) == EPOCH
             if message.tag in (0, TAG) and present and keyed:
                 kept |= 1 << self.messages.number(Message(TAG, content))
         return kept
@@ -301,11 +313,8 @@ class Model:
                 return content.announce_nonce == state.announce_nonce
             case records.Acknowledge():
                 return content.epoch == EPOCH and content.cause is state.cause
-            case records.Withdraw(place_digest=place, barrier_us=barrier_us):
-                memory = state.memory
-                return state.cutting_mode or memory.with_barrier(place, barrier_us) != memory
             case c.HeartbeatReceived():
-                return content == CUT or (content == WITHDRAWS and not _withdrawn(state))
+                return bool(content == CUT)
         issued = state.issued
         serves = (
             issued is not None and issued.nonce == content.nonce and KINDS[issued.purpose] is type(content)
@@ -358,10 +367,6 @@ class Model:
             if step.side != side or step.passing or step.said != said or step.move.wrong:
                 found.setdefault((step.side, step.passing, step.said, step.move.wrong), step)
         return list(found.values())
-
-
-def _withdrawn(state: c.Controller) -> bool:
-    return state.session is not None and state.session.withdrawn and state.memory.withdrawal_due
 
 
 def _bytes(bits: int) -> bytes:

@@ -42,7 +42,9 @@ OPEN = replace(
 """The runtime's own, for what the controller announces."""
 OPEN_OF_EARLIER_BOOT = replace(OPEN, announce_nonce=EARLIER_BOOT)
 SESSION, SESSION_OF_EARLIER_BOOT = map(records.session_digest, (OPEN, OPEN_OF_EARLIER_BOOT))
-EARLIER_SESSION = records.session_digest(replace(OPEN, announce_nonce=EARLIER_BOOT, runtime_nonce=EARLIER_NONCE))
+EARLIER_SESSION = records.session_digest(
+    replace(OPEN, announce_nonce=EARLIER_BOOT, runtime_nonce=EARLIER_NONCE)
+)
 TAG, EARLIER_TAG, TAG_OF_EARLIER_BOOT = map(
     records.session_tag, (SESSION, EARLIER_SESSION, SESSION_OF_EARLIER_BOOT)
 )
@@ -122,13 +124,9 @@ def rename_controller(state: c.Controller, passing: int) -> c.Controller:
     if passing & (Passing.SESSION | Passing.BOOT):
         state = replace(state, announce_nonce=BOOT)
         if session is not None and session.digest == SESSION:
-            session = replace(
-                session, tag=EARLIER_TAG, digest=EARLIER_SESSION, announce_nonce=EARLIER_BOOT
-            )
+            session = replace(session, tag=EARLIER_TAG, digest=EARLIER_SESSION, announce_nonce=EARLIER_BOOT)
     if passing & Passing.REGISTRATION and session is not None:
-        session = replace(
-            session, registration=SWAPPED[session.registration], place=SWAPPED[session.place]
-        )
+        session = replace(session, registration=SWAPPED[session.registration], place=SWAPPED[session.place])
     if session is not None:
         session = replace(session, registration_time_us=_time(session.registration_time_us, state, passing))
     return replace(
@@ -275,4 +273,6 @@ def stale(state: r.Interlock) -> bool:
     """Whether the runtime's epoch or the boot it speaks with is an earlier one."""
     if state.session is None:
         return False
-    return state.session.announce_nonce != BOOT or (state.epoch != EPOCH and state.phase is not r.Phase.OPENING)
+    return state.session.announce_nonce != BOOT or (
+        state.epoch != EPOCH and state.phase is not r.Phase.OPENING
+    )

@@ -119,7 +119,7 @@ def _way(recovery: Recovery, start: State, good: set[tuple[int, int]]) -> list[t
         for _move, (run, con, _said) in moves:
             if (run, con) not in visited:
                 visited.add((run, con))
-                path.append(((run, con), recovery.moves((run, con, model.quiet))))
+                path.append(((run, con), recovery.moves((run, con, recovery.model.quiet))))
                 break
         else:
             path.pop()

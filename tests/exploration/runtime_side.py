@@ -9,7 +9,6 @@ import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
 from cutgate.protocol.states import (
-    WITHDRAWING,
     ControllerState,
     FaultCode,
     Purpose,
@@ -31,7 +30,6 @@ from tests.exploration.names import (
     NEXT_BOOT,
     TAG,
     TOKEN,
-    WITHDRAWS,
     Message,
     Passing,
     RuntimeSide,
@@ -67,6 +65,7 @@ class Heard(NamedTuple):
 
 
 NOTHING = Heard(False, frozenset())
+
 
 class Runtime:
     """Every runtime met, by number, and what can happen to it.
@@ -196,18 +195,23 @@ class Runtime:
         if link_open(state):
             for cause in attacker.causes(self.world):
                 yield feed(r.FaultReceived(FaultCode.LATCHED, cause))
-            for beat in attacker.heartbeats(attacker.causes(self.world), state.epoch):
-                if self._must_be_told(state, beat):
-                    if self.world.link in ("tag", "session"):
-                        yield from self._beat(feed, state, beat, forged=True)
-                else:
-                    yield from self._beat(feed, state, beat)
+            yield from self._beats_said(feed, state)
         if state.tracking is not None:
             yield from self._tracked(feed)
 
+    def _beats_said(self, feed: Callable[..., Change], state: r.Interlock) -> Iterable[Change]:
+        """All that need not have been told, and what a link that is at fault lets through."""
+        forged = self.world.link in ("runtime: tag", "runtime: session")
+        for beat in attacker.heartbeats(attacker.causes(self.world), state.epoch):
+            must_be_told = self._must_be_told(state, beat)
+            if forged or not must_be_told:
+                yield from self._beat(feed, state, beat, forged=must_be_told)
+
     def _must_be_told(self, state: r.Interlock, beat: r.HeartbeatReceived) -> bool:
         """Whether this phase believes it, so that it comes only once the controller has said it; elsewhere it stops."""
-        return beat.view.state in attacker.TOLD and beat.view.epoch == state.epoch and state.phase in BELIEVING
+        return (
+            beat.view.state in attacker.TOLD and beat.view.epoch == state.epoch and state.phase in BELIEVING
+        )
 
     def _told(self, side: RuntimeSide, told: frozenset[ControllerState]) -> Iterable[Change]:
         """What the controller's heartbeat has said in this session, now or held back."""
@@ -219,7 +223,12 @@ class Runtime:
                     yield from self._beat(feed, state, beat)
 
     def _beat(
-        self, feed: Callable[..., Change], state: r.Interlock, beat: r.HeartbeatReceived, *, forged: bool = False
+        self,
+        feed: Callable[..., Change],
+        state: r.Interlock,
+        beat: r.HeartbeatReceived,
+        *,
+        forged: bool = False,
     ) -> Iterable[Change]:
         early = state.phase in ORDERS and beat.view.state is ControllerState.DONE
         yield feed(beat, first=STANDING, deviates=early, forged=forged)
@@ -308,7 +317,14 @@ class Runtime:
 
 
 BELIEVING = frozenset(
-    {r.Phase.PERMITTING, r.Phase.PERMITTED, r.Phase.NONCE_START, r.Phase.AUTHORISING_START, *ORDERS, r.Phase.FINISHING}
+    {
+        r.Phase.PERMITTING,
+        r.Phase.PERMITTED,
+        r.Phase.NONCE_START,
+        r.Phase.AUTHORISING_START,
+        *ORDERS,
+        r.Phase.FINISHING,
+    }
 )
 """Where what the controller's heartbeat tells leads on, or lets the phase last."""
 
@@ -367,10 +383,7 @@ def sent_by(before: r.Interlock, after: RuntimeSide, effect: r.Effect) -> list[M
                 digest_of(record)
             return [Message(tag_of(after), record)]
         case r.SendWithdraw(place=place):
-            return [
-                Message(tag_of(after), records.Withdraw(place, BARRIER_US)),
-                *([Message(tag_of(after), WITHDRAWS)] if after.interlock.cause in WITHDRAWING else []),
-            ]
+            return [Message(tag_of(after), records.Withdraw(place, BARRIER_US))]
         case r.Send(record=record):
             return [Message(tag_of(after), record)]
         case r.SendBlock():

@@ -86,17 +86,24 @@ def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
             if step.move.wrong:
                 wrong.append((runs.bit_length() - 1, step.move))
         count += runs.bit_count() * len(model.of_controller(con, said))
-        for cuts, which in ((True, runs & model.runtime.cut), (False, runs & ~model.runtime.cut)):
-            if which:
-                move, following, now = model.ages(con, said, cuts=cuts)
-                reached[following, now] |= which
-                if move.wrong:
-                    wrong.append((which.bit_length() - 1, move))
+        wrong += _ages(model, (con, said), runs, reached)
         found.transitions += count
         if wrong:
             found.wrong = (wrong[0][0], con, said), wrong[0][1]
             break
     return reached
+
+
+def _ages(model: Model, key: Key, runs: int, reached: dict[Key, int]) -> list[tuple[int, Move]]:
+    """A time-out passes: where it leads, and what is wrong with it."""
+    wrong = []
+    for cuts, which in ((True, runs & model.runtime.cut), (False, runs & ~model.runtime.cut)):
+        if which:
+            move, *following = model.ages(*key, cuts=cuts)
+            reached[following[0], following[1]] |= which
+            if move.wrong:
+                wrong.append((which.bit_length() - 1, move))
+    return wrong
 
 
 def way_to(found: Found, state: State, depth: int) -> list[tuple[Move, State]]:

@@ -35,11 +35,11 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.model import Model
+from tests.exploration.names import BARRIER_US, PLACE
 from tests.exploration.recovery import Recovery, runtimes_that_do_not_end, stuck
 from tests.exploration.search import explore, trace, trace_to_controller
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
 from tests.exploration.world import World
-from tests.exploration.names import BARRIER_US, PLACE
 
 pytestmark = pytest.mark.no_cover
 DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
@@ -68,6 +68,10 @@ def _replaced(monkeypatch, table, entry, handler):
     monkeypatch.setitem(table, entry, handler)
 
 
+NAMES = (Refusal.NONCE_MISMATCH, Refusal.EPOCH, Refusal.WRONG_SESSION, Refusal.ANNOUNCE_NONCE)
+"""By what a permit and a reset from before a stop are told."""
+
+
 def _unchanged(state, _event, _now_s):
     return state, ()
 
@@ -75,7 +79,9 @@ def _unchanged(state, _event, _now_s):
 def _blind(monkeypatch, unseen):
     """The runtime without one of its permissives."""
     permissives = cutgate.runtime.interlock.permissives
-    for module, name in ((cutgate.runtime.interlock.table, "FOR_PERMIT"), (permissives, "FINAL")):
+    table = cutgate.runtime.interlock.table
+    lists = ((table, "COLLECTED"), (table, "FOR_PERMIT"), (table, "FOR_START"), (permissives, "FINAL"))
+    for module, name in lists:
         kept = [one for one in getattr(module, name) if one is not unseen]
         monkeypatch.setattr(module, name, tuple(kept))
 
@@ -139,9 +145,7 @@ def test_where_a_withdrawal_that_is_due_is_only_noted_motion_is_found(monkeypatc
         return cutgate.firmware_sim.table._with_motion(state, now_s), ()
 
     _replaced(monkeypatch, cutgate.firmware_sim.table.EVERYWHERE, c.BoneMoved, noted)
-    _without(
-        monkeypatch, "START_RULES", START_RULES, Refusal.WITHDRAWAL_DUE, Refusal.REGISTRATION_WITHDRAWN
-    )
+    _without(monkeypatch, "START_RULES", START_RULES, Refusal.WITHDRAWAL_DUE, Refusal.REGISTRATION_WITHDRAWN)
     _finds(World(bone=True), TO_PERMITTED, "1: motion while a withdrawal is due", 10)
 
 
@@ -214,8 +218,8 @@ def test_a_latch_that_the_end_of_a_session_opens_is_found(monkeypatch):
 
 
 def test_a_latch_that_a_loss_of_power_opens_is_found(monkeypatch):
-    def forgetful(identity, holdings, memory):
-        return c.Controller(identity, holdings, memory=memory, written=memory)
+    def forgetful(identity, holdings, memory, announce_nonce):
+        return c.Controller(identity, holdings, announce_nonce, memory=memory, written=memory)
 
     monkeypatch.setattr(c.Controller, "powered_up", forgetful)
     _finds(World(reboots=True), (), "4: a latch was left by a loss of power", 5)
@@ -251,8 +255,8 @@ def test_a_runtime_that_waits_for_the_confirmation_of_its_stop_for_ever_is_found
 
 
 @pytest.mark.slow
-def test_a_permit_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
-    _without(monkeypatch, "PERMIT_RULES", PERMIT_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
+def test_a_permit_from_before_a_stop_is_found_where_nonce_epoch_and_session_are_not_compared(monkeypatch):
+    _without(monkeypatch, "PERMIT_RULES", PERMIT_RULES, *NAMES)
     _finds(World(), TO_PERMITTED, "6: a Permit from before a stop", 10)
 
 
@@ -272,8 +276,8 @@ def test_a_start_after_a_stop_that_voids_nothing_is_found(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_reset_from_before_a_stop_is_found_where_nonce_and_epoch_are_not_compared(monkeypatch):
-    _without(monkeypatch, "RESET_RULES", RESET_RULES, Refusal.NONCE_MISMATCH, Refusal.EPOCH)
+def test_a_reset_from_before_a_stop_is_found_where_nonce_epoch_and_session_are_not_compared(monkeypatch):
+    _without(monkeypatch, "RESET_RULES", RESET_RULES, *NAMES)
     _finds(World(begin=LATCHED), TO_RESET, "6: a Reset from before a stop", 10)
 
 
@@ -302,13 +306,13 @@ def test_a_release_that_does_not_stop_is_found(monkeypatch):
 @pytest.mark.parametrize("link", ["tag", "session", "round", "arrival"])
 def test_motion_that_heartbeats_uphold_which_the_link_must_not_let_through_is_found(link):
     """Made up, of another session, of a round of the counter before, held back and counted from its arrival."""
-    _finds(World(link=link), TO_MOVING, "8: motion outlasts the runtime's will", 5)
+    _finds(World(link=f"controller: {link}"), TO_MOVING, "8: motion outlasts the runtime's will", 5)
 
 
 @pytest.mark.parametrize("link", ["tag", "session"])
 def test_a_permitted_controller_that_only_a_made_up_heartbeat_reports_is_found(link):
     found = "11: permitted is believed by HeartbeatReceived"
-    _finds(World(link=link), TO_PERMITTED[:5], found, 6)
+    _finds(World(link=f"runtime: {link}"), TO_PERMITTED[:5], found, 6)
 
 
 def test_a_controller_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch):
@@ -320,7 +324,7 @@ def test_a_controller_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch)
 
 
 def test_a_withdrawal_by_a_made_up_heartbeat_is_found():
-    _finds(World(link="tag", bone=True), TO_VERIFYING, "9: a registration was withdrawn or restored", 3)
+    _finds(World(link="controller: tag"), TO_VERIFYING, "9: a registration was withdrawn or restored", 3)
 
 
 def test_a_controller_that_an_unkeyed_stop_makes_withdraw_is_found(monkeypatch):

@@ -39,9 +39,7 @@ VERDICT = r.CutVerdict(
     trajectory=builders.trajectory(fixed.START_JOINTS),
 )
 WARNED = replace(VERDICT, to_confirm=("CUT_TINY",))
-POWERED_UP = replace(
-    fixed.POWERED_UP, announce_nonce=BOOT, epoch=EPOCH
-)
+POWERED_UP = replace(fixed.POWERED_UP, announce_nonce=BOOT, epoch=EPOCH)
 OFF_START = (0, *fixed.START_JOINTS[1:])
 OTHER_LIMITS = fixed.OTHER_LIMITS.body()
 FLIPPED_PATH = fixed.PATH.body()[:-1] + bytes([fixed.PATH.body()[-1] ^ 1])

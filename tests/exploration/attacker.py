@@ -189,7 +189,7 @@ def believed_by_a_fault(world: World) -> Iterable[c.HeartbeatReceived]:
     """What the controller's link lets through if it does not look at the tag, or if the tag is the same in every session."""
     if world.link in ("controller: tag", "controller: session"):
         yield CUT
-    if world.link == "controller: tag":
+    if world.link == "controller: tag" and world.bone:
         yield WITHDRAWS
 
 

@@ -303,10 +303,16 @@ def present(state: c.Controller) -> c.Controller:
     issued = state.issued
     if issued is not None and issued.nonce == GIVEN:
         issued = replace(issued, nonce=LIVE)
+    return replace(named_session(state), epoch=EPOCH, issued=issued)
+
+
+def named_session(state: c.Controller) -> c.Controller:
+    """A session that is not the runtime's own is an earlier one."""
     session = state.session
-    if session is not None and session.digest != SESSION:
-        session = replace(session, tag=EARLIER_TAG, digest=EARLIER_SESSION, announce_nonce=EARLIER_BOOT)
-    return replace(state, epoch=EPOCH, issued=issued, session=session)
+    if session is None or session.digest == SESSION:
+        return state
+    earlier = replace(session, tag=EARLIER_TAG, digest=EARLIER_SESSION, announce_nonce=EARLIER_BOOT)
+    return replace(state, session=earlier)
 
 
 def sent_by(before: c.Controller, effect: c.Effect) -> list[Message]:

@@ -76,9 +76,9 @@ def controller_step(
         return wrong
     if must_stand_after(event) and after.may_move:
         return f"3: motion after {type(event).__name__}"
-    if before.state is ControllerState.FAULT and after.state is not ControllerState.FAULT:
-        if not (isinstance(event, c.ResetReceived) and event.authentic):
-            return f"4: a latch was left by {type(event).__name__}"
+    left = before.state is ControllerState.FAULT and after.state is not ControllerState.FAULT
+    if left and not (isinstance(event, c.ResetReceived) and event.authentic):
+        return f"4: a latch was left by {type(event).__name__}"
     if isinstance(event, c.ResetReceived) and (after.may_move, after.cutting_mode) > (
         before.may_move,
         before.cutting_mode,

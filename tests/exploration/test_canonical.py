@@ -15,13 +15,13 @@ import cutgate.firmware_sim.table
 import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
-from cutgate.protocol.states import StopCause
+from cutgate.protocol.states import EPOCHS, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration import attacker, canonical, controller_side, runtime_side
 from tests.exploration.canonical import NOW, cause_class
 from tests.exploration.model import Model
-from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, signed
+from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, rename_controller
 from tests.exploration.recovery import Recovery
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_RESET
 from tests.exploration.world import JOB, VERDICT, World
@@ -29,6 +29,7 @@ from tests.exploration.world import JOB, VERDICT, World
 pytestmark = [pytest.mark.no_cover, pytest.mark.slow]
 
 WORLD = World(reboots=True, limits=True, bone=True, emergency_stop=True, disk=True, exact=True)
+LAST = EPOCHS - 1
 WALKS, STEPS = 2, 4
 """From each place on the way to the cut, and how far."""
 
@@ -61,7 +62,8 @@ class RecordingRuntime(Recording, runtime_side.Runtime):
 
     def all(self, side: RuntimeSide) -> list[Input]:
         """In the order in which it makes them."""
-        for _ in (*self._own(side), *self._said(side), *self._nonce_said(side)):
+        told = frozenset(attacker.TOLD)
+        for _ in (*self._own(side), *self._said(side), *self._told(side, told), *self._nonce_said(side)):
             pass
         return self.inputs
 
@@ -76,7 +78,7 @@ class RecordingController(Recording, controller_side.Controller):
         if state.session is not None:
             genuine = attacker.present_records(state.session, state.permit, state.memory.latched)
             for record in genuine:
-                self._looks_at(partial(self.feed, state, ""), signed(record))
+                self._looks_at(partial(self.feed, state, ""), record)
         return self.inputs
 
 
@@ -117,7 +119,7 @@ def raw_runtime_input(given: Input, raw: RuntimeSide, chance: random.Random) -> 
     match event:
         case r.RecordDurable(token=named):
             older = [one.token for one in raw.commits if one.token != token]
-            event = r.RecordDurable(token if named == TOKEN else older[-1])
+            event = r.RecordDurable(token if named == TOKEN else older[-1], event.log)
         case r.VerdictReady(verdict=verdict):
             event = r.VerdictReady(replace(verdict, request=verdict.request - TOKEN + token))
         case r.HeartbeatReceived(view=view):
@@ -133,13 +135,18 @@ def after_runtime(side: RuntimeSide, given: Input, now_s: float) -> tuple[Runtim
     if given.first is not None:
         state, _ = table.step(state, given.first, now_s)
     after, effects = table.step(state, given.event, now_s + given.late_s)
+    for effect in effects:
+        answer = runtime_side.answered(effect)
+        if answer is not None:
+            after, more = table.step(after, answer, now_s + given.late_s)
+            effects += more
     durable = given.event.token if isinstance(given.event, r.RecordDurable) else None
     commits = [one for one in side.commits if one.token != durable]
     return RuntimeSide(after, (*commits, *(one for one in effects if isinstance(one, r.Commit)))), effects
 
 
 def runtime_effects(before: RuntimeSide, after: RuntimeSide, effects: tuple[Any, ...]) -> list[Any]:
-    """Without reasons and numbers; a second stop of one class while stopping is what the attacker says anyway."""
+    """Without reasons and numbers; a second stop of one class while stopping, with the Withdraw behind it, is said anyway."""
     found: list[Any] = []
     for effect in effects:
         match effect:
@@ -147,7 +154,7 @@ def runtime_effects(before: RuntimeSide, after: RuntimeSide, effects: tuple[Any,
                 found.append(classed(record))
             case r.Commit(token=token, purpose=purpose, record=record):
                 found.append((token - after.interlock.token, purpose, classed(record)))
-            case r.SendStop() if before.interlock.phase is not r.Phase.STOPPING:
+            case r.SendStop() | r.SendWithdraw() if before.interlock.phase is not r.Phase.STOPPING:
                 found.append(classed(effect))
             case r.Verify(start_joints_u=joints_u):
                 found.append(joints_u)
@@ -190,7 +197,7 @@ def named(state: c.Controller) -> c.Controller:
     """The raw controller with the names that the exploration uses."""
     permit, issued = state.permit, state.issued
     if permit is not None:
-        permit = signed(replace(permit, nonce=DEAD, epoch=EPOCH, mac=records.NO_MAC))
+        permit = replace(permit, nonce=DEAD, epoch=EPOCH)
     issued = replace(issued, nonce=LIVE) if issued else None
     return canonical.canonical_controller(replace(state, epoch=EPOCH, permit=permit, issued=issued))
 
@@ -199,9 +206,9 @@ def raw_controller(form: c.Controller) -> c.Controller:
     """As far along as this one, but with another epoch and other nonces."""
     permit, issued = form.permit, form.issued
     if permit is not None:
-        permit = signed(replace(permit, nonce=b"p" * 16, epoch=255, mac=records.NO_MAC))
+        permit = replace(permit, nonce=b"p" * 16, epoch=LAST)
     return replace(
-        form, epoch=255, permit=permit, issued=replace(issued, nonce=b"i" * 16) if issued else None
+        form, epoch=LAST, permit=permit, issued=replace(issued, nonce=b"i" * 16) if issued else None
     )
 
 
@@ -215,8 +222,10 @@ def raw_controller_input(given: Input, raw: c.Controller, form: c.Controller, ch
             event = replace(event, epoch=raw_epoch(raw, epoch), cause=another(cause, chance))
         case c.StopReceived(cause=cause) | c.FaultArisen(cause=cause):
             event = replace(event, cause=another(cause, chance))
-        case c.AcknowledgeReceived(cause=cause):
-            event = replace(event, cause=raw.cause if cause is form.cause else another(cause, chance))
+        case c.AcknowledgeReceived(acknowledge=asked):
+            cause = raw.cause if asked.cause is form.cause else another(asked.cause, chance)
+            asked = records.Acknowledge(epoch=raw_epoch(raw, asked.epoch), cause=cause)
+            event = replace(event, acknowledge=asked)
         case c.PermitReceived(permit=record):
             event = replace(event, permit=raw_record(record, raw, form))
         case c.StartReceived(start=record):
@@ -227,7 +236,7 @@ def raw_controller_input(given: Input, raw: c.Controller, form: c.Controller, ch
 
 
 def raw_epoch(raw: c.Controller, epoch: int) -> int:
-    return raw.epoch if epoch == EPOCH else (raw.epoch - 1) % 256
+    return raw.epoch if epoch == EPOCH else (raw.epoch - 1) % EPOCHS
 
 
 def raw_record(record: Any, raw: c.Controller, form: c.Controller) -> Any:
@@ -238,9 +247,7 @@ def raw_record(record: Any, raw: c.Controller, form: c.Controller) -> Any:
         changes["permit_digest"] = raw.permit.digest if raw.permit else b""
     if isinstance(record, records.Reset) and record.cause is form.memory.latched:
         changes["cause"] = raw.memory.latched
-    genuine = signed(record.with_mac(records.NO_MAC)) == record
-    renamed = replace(record, **changes, mac=records.NO_MAC)
-    return signed(renamed) if genuine else renamed.with_mac(record.mac)
+    return replace(record, **changes)
 
 
 def after_controller(state: c.Controller, given: Input, now_s: float) -> tuple[c.Controller, list[Any]]:
@@ -259,13 +266,14 @@ def after_controller(state: c.Controller, given: Input, now_s: float) -> tuple[c
             case c.Send(record=records.Nonce(purpose=purpose), session=tag):
                 found.append((purpose, tag))
             case c.Send(record=records.Opened() as opened, session=tag):
-                found.append((classed(replace(opened, epoch=0)), tag))
+                forgotten = {"log": records.NO_TREE_HEAD, "motion_age_s": records.AGE_UNKNOWN}
+                found.append((classed(replace(opened, epoch=0, **forgotten)), tag))
             case c.Send(record=record, session=tag):
                 found.append((classed(record), tag))
             case c.SendFault():
                 found.append(classed(effect))
             case c.Persist(memory=memory):
-                found.append(replace(memory, latched=cause_class(memory.latched)))
+                found.append(canonical._canonical_memory(memory))
             case _:
                 found.append(effect)
     return after, found
@@ -283,11 +291,15 @@ def controller_differs() -> str | None:
                 for given in RecordingController().all(form):
                     step = raw_controller_input(given, raw, form, chance)
                     left, sent = after_controller(raw, step, now_s)
+                    passing = controller_side.passing_between(raw, left)
                     _, expected = after_controller(form, given, NOW)
                     change = side.feed(form, "", given.event, late_s=given.late_s, first=given.first)
+                    left = rename_controller(
+                        controller_side.named_session(left), change.passing & Passing.BOOT
+                    )
                     if named(left) != side.states.values[change.side] or sent != expected:
-                        return f"{raw.state.name}: {step}"
-                    if (controller_side.passing_between(raw, left) ^ change.passing) & ~Passing.STOP:
+                        return f"{raw.state.name}: {step}: {sent} {expected}"
+                    if (passing ^ change.passing) & ~Passing.STOP:
                         return f"{raw.state.name}: {step}: other names pass away"
                     if not given.late_s:  # the clocks of the walk go on, a little at each step
                         followers.append(left)

@@ -324,7 +324,12 @@ def test_a_controller_that_outlives_the_loss_of_heartbeats_is_found(monkeypatch)
 
 
 def test_a_withdrawal_by_a_made_up_heartbeat_is_found():
-    _finds(World(link="controller: tag"), TO_VERIFYING, "9: a registration was withdrawn or restored", 3)
+    _finds(
+        World(link="controller: tag", bone=True),
+        TO_VERIFYING,
+        "9: a registration was withdrawn or restored",
+        3,
+    )
 
 
 def test_a_controller_that_an_unkeyed_stop_makes_withdraw_is_found(monkeypatch):

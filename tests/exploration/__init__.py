@@ -1,23 +1,38 @@
 """The two real tables, joined by a bus that is the attacker, explored breadth first.
 
 The bus. Whatever carries no code anybody on the bus can write: session tag, nonces and epoch can be read, a check
-value is no secret. So every such record and frame, with every content the tables tell apart, fresh heartbeats
-included, may arrive at either side at any moment (``attacker``). Whatever carries a code can only have been made by
-the runtime; once made it may arrive at any moment, any number of times, in any order, or never. That is more than
+value is no secret. So every such record and frame, with every content the tables tell apart, and everything that is
+signed, under a code that does not fit, may arrive at either side at any moment (``attacker``). Whatever carries a code
+that fits can only have been made by a side; once made it may arrive at any moment, any number of times, in any order,
+or never. That is more than
 loss, duplication, reordering, delay, corruption (the codes refuse it; the third in a second is a fault of its own)
 and replay can do, with any number of records under way and everything earlier in the attacker's hands.
 
 What has been said only grows until what it names has passed away, and with more said everything can happen that can
 with less. So of a controller's and runtime's states those with less said need not be visited again (``search``).
 
-Names. Both tables compare epochs, nonces, boots, sessions and registrations for equality only, and only the controller
+Heartbeats. Of the runtime's, one that says CUT in the present epoch comes only once it was said in this session, and is
+fresh only until a time-out has passed since the runtime last said it: that passing is a move (``Model.ages``), after
+which a controller that moved has lost the heartbeat, or has heard what the runtime says now, which is a move of its own.
+All others are taken as said in every session, fresh and stale: they order no motion. Of the controller's, that it is
+permitted, cuts or is done comes to a runtime that believes it only once it was said in the runtime's session, with any
+inputs, fresh or stale, then for good. A controller has one epoch in a session until a stop, and goes only forward in it,
+so that what was said earlier is all that could be held back. Order and counter are left out: more can happen. What a
+link refuses (a wrong tag, another session's, another counter's) stops its side, which the shell's faults do as well.
+
+Announce nonces. The one that the runtime's OPEN names, every earlier one, and the next one, once an OPEN has used it up.
+What is signed and can only withdraw, or stop, is taken as said; so are OPENs of earlier runtimes that were held back.
+
+Times of registrations are compared with the barrier alone, and a Withdraw's barrier is later than all that was known.
+
+Names. Both tables compare epochs, nonces, sessions, places and registrations for equality only, and only the controller
 makes new ones. Each is the present one or an earlier one; when the present one passes away, everything else that
 names it is renamed (``names``). All earlier ones are one: as nothing new is ever equal to them, only two earlier ones
-could be told apart, and what names two of them is refused with one. The epoch is one byte: 256 stops between two looks
+could be told apart, and what names two of them is refused with one. The epoch has five bits: 32 stops between two looks
 are left out. Of registrations the present and one other are told apart, and a new one may come at any time.
 
 Records that serve no more. A permit, start or reset of the present session that differs from one that serves in nothing
-but its nonce, its epoch, what its nonce was given for, its session or its boot is taken as said already, signature
+but its nonce, its epoch, what its nonce was given for, its session or announce nonce is taken as said already, code
 included; every rule is a comparison, so that one which differs in more is accepted in no more cases. A runtime with an
 earlier epoch or boot can make only such, so that it does not matter which it has (``Model._settled``). ``World.exact``
 does without both, for traces in which only what was said is repeated.

@@ -51,7 +51,8 @@ class Memory:
         withdrawn: digests of the places of registrations that may never be permitted again.
         earlier: digests of whole registrations that were withdrawn before places were remembered.
         barrier_us: only a registration later than this counts, UTC microseconds since 1970; NO_TIME without a barrier.
-        withdrawal_due: the bone moved, or a registration was withdrawn, and no Withdraw has told the barrier yet.
+        withdrawal_due: the bone moved, or a registration was withdrawn, and no Withdraw of a later session has told the
+            barrier yet.
         log: how far the runtime's log was at the last start that was accepted.
         latched: the first-out cause of a latched fault, NONE without one.
     """
@@ -68,14 +69,20 @@ class Memory:
         withdrawn = self.withdrawn if place is None else self.withdrawn | {place}
         return replace(self, withdrawn=withdrawn, withdrawal_due=True)
 
-    def with_barrier(self, place: bytes, barrier_us: int) -> "Memory":
-        """As a Withdraw says; NO_PLACE withdraws none in particular. A barrier is never lowered."""
+    def with_barrier(self, place: bytes, barrier_us: int, *, settles: bool) -> "Memory":
+        """As a Withdraw says; NO_PLACE withdraws none in particular. A barrier is never lowered.
+
+        Args:
+            place: its digest.
+            barrier_us: UTC microseconds since 1970.
+            settles: nothing has happened since that it may not know of.
+        """
         named = frozenset() if place == records.NO_PLACE else frozenset({place})
         return replace(
             self,
             withdrawn=self.withdrawn | named,
             barrier_us=max(self.barrier_us, barrier_us),
-            withdrawal_due=False,
+            withdrawal_due=self.withdrawal_due and not settles,
         )
 
 
@@ -85,7 +92,8 @@ class ControllerSession:
 
     Attributes:
         live: false once a stop has voided it.
-        withdrawn: a withdrawal was heard from its runtime, and its stop: the same level in later heartbeats is no news.
+        withdrawn: the bone moved in it, or its runtime withdrew: settled by a Withdraw of the next session alone, and the
+            same level in later heartbeats is no news.
     """
 
     tag: int

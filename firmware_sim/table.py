@@ -331,7 +331,11 @@ def acknowledge_received(state: Controller, event: AcknowledgeReceived, now_s: f
 
 
 def withdraw_received(state: Controller, event: WithdrawReceived, now_s: float) -> Outcome:
-    """It is in force at once, and answered once it is durable. What was permitted before it does not go on."""
+    """It is in force at once, and answered once it is durable. What was permitted before it does not go on.
+
+    One that is held back may not know of what has happened since: it settles what was due when its session was opened,
+    and what happens in a session is settled in the next one.
+    """
     request = event.withdraw
     refusal = first_refusal(WITHDRAW_RULES, RequestCase(state, request, now_s, event.authentic))
     if refusal is Refusal.MAC_INVALID:
@@ -340,12 +344,12 @@ def withdraw_received(state: Controller, event: WithdrawReceived, now_s: float) 
         return state, (_reply(state, request.TYPE, event.sequence, refusal),)
     stopped, effects = stop(state, StopCause.REGISTRATION_WITHDRAWN) if state.cutting_mode else (state, ())
     assert stopped.session is not None  # noqa: S101 - WRONG_SESSION stands in the rules
-    memory = stopped.memory.with_barrier(request.place_digest, request.barrier_us)
+    settles = not stopped.session.withdrawn and request.barrier_us > records.NO_TIME
+    memory = stopped.memory.with_barrier(request.place_digest, request.barrier_us, settles=settles)
     withdrawn = replace(
         stopped,
         memory=memory,
-        moved_at_s=None,
-        session=replace(stopped.session, withdrawn=not stopped.session.live),
+        moved_at_s=stopped.moved_at_s if memory.withdrawal_due else None,
         awaiting=Awaiting(event, memory),
     )
     if memory == state.written:

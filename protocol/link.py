@@ -417,7 +417,9 @@ class Link:
             )
         if can_id in _HEARTBEAT_IDS:
             heard = self._heard_heartbeat(can_id, data, lost, now_s)
-            if isinstance(heard, Violation):  # a stranger's does not count: what the peer says next still fits
+            if isinstance(
+                heard, Violation
+            ):  # a stranger's does not count: what the peer says next still fits
                 sequence.last = before
             return heard
         return self._heard_other(can_id, data, lost, now_s)

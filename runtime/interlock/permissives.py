@@ -282,7 +282,7 @@ def _against_registration(state: Interlock) -> str:
         return f"withdrawn at the controller{from_when}"
     if opened.withdrawal_due and state.barrier_us == records.NO_TIME:
         return (
-            "the bone moved while no session ran, and the controller is not yet told from when on one counts"
+            "the bone moved before this session, and the controller is not yet told from when on one counts"
         )
     late_enough = not barriers or (time_us != records.NO_TIME and time_us > max(barriers))
     if late_enough and opened.registration is Refusal.ACCEPTED:

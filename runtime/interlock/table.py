@@ -268,7 +268,7 @@ def _open(job: Job, announce: records.Announce, nonce: bytes) -> records.Open:
 
 
 def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
-    """What its code does not prove opens nothing. A bone that moved while no session ran is withdrawn at once."""
+    """What its code does not prove opens nothing. What is due of before is told at once."""
     assert state.session is not None  # noqa: S101 - OPENING has a session
     if not event.authentic:
         return state, (Dropped(f"an OPENED that no holder of the key made{_our_key(state)}"),)

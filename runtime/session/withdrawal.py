@@ -82,7 +82,7 @@ def attached_registration(path: Path, file: bytes) -> Registration | None:
 def of_session(
     state: Interlock, log: str, registration: Registration | None, skew_s: float
 ) -> Iterator[Withdrawal]:
-    """What a session adds to the list: that the bone moved while none ran, and its own registration.
+    """What a session adds to the list: what was due at the controller before it, and its own registration.
 
     Args:
         state: as the session ended.

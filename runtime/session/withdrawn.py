@@ -30,7 +30,7 @@ _TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
 _SECOND: Final = timedelta(seconds=1)
 _BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
 NO_FILE: Final = bytes(32)
-"""Stands in a line for no registration in particular: the bone moved while no session ran."""
+"""Stands in a line for no registration in particular: the bone moved before the session, as the controller tells."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def of_now(file: bytes, log: str, registration: Registration | None, now: dateti
 
 
 def of_motion(log: str, barrier_us: int, skew_s: float) -> Withdrawal:
-    """What is to be listed where the bone moved while no session ran: which place it was, nobody knows.
+    """What is to be listed where the bone moved before the session: which place it was, the controller does not tell.
 
     Args:
         log: name of the log that tells why.

@@ -112,6 +112,8 @@ class AnyLife(RuleBasedStateMachine):
         super().__init__()
         self.now_s, self.nonces = NOW, 0
         self.opened: set[records.Open] = set()
+        self.moved = False
+        """In this session: no Withdraw of it settles that."""
         self.begin()
 
     def begin(self) -> None:
@@ -246,7 +248,11 @@ class AnyLife(RuleBasedStateMachine):
                 assert withdraw.place_digest in (place, records.NO_PLACE)
                 listed = {withdraw.place_digest} - {records.NO_PLACE}
                 assert after.barrier_us == max(before.memory.barrier_us, withdraw.barrier_us)
-                assert not after.withdrawal_due
+                settled = not self.moved and withdraw.barrier_us > 0
+                assert after.withdrawal_due == (before.memory.withdrawal_due and not settled)
+        if before.session is None:
+            self.moved = False
+        self.moved |= isinstance(event, BoneMoved) or (withdraws and isinstance(event, HeartbeatReceived))
         if withdraws:
             assert after.withdrawn == before.memory.withdrawn | listed
         else:

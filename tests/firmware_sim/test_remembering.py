@@ -148,7 +148,10 @@ def test_what_is_due_and_what_was_told_is_written_over_a_loss_of_power():
     moved = fed(OPENED, BoneMoved())
     assert moved.written == MOVED
     told = fed(moved, withdrawing(barrier_us=7))
-    assert told.written == Memory(frozenset({PLACE}), barrier_us=7)
+    assert told.written == Memory(frozenset({PLACE}), barrier_us=7, withdrawal_due=True)
+    ended = fed(told, HeartbeatLost())
+    settled = fed(ended, reopening(ended, place_digest=OTHER), withdrawing(records.NO_PLACE, barrier_us=8))
+    assert settled.written == Memory(frozenset({PLACE}), barrier_us=8)
 
 
 # ---------------------------------------------------------------- a start and its witness

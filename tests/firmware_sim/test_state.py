@@ -105,17 +105,19 @@ def test_a_bone_that_moves_withdraws_the_place_that_is_named_and_is_due(place, l
 
 
 @pytest.mark.parametrize("due", [True, False])
+@pytest.mark.parametrize("settles", [True, False])
 @pytest.mark.parametrize(("barrier_us", "kept_us"), [(16, 17), (17, 17), (18, 18), (-1, 17)])
 @pytest.mark.parametrize(("place", "listed"), [(THREE, {ONE, THREE}), (records.NO_PLACE, {ONE})])
-def test_a_withdraw_names_a_place_or_none_raises_the_barrier_and_is_due_no_more(
-    due, barrier_us, kept_us, place, listed
+def test_a_withdraw_names_a_place_or_none_raises_the_barrier_and_may_settle_what_is_due(
+    due, settles, barrier_us, kept_us, place, listed
 ):
-    after = replace(BEFORE, withdrawal_due=due).with_barrier(place, barrier_us)
-    assert after == replace(BEFORE, withdrawn=frozenset(listed), barrier_us=kept_us, withdrawal_due=False)
+    after = replace(BEFORE, withdrawal_due=due).with_barrier(place, barrier_us, settles=settles)
+    still_due = due and not settles
+    assert after == replace(BEFORE, withdrawn=frozenset(listed), barrier_us=kept_us, withdrawal_due=still_due)
 
 
 def test_a_barrier_before_1970_is_none():
-    assert Memory().with_barrier(records.NO_PLACE, -1).barrier_us == records.NO_TIME
+    assert Memory().with_barrier(records.NO_PLACE, -1, settles=True).barrier_us == records.NO_TIME
 
 
 @pytest.mark.parametrize(

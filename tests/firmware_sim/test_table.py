@@ -350,10 +350,19 @@ def test_a_heartbeat_withdraws_also_after_the_stop_that_came_first_and_only_once
 
 
 def test_a_withdraw_that_overtakes_the_heartbeats_of_its_stop_is_not_undone_by_them():
-    stopped = fed(CUTTING, StopReceived(StopCode.STOP, StopCause.BONE_MOVED), withdrawing())
+    stopped = fed(CUTTING, StopReceived(StopCode.STOP, StopCause.BONE_MOVED), withdrawing(barrier_us=17))
     after = fed(stopped, alive(epoch=stopped.epoch, cause=StopCause.BONE_MOVED))
-    assert after == stopped
-    assert not after.memory.withdrawal_due
+    wanted = Memory(frozenset({PLACE}), barrier_us=17, withdrawal_due=True, log=CUTTING.memory.log)
+    assert after.memory == wanted
+
+
+def test_a_withdraw_of_before_that_is_held_back_hides_no_withdrawal_of_its_runtime():
+    """It names no place, for it was said when the session was opened; it arrives behind the stop of a withdrawal."""
+    stopped = fed(
+        CUTTING, StopReceived(StopCode.STOP, StopCause.PROTOCOL_VIOLATION), withdrawing(records.NO_PLACE)
+    )
+    after = fed(stopped, alive(epoch=stopped.epoch, cause=StopCause.REGISTRATION_WITHDRAWN))
+    assert (after.memory.withdrawn, after.memory.withdrawal_due) == ({PLACE}, True)
 
 
 def test_a_withdraw_in_a_live_session_does_not_hide_a_bone_that_moves_afterwards():
@@ -372,11 +381,25 @@ def test_what_the_runtime_says_of_a_motion_that_the_wired_input_reported_is_no_n
     assert after.moved_at_s == NOW
 
 
-def test_a_bone_that_moves_again_is_due_again():
-    told = fed(fed(CUTTING, BoneMoved()), withdrawing())
-    assert not told.memory.withdrawal_due
-    after = fed(told, BoneMoved(), now_s=NOW + 60)
-    assert (after.memory.withdrawal_due, after.moved_at_s) == (True, NOW + 60)
+def test_a_withdraw_settles_what_happened_before_its_session_alone():
+    """One that was held back since the session was opened does not know of a motion in it."""
+    moved = fed(fed(POWERED_UP, BoneMoved()), opening(), BoneMoved(), now_s=NOW + 60)
+    held_back = fed(moved, withdrawing(records.NO_PLACE, 17), now_s=NOW + 61)
+    wanted = Memory(frozenset({PLACE}), barrier_us=17, withdrawal_due=True)
+    assert (held_back.memory, held_back.moved_at_s) == (wanted, NOW + 60)
+    ended = fed(held_back, HeartbeatLost())
+    (opened,) = [e.record for e in step(ended, reopening(ended), NOW + 99)[1] if isinstance(e, Send)]
+    assert (opened.withdrawal_due, opened.motion_age_s) == (1, 39)
+    told = fed(ended, reopening(ended), withdrawing(records.NO_PLACE, 18))
+    assert (told.memory.withdrawal_due, told.moved_at_s) == (False, None)
+    after = fed(told, BoneMoved(), now_s=NOW + 99)
+    assert (after.memory.withdrawal_due, after.moved_at_s) == (True, NOW + 99), "due again"
+
+
+@pytest.mark.parametrize(("barrier_us", "due"), [(-1, True), (records.NO_TIME, True), (1, False)])
+def test_a_withdraw_that_tells_no_time_settles_nothing(barrier_us, due):
+    after = fed(POWERED_UP, BoneMoved(), opening(), withdrawing(records.NO_PLACE, barrier_us))
+    assert after.memory.withdrawal_due is due
 
 
 def test_other_causes_in_a_heartbeat_withdraw_nothing():
@@ -526,7 +549,8 @@ def test_a_withdraw_of_another_place_changes_nothing():
 
 def test_after_a_withdraw_a_later_registration_of_another_place_is_permitted():
     stopped = fed(CUTTING, BoneMoved(), withdrawing(barrier_us=REGISTERED_US), HeartbeatLost())
-    state = replace(POWERED_UP, memory=stopped.memory, written=stopped.memory)
+    memory = fed(stopped, reopening(stopped), withdrawing(records.NO_PLACE, REGISTERED_US)).memory
+    state = replace(POWERED_UP, memory=memory, written=memory)
     other = records.digest(b"another place")
     assert _permit_answer(state, place_digest=other)[1] is Refusal.REGISTRATION_TOO_EARLY
     later = {"place_digest": other, "registration_time_us": REGISTERED_US + 1}

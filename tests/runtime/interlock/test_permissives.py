@@ -20,7 +20,7 @@ STANDS = "not withdrawn, and later than every withdrawal"
 TIME_US = JOB.registration_time_us
 TOO_EARLY = "one of 2026-09-21 14:13:20 UTC is not surely later than the last withdrawal"
 FROM = "what is taken from 2026-09-21 14:13:21 UTC on counts"
-NOT_TOLD = "the bone moved while no session ran, and the controller is not yet told from when on one counts"
+NOT_TOLD = "the bone moved before this session, and the controller is not yet told from when on one counts"
 WITNESSED = "the log that it saw last is found, or the operator has confirmed"
 
 

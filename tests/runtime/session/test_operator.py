@@ -114,7 +114,9 @@ def test_withdraw_reaches_the_controllers_memory(pair):
     pair.run(0.2)
     assert pair.controller.memory.withdrawn == {pair.job.place}
     assert pair.controller.memory.barrier_us == pair.state.barrier_us
-    assert not pair.controller.memory.withdrawal_due, "it was told before the session had stopped"
+    assert pair.controller.memory.withdrawal_due, (
+        "until the next session, for what is held back must settle nothing"
+    )
     assert not pair.state.withdraw_due
 
 

@@ -187,11 +187,11 @@ REPLY_PERMIT, REPLY_START = (
     Message(f"Reply to {k.__name__}", r.Reply, lambda x, k=k: x.request_type == k.TYPE)
     for k in (r.Permit, r.Start)
 )
-ACKNOWLEDGE = Message("Acknowledge", r.Acknowledge)
+ACKNOWLEDGE, WITHDRAW = (Message(k.__name__, k) for k in (r.Acknowledge, r.Withdraw))
 
 IN_SESSION = (
     OPENED, COLLECT, LIMITS, CALIBRATION, TOOL, BLOCK, BLOCK_STORED, PATH_STORED, ASK_PERMIT, NONCE_PERMIT, PERMIT,
-    REPLY_PERMIT, ASK_START, NONCE_START, START, REPLY_START, ACKNOWLEDGE, RESET,
+    REPLY_PERMIT, ASK_START, NONCE_START, START, REPLY_START, ACKNOWLEDGE, RESET, WITHDRAW,
 )  # fmt: skip
 RECORDS = (ANNOUNCE, OPEN, *IN_SESSION)
 MESSAGES = (*CYCLIC, STOP, FAULT, *RECORDS)
@@ -369,7 +369,7 @@ def _records() -> Iterator[Row]:
             Row(message, Error.ADDRESS, False, "on the other channel", do.wrong_channel, "record's channel", violated, BY_CARRIER),
         ):  # fmt: skip
             yield _own_end(row)
-    for message in (PERMIT, START, RESET):
+    for message in (PERMIT, START, RESET, WITHDRAW):
         yield _own_end(Row(message, Error.MASQUERADE, False, "a code made without the key", do.unsigned,
                            "authentication code", latches(StopCause.AUTHENTICATION_FAILED), BY_CARRIER))  # fmt: skip
     again, masqueraded = (
@@ -389,6 +389,8 @@ def _records() -> Iterator[Row]:
 def _own_end(row: Row) -> Row:
     """A record of a session, as its step demands: whoever is held stays latched and keeps its first cause."""
     row = replace(row, **EXCEPTIONS.get((row.message.name, row.injected), {}))  # type: ignore[arg-type]
+    if row.message is WITHDRAW:
+        return replace(row, stage=Scene.moved)
     if row.message not in (ACKNOWLEDGE, RESET):
         return row
     held = replace(row, stage=Scene.held)
@@ -430,7 +432,7 @@ EXCEPTIONS: dict[tuple[str, str], dict[str, object]] = {
             "end": latches(StopCause.AUTHENTICATION_FAILED),
             "bound": BY_CARRIER,
         }
-        for name in ("Permit", "Start", "Acknowledge", "Reset")
+        for name in ("Permit", "Start", "Acknowledge", "Reset", "Withdraw")
     },
     # that it was accepted is believed by the heartbeat alone
     **{
@@ -443,6 +445,9 @@ EXCEPTIONS: dict[tuple[str, str], dict[str, object]] = {
     # nobody waits for the last block's receipt: PathStored follows it
     ("BlockStored", WHOLE): {"tolerated": True, "end": GOES_ON, "bound": None, "found_by": "nobody"},
     **{(name, LATE): _STUCK for name in ("PathBlock", "BlockStored", "PathStored", "Acknowledge")},
+    # nobody waits for it; without it a permit is refused
+    ("Withdraw", WHOLE): {"end": refused(), "found_by": "state", "bound": BY_REPLY},
+    ("Withdraw", SECOND): {"end": End("stopped", "FAULT", StopCause.SECOND_NODE, StopCause.TRANSFER_FAILED)},
     # the operator says nothing again, and is waited for
     ("Acknowledge", WHOLE): {"end": refused(), "bound": BY_OPERATOR},
 }
@@ -512,7 +517,7 @@ NO_ROW: tuple[tuple[tuple[Message, ...], Error, bool, str], ...] = (
     (IN_SESSION, Error.CORRUPTION, True, "a record is used once and whole: one that is not ends the session"),
     (tuple(m for m in IN_SESSION if m not in (COLLECT, TOOL, ASK_PERMIT, PERMIT, START)), Error.REPETITION, False, "any number of repetitions is discarded by its number"),
     (tuple(m for m in IN_SESSION if m not in (BLOCK_STORED, REPLY_PERMIT, REPLY_START)), Error.LOSS, True, "a record is sent once: without it the conversation does not go on, and its deadline ends it"),
-    (tuple(m for m in IN_SESSION if m not in (LIMITS, CALIBRATION, TOOL, PERMIT, START, ACKNOWLEDGE, RESET)), Error.INSERTION, False, "out of its step a record is refused or dropped and changes nothing"),
+    (tuple(m for m in IN_SESSION if m not in (LIMITS, CALIBRATION, TOOL, PERMIT, START, ACKNOWLEDGE, RESET, WITHDRAW)), Error.INSERTION, False, "out of its step a record is refused or dropped and changes nothing"),
     (RECORDS, Error.MASQUERADE, True, "a second node is never tolerated, nor is a code without the key"),
     ((ANNOUNCE,), Error.REPETITION, False, "outside a session it says nothing new; inside one it is an insertion"),
     ((OPEN,), Error.REPETITION, False, "any number of repetitions is discarded, or refused while the session lives"),

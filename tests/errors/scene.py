@@ -28,6 +28,7 @@ PATIENCE_S = 8.0
 """More than the longest deadline of a scene."""
 WATCHED_S = 0.2
 """How long an outcome must last."""
+YEAR_S = 365 * 86_400.0
 SLOW = 0.05
 """Time scale at which the cut lasts longer than any scene."""
 SHORT = {"transfer_timeout_s": 3.0, "announce_wait_s": 3.0, "operator_wait_s": 3.0}
@@ -166,6 +167,13 @@ class Scene:
         """The controller woke up with a latched fault; the operator knows the words."""
         self.pair.latch(StopCause.SECOND_NODE)
         self.words = ["acknowledge", "reset"]
+        return self
+
+    def moved(self) -> "Scene":
+        """The bone moved long before this session's registration; the controller knows, and is to be told a barrier."""
+        moved_at_s = self.pair.clock() - YEAR_S
+        memory = replace(self.pair.controller.memory, withdrawal_due=True)
+        self.pair.process.controller = replace(self.pair.controller, memory=memory, moved_at_s=moved_at_s)
         return self
 
     # ------------------------------------------------------------ single frames

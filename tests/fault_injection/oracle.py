@@ -109,6 +109,7 @@ class Seen:
     memory: Memory
     resets: int
     acknowledged: int
+    opened: int
 
 
 @dataclass
@@ -118,6 +119,7 @@ class Oracle:
     Attributes:
         sessions: by digest, those whose OPEN a holder of the key has made.
         opened: digests of the sessions that a controller has opened, in order.
+        heard_in: how many sessions had been opened when a motion or a withdrawal was heard of last.
         moved_us: only a registration later than this counts: the bone's last motion, or an authentic barrier; since 1970.
         wrong: what must never be, and was.
     """
@@ -125,6 +127,7 @@ class Oracle:
     pair: Pair
     sessions: dict[bytes, Session] = field(default_factory=dict)
     opened: list[bytes] = field(default_factory=list)
+    heard_in: int = -1
     resets: int = 0
     acknowledged: int = 0
     withdraws: list[records.Withdraw] = field(default_factory=list)
@@ -274,6 +277,7 @@ class Oracle:
             memory=controller.memory,
             resets=self.resets,
             acknowledged=self.acknowledged,
+            opened=len(self.opened),
         )
 
     def _inhibition(self, before: Seen, now: Seen) -> None:
@@ -301,8 +305,19 @@ class Oracle:
             withdraw.barrier_us for withdraw in self.withdraws
         }:
             self.wrong.append("a barrier was raised without an authentic withdrawal")
-        if was.withdrawal_due and not becomes.withdrawal_due and not self.withdraws:
-            self.wrong.append("a bone's motion was forgotten without an authentic withdrawal")
+        if heard:
+            self.heard_in = before.opened
+        self._forgotten(was, becomes, now.opened)
+
+    def _forgotten(self, was: Memory, becomes: Memory, opened: int) -> None:
+        """Nothing is, but that a withdrawal is due: by a Withdraw of a session that was opened after all that was heard."""
+        if was.withdrawal_due and not becomes.withdrawal_due:
+            if not self.withdraws:
+                self.wrong.append("a bone's motion was forgotten without an authentic withdrawal")
+            if self.heard_in == opened:
+                self.wrong.append(
+                    "a bone's motion was forgotten in its own session: the withdrawal may be of before"
+                )
         if was.withdrawn - becomes.withdrawn or becomes.barrier_us < was.barrier_us:
             self.wrong.append("what was withdrawn was restored")
 

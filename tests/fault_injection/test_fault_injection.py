@@ -15,7 +15,7 @@ import pytest
 
 from cutgate.firmware_sim import table as controller
 from cutgate.firmware_sim.console import ConsoleCommand
-from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged, OpenReceived, StopReceived
+from cutgate.firmware_sim.state import HeartbeatLost, InputsChanged, Memory, OpenReceived, StopReceived
 from cutgate.protocol import link, records
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.states import WITHDRAWING, ControllerState, Refusal, StopCause
@@ -289,6 +289,13 @@ def _stops_withdraw(patch):
     patch.setitem(controller.EVERYWHERE, StopReceived, withdraws)
 
 
+def _every_withdraw_settles(patch):
+    with_barrier = Memory.with_barrier
+    patch.setattr(
+        Memory, "with_barrier", lambda memory, *told, settles: with_barrier(memory, *told, settles=True)
+    )
+
+
 def _replies_believed(patch):
     refused = interlock.TABLE[Phase.PERMITTING, ReplyReceived]
 
@@ -342,6 +349,11 @@ SEEDED = {
         _time_out_from_arrival,
         (KILLED, "he delays the runtime"),
         "after the runtime last said CUT",
+    ),
+    "a withdrawal of before settles": (
+        _every_withdraw_settles,
+        (PERSON,),
+        "forgotten in its own session",
     ),
     "a stop withdraws": (_stops_withdraw, ("he stops",), "though neither a keyed word nor a wired input"),
     "a reply is believed": (_replies_believed, ("he accepts",), "which no heartbeat of the controller said"),

@@ -210,7 +210,7 @@ def test_a_moved_bone_withdraws_its_registration_also_after_a_reboot(rig):
     sim.signal(signal.SIGINT)
     assert sim.exit() == 0
     sim = rig.sim()
-    after_reboot = rig.run(logs="elsewhere")
+    after_reboot = rig.run(logs="yet elsewhere")
     assert after_reboot.exit() == 1
     assert "withdrawn at the controller" in after_reboot.told
     assert "state PERMITTED" not in sim.told

@@ -23,6 +23,7 @@ def squeeze(pair, room):
 
 @pytest.mark.parametrize("room", [3, 4, 10])
 def test_a_session_over_a_bus_that_takes_a_few_frames_a_turn_cuts_to_its_end(pair, room):
+    """With two, Opened alone takes as long as the time-out, and no session is opened."""
     squeeze(pair, room)
     assert pair.end(60.0) is Phase.DONE
     assert pair.wire.nodes[RUNTIME].refused > 0

@@ -135,7 +135,7 @@ class SessionCodes:
     def sample_tag(self, counter: int, joints: Sequence[int]) -> int:
         """20 bits over a sample's counter, extended to 32 bits, and its five joints in counts of their frames."""
         code = self._samples.of(_SAMPLE.pack(counter, *joints))
-        return int.from_bytes(code[:3], "little") & ((1 << SAMPLE_TAG_BITS) - 1)
+        return int.from_bytes(code, "little") % (1 << SAMPLE_TAG_BITS)
 
 
 def _derived(key: bytes, salt: bytes | None, info: bytes) -> bytes:

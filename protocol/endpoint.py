@@ -412,9 +412,8 @@ class Endpoint:
     def _take_back_cycle(self) -> None:
         """Unmake the last heartbeat, if it has not left, and what was made in its cycle."""
         if self.heartbeat_waits:
-            for made in self._drop(
-                lambda waiting: waiting.cycle == self._cycle
-            ):  # a stop is of an earlier one
+            # A stop is of an earlier cycle.
+            for made in self._drop(lambda waiting: waiting.cycle == self._cycle):
                 self.link.take_back(made.can_id)
 
     def _drop(self, obsolete: Callable[[_Waiting], bool]) -> list[_Waiting]:

@@ -330,9 +330,7 @@ class Link:
         if can_id in _HEARTBEAT_IDS:
             self._sent_s.pop(self._made, None)
             self._made -= 1
-            if self._echoing_from is not None and self._echoing_from > self._made:
-                self._echoing_from = None
-        elif can_id not in _JOINT_IDS:
+        else:
             self._counters[can_id] = (self._counters.get(can_id, 0) - 1) % COUNTER_MODULUS
 
     def receive(
@@ -417,9 +415,7 @@ class Link:
             )
         if can_id in _HEARTBEAT_IDS:
             heard = self._heard_heartbeat(can_id, data, lost, now_s)
-            if isinstance(
-                heard, Violation
-            ):  # a stranger's does not count: what the peer says next still fits
+            if isinstance(heard, Violation):  # a stranger's: what the peer says next still fits
                 sequence.last = before
             return heard
         return self._heard_other(can_id, data, lost, now_s)

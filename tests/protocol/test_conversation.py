@@ -21,6 +21,7 @@ from cutgate.protocol.conversation import (
     Reset,
     SignedRecord,
     Start,
+    Timing,
     Withdraw,
     opens,
     session_digest,
@@ -88,6 +89,13 @@ def test_a_plant_that_stands_still_or_runs_faster_than_any_simulation_is_refused
 def test_an_approach_faster_than_the_limits_or_not_at_all_is_refused(percent: int):
     with pytest.raises(RecordError, match="speed_percent"):
         Approach(1, 1, (0, 0, 0, 0, 0), (0, 0, 0, 0, 0), percent)
+
+
+def test_timing_is_read_in_seconds_mm_and_degrees():
+    timing = Timing(20, 100, 120, 2500, 500, 200, 12_000, 25)
+    assert (timing.heartbeat_s, timing.timeout_s, timing.start_lifetime_s) == (0.02, 0.1, 2.5)
+    assert (timing.start_tolerance_mm, timing.start_tolerance_deg) == (0.5, 0.2)
+    assert timing.approach_clearance_mm == 12.0
 
 
 SIGNED = [Open, Opened, Permit, Start, Reset, Acknowledge, Withdraw]

@@ -218,6 +218,16 @@ def test_what_goes_out_is_voided_and_what_comes_in_goes_on(runtime, controller):
     assert [getattr(item, "record", None) for item in items][-1] == COLLECT
 
 
+def test_a_control_record_that_waits_for_its_peer_is_seen_and_a_block_is_none(runtime, controller):
+    assert not controller.control_waits
+    controller.send_record(records.BlockStored(index=0), NOW)
+    assert not controller.control_waits
+    controller.send_record(PERMIT_NONCE, NOW)
+    assert controller.control_waits
+    carry(controller, runtime)
+    assert not controller.control_waits
+
+
 def test_a_record_that_is_none_stops_a_session_and_is_dropped_outside(runtime):
     (found,) = send_raw(CONTROL_IDS[1], b"\xff\0\0", runtime)
     assert found.cause is StopCause.PROTOCOL_VIOLATION

@@ -377,6 +377,16 @@ def test_each_message_has_its_own_counter():
     assert controller.encode(ControllerFault(FaultCode.STOPPED, StopCause.BONE_MOVED), 0.0)[1][2] == 0
 
 
+def test_the_counter_is_that_of_the_heartbeat_made_last_and_does_not_roll_over():
+    runtime = link(Side.RUNTIME)
+    assert runtime.counter == -1
+    for counter in range(300):
+        runtime.encode(CUT, 0.0)
+        assert runtime.counter == counter
+    runtime.take_back(IDS[RuntimeHeartbeat])
+    assert runtime.counter == 298
+
+
 def test_counter_rolls_over():
     runtime, controller = pair()
     exchange(runtime, controller, 600)

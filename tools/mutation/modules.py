@@ -34,12 +34,15 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
             "operator",
             "screen",
             "space",
+            "witness",
         )
     ),
     "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
     "runtime/session/pauses.py": ("tests/runtime/session/test_pauses.py",),
     "runtime/session/verifying.py": ("tests/runtime/session/test_verifying.py",),
+    "runtime/session/withdrawal.py": ("tests/runtime/session/test_withdrawal.py",),
     "runtime/session/withdrawn.py": ("tests/runtime/session/test_withdrawn.py",),
+    "runtime/session/witness.py": ("tests/runtime/session/test_witness.py",),
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",
@@ -63,6 +66,11 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol/e2e.py": ("tests/protocol/test_e2e.py",),
     "protocol/link.py": ("tests/protocol/test_link.py",),
     "protocol/codes.py": ("tests/protocol/test_codes.py",),
+    "protocol/conversation.py": ("tests/protocol/test_conversation.py",),
+    "protocol/endpoint.py": ("tests/protocol/test_endpoint.py", "tests/protocol/test_waiting.py"),
+    "protocol/frames.py": ("tests/protocol/test_frames.py",),
+    "protocol/states.py": ("tests/protocol/test_states.py",),
+    "protocol/wire.py": ("tests/protocol/test_wire.py",),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
     # What decides of a path: its bytes, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),

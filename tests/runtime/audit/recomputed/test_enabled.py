@@ -215,6 +215,17 @@ def test_the_configuration_is_the_one_that_was_signed_and_that_of_the_files():
     ]
 
 
+@pytest.mark.parametrize(("kind", "signed"), [("permit", PERMIT), ("start", START)])
+@pytest.mark.parametrize("other", [{"log_size": 7}, {"log_root": digest("another root").hex()}])
+def test_the_tree_that_a_record_says_it_names_is_the_one_that_was_signed(kind, signed, other):
+    before = {"permit": ledger, "start": permitted}[kind]
+    told = [f"the {kind}'s log is not the one that was signed"]
+    assert left(kind, before(), **other) == told
+    named = replace(signed, log=wire.TreeHead(bytes(16), 7, digest("root")))
+    assert told[0] in left(kind, before(), signed=named)
+    assert left(kind, before(), signed=named, log_size=7, log_root=digest("root").hex()) == []
+
+
 def test_the_approach_that_is_bound_is_the_one_that_was_verified():
     (line,) = left("permit", ledger(way=approach(entry_um=10_001)))
     assert line == (

@@ -57,6 +57,7 @@ from bisect import insort
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import dropwhile
+from typing import NamedTuple
 
 from cutgate.protocol import records
 from cutgate.protocol.codes import PresharedKey, SessionCodes
@@ -132,8 +133,7 @@ Take = Callable[[int, bytes], bool]
 """Takes a frame, by identifier and bytes; False if it cannot now."""
 
 
-@dataclass(frozen=True)
-class _Waiting:
+class _Waiting(NamedTuple):
     """A single frame that has not left.
 
     Attributes:
@@ -178,7 +178,6 @@ class Endpoint:
         self.side = side
         self.link = Link(side, timeout_s=timeout_s, heartbeat_s=heartbeat_s, fd=fd)
         self._key = PresharedKey(key)
-        self._codes: SessionCodes | None = None
         self._transfers = {
             channel: Transfer(
                 TRANSFER_IDS[side][channel],
@@ -190,9 +189,8 @@ class Endpoint:
         }
         self._waiting: list[_Waiting] = []
         self._cycle = 0
-        self._sent = dict.fromkeys(Channel, 0)
-        self._seen = dict.fromkeys(Channel, 0)
         self._opening = b""
+        self.use_session(None)
 
     # ------------------------------------------------------------ sessions
 
@@ -202,7 +200,9 @@ class Endpoint:
         What waits of another session never leaves in this one. Then open the link: records and single frames are two
         things. Transfers in progress go on; :meth:`stop_sending` or :meth:`abort` first where they must not.
         """
-        self._codes = None if session_digest is None else self._key.session(session_digest)
+        self._codes: SessionCodes | None = (
+            None if session_digest is None else self._key.session(session_digest)
+        )
         if self._codes is not None:
             self._waiting.clear()
         self._sent = dict.fromkeys(Channel, 0)

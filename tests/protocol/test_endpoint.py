@@ -1,13 +1,13 @@
 """One side of the conversation: what an endpoint hands on, drops, and takes for a reason to stop."""
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cutgate.protocol import records
-from cutgate.protocol.endpoint import NO_SESSION, Endpoint, RecordReceived, Undelivered
+from cutgate.protocol.endpoint import NO_SESSION, Endpoint, RecordReceived, Sent, Undelivered
 from cutgate.protocol.frames import CONTROL_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, encode_frame
 from cutgate.protocol.link import Accepted, Discarded, Violation
 from cutgate.protocol.records import Channel, Side
@@ -156,6 +156,35 @@ def test_a_record_arrives_as_it_was_sent(runtime, controller):
         len(payload),
         records.digest(payload),
     )
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        RecordReceived(COLLECT, Channel.CONTROL, TAG, 1, 30, bytes(32)),
+        Sent(COLLECT, 1, b""),
+        Undelivered("why"),
+    ],
+    ids=lambda said: type(said).__name__,
+)
+def test_what_was_sent_and_heard_stays_as_it_was(said):
+    with pytest.raises(FrozenInstanceError):
+        said.record = None
+
+
+@pytest.mark.parametrize(
+    ("record", "channel", "why"),
+    [
+        (COLLECT, Channel.CONTROL, "control channel: Collect is never sent by the controller"),
+        (PERMIT_NONCE, Channel.BULK, "bulk channel: Nonce does not belong on the bulk channel"),
+        (records.BlockStored(index=0), Channel.CONTROL, "BlockStored does not belong on the control channel"),
+    ],
+)
+def test_a_record_of_the_other_side_or_of_the_other_channel_stops(runtime, controller, record, channel, why):
+    controller._transfers[channel].send(records.pack(record, TAG, 1), NOW)
+    _, (found,) = carry(controller, runtime)
+    assert found.cause is StopCause.PROTOCOL_VIOLATION
+    assert why in found.detail
 
 
 @pytest.mark.parametrize("repeated", [1, 2])
@@ -311,6 +340,22 @@ def test_a_transfer_that_stands_still_fails_inside_a_session_only(tag):
     late = [found for found in made.expire(NOW + 1.1) if found.cause is StopCause.TRANSFER_FAILED]
     assert len(late) == (1 if tag else 0)
     assert all("control channel" in found.detail for found in late)
+
+
+@pytest.mark.parametrize("timeout_s", [0.25, 4.0])
+def test_a_transfer_may_stand_still_for_as_long_as_the_endpoint_was_told(timeout_s):
+    made = Endpoint(Side.CONTROLLER, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=timeout_s)
+    made.use_session(DIGEST)
+    made.open_link(NOW)
+    made.send_record(PERMIT_NONCE, NOW)
+    made.outgoing()
+    made.expire(NOW)
+
+    def causes(now_s):
+        return [found.cause for found in made.expire(now_s)]
+
+    assert StopCause.TRANSFER_FAILED not in causes(NOW + timeout_s - 0.01)
+    assert StopCause.TRANSFER_FAILED in causes(NOW + timeout_s + 0.01)
 
 
 def test_silence_is_a_lost_peer(runtime):

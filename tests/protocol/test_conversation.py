@@ -9,15 +9,26 @@ from hypothesis import strategies as st
 
 from cutgate.protocol import conversation
 from cutgate.protocol.conversation import (
+    AGE_UNKNOWN,
     NO_MAC,
+    NO_PLACE,
+    NO_TIME,
+    NO_TREE_HEAD,
     PROTOCOL_VERSION,
     Acknowledge,
     Announce,
     Approach,
+    BlockStored,
     Branch,
+    Collect,
+    Nonce,
+    NonceRequest,
     Open,
     Opened,
+    OtherVersion,
+    PathStored,
     Permit,
+    Reply,
     Reset,
     SignedRecord,
     Start,
@@ -27,9 +38,49 @@ from cutgate.protocol.conversation import (
     session_digest,
     session_tag,
 )
-from cutgate.protocol.states import ControllerState, StopCause
-from cutgate.protocol.wire import RecordError, digest, layout
+from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.protocol.wire import Integer, RecordError, digest, layout
 from tests.protocol.strategies import blocks, values
+
+OUTSIDE, INSIDE = "outside a session", "inside"
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "where"),
+    [
+        (OtherVersion, 0x00, {INSIDE}),
+        (Announce, 0x01, {OUTSIDE}),
+        (Open, 0x02, {OUTSIDE}),
+        (Opened, 0x03, {INSIDE}),
+        (Collect, 0x04, {INSIDE}),
+        (NonceRequest, 0x05, {INSIDE}),
+        (Nonce, 0x06, {INSIDE}),
+        (Permit, 0x07, {INSIDE}),
+        (Start, 0x08, {INSIDE}),
+        (Reset, 0x09, {INSIDE}),
+        (Acknowledge, 0x0A, {INSIDE}),
+        (Withdraw, 0x0B, {INSIDE}),
+        (Reply, 0x0C, {OUTSIDE, INSIDE}),
+        (BlockStored, 0x21, {INSIDE}),
+        (PathStored, 0x22, {INSIDE}),
+    ],
+)
+def test_every_record_keeps_its_number_and_says_whether_it_needs_a_session(kind, number, where):
+    told = {name for name, may in ((OUTSIDE, kind.OUTSIDE_SESSION), (INSIDE, kind.INSIDE_SESSION)) if may}
+    assert (kind.TYPE, told) == (number, where)
+
+
+def test_what_stands_for_nothing_is_all_zeros_and_an_unknown_age_all_ones():
+    assert PROTOCOL_VERSION == 4
+    assert NO_TREE_HEAD.body() == bytes(16 + 8 + 32)
+    assert (bytes(16), bytes(32), 0) == (NO_MAC, NO_PLACE, NO_TIME)
+    assert Integer(4).pack(AGE_UNKNOWN) == b"\xff" * 4
+
+
+def test_a_session_that_is_opened_over_nothing_remembered_says_so():
+    opened = Opened(3, ControllerState.OPEN, StopCause.NONE)
+    told = (opened.log, opened.withdrawal_due, opened.motion_age_s, opened.registration, opened.barrier_us)
+    assert told == (NO_TREE_HEAD, 0, AGE_UNKNOWN, Refusal.ACCEPTED, NO_TIME)
 
 
 @given(blocks(Open), st.data())

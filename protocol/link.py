@@ -318,7 +318,7 @@ class Link:
             case Joints23():
                 self._counts = [*self._counts[:2], frame.q2, frame.q3]
             case Joint4() if self._codes is not None and self._made >= 0:
-                tag = self._codes.sample_tag(self._made, (*self._counts[:4], frame.q4))
+                tag = self._codes.sample_tag(self._made, (*self._counts, frame.q4))
                 return replace(frame, tag=tag)
         return frame
 
@@ -328,7 +328,6 @@ class Link:
         Joint frames have no counter of their own: they go with their heartbeat.
         """
         if can_id in _HEARTBEAT_IDS:
-            self._sent_s.pop(self._made, None)
             self._made -= 1
         else:
             self._counters[can_id] = (self._counters.get(can_id, 0) - 1) % COUNTER_MODULUS
@@ -451,7 +450,7 @@ class Link:
         self._peer = counter
         fresh = self._refresh(echo, now_s)
         if fresh:
-            self._proved.append((counter, self._sent_s.get(echo, -math.inf)))
+            self._proved.append((counter, self._sent_s[echo]))
         return Accepted(frame, data[2], lost, fresh)
 
     def _echoed(self, echo: int) -> int:
@@ -489,7 +488,6 @@ class Link:
                 (cycle,) = cycles
             case _:
                 return accepted
-        self._parts.clear()
         counts = (first.q0, first.q1, second.q2, second.q3, third.q4)
         if cycle < 0 or not _fits(self._codes.sample_tag(cycle, counts), third.tag):
             return _no_fit("joint sample", cycle)

@@ -172,7 +172,9 @@ def test_tests_that_fail_without_a_mutant_prove_nothing(folder, tests, why):
     assert why in done.stderr
 
 
-def test_a_module_that_cannot_be_imported_is_told_from_a_failing_test(folder):
+@pytest.mark.parametrize("conftest", ["", "import rules\n"], ids=["by its tests", "by their conftest"])
+def test_a_module_that_cannot_be_imported_is_told_from_a_failing_test(folder, conftest):
+    (folder / "conftest.py").write_text(conftest)
     (folder / "rules.py").write_text("assert_me = 1\nCHECK = {1: 2}[assert_me]\ndef f():\n    return 1\n")
     (folder / "test_rules.py").write_text("import rules\ndef test_f():\n    assert rules.f() == 1\n")
     verdicts = json.loads(tried(folder).stdout)

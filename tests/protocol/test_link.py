@@ -1,6 +1,7 @@
 """One side's single frames: age, counters, session, second node, stop."""
 
 import math
+from collections.abc import Sized
 from dataclasses import FrozenInstanceError, replace
 from itertools import count, permutations
 
@@ -365,8 +366,19 @@ def test_sound_frame_of_any_other_kind_with_unlisted_content_is_a_violation():
 )
 def test_progress_and_fault_are_accepted_and_refresh_nothing(frame):
     runtime, controller = pair()
-    assert deliver(controller, runtime, frame, 0.0) == Accepted(frame, 0)
+    outcome = deliver(controller, runtime, frame, 0.0)
+    assert outcome == Accepted(frame, 0)
+    assert outcome.fresh, "of a heartbeat alone it is asked"
     assert not runtime.fresh(0.0)
+
+
+def test_frames_of_every_kind_are_counted_and_what_is_missing_before_them():
+    runtime, controller = pair()
+    for lost in (0, 2):
+        for _ in range(lost):
+            controller.encode(Progress(1, 0), 0.0)
+        assert deliver(controller, runtime, Progress(1, 0), 0.0).lost == lost
+    assert runtime.statistics == Statistics(accepted=2, losses=2)
 
 
 def test_each_message_has_its_own_counter():
@@ -375,6 +387,9 @@ def test_each_message_has_its_own_counter():
     assert controller.encode(Progress(0, 0), 0.0)[1][2] == 0
     assert controller.encode(CUTTING, 0.0)[1][2] == 1
     assert controller.encode(ControllerFault(FaultCode.STOPPED, StopCause.BONE_MOVED), 0.0)[1][2] == 0
+    assert [controller.encode(Progress(0, 0), 0.0)[1][2] for _ in range(300)] == [
+        at % 256 for at in range(1, 301)
+    ]
 
 
 def test_the_counter_is_that_of_the_heartbeat_made_last_and_does_not_roll_over():
@@ -395,7 +410,23 @@ def test_counter_rolls_over():
     assert controller.statistics.stale_heartbeats == 1
 
 
+def test_what_a_link_remembers_does_not_grow():
+    runtime, controller = pair()
+    exchange(runtime, controller, 1000)
+    for one in (runtime, controller):
+        sizes = {name: len(value) for name, value in vars(one).items() if isinstance(value, Sized)}
+        assert max(sizes.values()) <= 256, sizes
+
+
 # ------------------------------------------------------------------ stop
+
+
+def test_a_stop_names_what_was_heard_last():
+    runtime, controller = pair()
+    stop = RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP)
+    assert decode_frame(*runtime.encode(stop, 0.0)).echo == 255
+    exchange(runtime, controller, 300)
+    assert decode_frame(*runtime.encode(stop, 0.0)).echo == 299 % 256
 
 
 def test_stop_and_end_are_accepted_as_sent():
@@ -720,6 +751,21 @@ def test_a_sample_before_any_heartbeat_carries_the_counter_before_zero_and_is_no
     assert runtime.sample is None
 
 
+def test_a_part_that_is_made_again_takes_the_place_of_the_one_before():
+    """Also the first part of all is made, whichever it is."""
+    runtime, controller = pair()
+    controller.encode(joint_frames(JOINTS)[1], 0.0)
+    deliver(runtime, controller, CUT, 0.0)
+    deliver(controller, runtime, CUTTING, 0.0)
+    first, second, third = joint_frames(JOINTS)
+    for frame in (*joint_frames([0.5] * 5)[:2], first, second, second):
+        part = controller.encode(frame, 0.0)
+        if frame in (first, second):
+            runtime.receive(*part, now_s=0.0)
+    assert isinstance(deliver(controller, runtime, third, 0.0), Accepted)
+    assert runtime.sample is not None
+
+
 @pytest.mark.parametrize("missing", [0, 1, 2])
 def test_parts_of_different_samples_are_never_joined(missing: int):
     runtime, controller = pair()
@@ -949,6 +995,15 @@ def test_the_first_frame_too_gives_its_counter_back_and_so_does_the_last_before_
         sender.take_back(IDS[RuntimeHeartbeat])
         _, data = sender.encode(CUT, 0.0)
         assert data[2] == turn % 256
+
+
+@pytest.mark.parametrize("made", [1, 6, 256, 262])
+def test_what_is_no_heartbeat_gives_its_counter_back_as_well(made: int):
+    sender = link(Side.CONTROLLER)
+    for _ in range(made):
+        _, last = sender.encode(Progress(1, 0), 0.0)
+    sender.take_back(IDS[Progress])
+    assert sender.encode(Progress(1, 0), 0.0)[1] == last
 
 
 def test_taking_back_what_was_never_made_changes_nothing():

@@ -82,6 +82,7 @@ ENDS: Final[dict[int, Verdict]] = {
     int(pytest.ExitCode.OK): Verdict.ALIVE,
     int(pytest.ExitCode.TESTS_FAILED): Verdict.FAILED,
     int(pytest.ExitCode.INTERRUPTED): Verdict.UNIMPORTABLE,
+    int(pytest.ExitCode.USAGE_ERROR): Verdict.UNIMPORTABLE,  # the conftest of its tests imports it
     -signal.SIGPROF: Verdict.HANGS,
 }
 

@@ -1,13 +1,14 @@
 """Fields to bytes and back; everything that does not fit is refused."""
 
 import contextlib
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, is_dataclass, replace
+from typing import Annotated, get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cutgate.protocol import wire
 from cutgate.protocol.states import Purpose
 from cutgate.protocol.wire import (
     I16,
@@ -17,12 +18,14 @@ from cutgate.protocol.wire import (
     Ascii16,
     Blob,
     Block,
+    Channel,
     Choice,
     Codec,
     Enumeration,
     Integer,
     Integers,
     Nested,
+    Record,
     RecordError,
     Rest,
     Side,
@@ -90,9 +93,67 @@ def test_value_that_does_not_fit_is_refused(codec: Codec, value: object):
 
 
 @pytest.mark.parametrize(
+    ("codec", "low", "high"),
+    [
+        (Integer(1), 0, 255),
+        (Integer(1, bits=1), 0, 1),
+        (Integer(2, bits=9), 0, 511),
+        (Integer(4), 0, 2**32 - 1),
+        (Integer(1, signed=True), -128, 127),
+        (Integer(8, signed=True), -(2**63), 2**63 - 1),
+    ],
+)
+def test_an_integer_is_taken_to_its_bounds_and_not_one_further(codec: Integer, low: int, high: int):
+    for value in (low, high):
+        assert codec.parse(codec.pack(value)) == value
+    for value in (low - 1, high + 1):
+        with pytest.raises(RecordError, match=rf"must be in {low}\.\.{high}"):
+            codec.pack(value)
+
+
+NAMED = {
+    **{name: int(name[1:]) // 8 for name in ("U8", "U16", "U32", "U64", "I16", "I64")},
+    **{name: 8 * int(name[-1]) for name in ("Counts2", "Counts5")},
+    **{name: int(name[-2:]) for name in ("Nonce16", "LogId16", "Mac16", "Digest32", "Ascii16")},
+    **dict.fromkeys(("Flag", "CauseCode", "StateCode", "PurposeCode", "RefusalCode"), 1),
+}
+
+
+@pytest.mark.parametrize(("name", "size"), NAMED.items())
+def test_a_field_takes_as_many_bytes_as_its_name_says(name: str, size: int):
+    codec = get_args(getattr(wire, name))[1]
+    assert codec.size == size
+    if isinstance(codec, Integer):
+        assert codec.signed is name.startswith("I")
+        assert codec.bounds[1] == 1 or name != "Flag"
+    if isinstance(codec, Enumeration):
+        assert all(len(codec.pack(code)) == size for code in codec.kind)
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in vars(wire).values() if isinstance(kind, type) and is_dataclass(kind)]
+)
+def test_what_was_checked_is_not_altered_afterwards(kind):
+    assert kind.__dataclass_params__.frozen
+
+
+def test_a_field_that_does_not_fit_is_refused_as_soon_as_the_block_is_made():
+    with pytest.raises(RecordError, match=r"Outer\.number is 65536, must be in 0\.\.65535"):
+        replace(OUTER, number=65536)
+
+
+def test_a_record_needs_a_session_unless_it_says_otherwise():
+    assert (Record.OUTSIDE_SESSION, Record.INSIDE_SESSION) == (False, True)
+
+
+@pytest.mark.parametrize(
     ("codec", "value", "data"),
     [
         (Integer(4), 1, b"\x01\0\0\0"),
+        (Rest(2), b"xy", b"xy"),
+        (Ascii(2), "a", b"a\0"),
+        (Ascii(2), "ab", b"ab"),
+        (Choice(("a", "b")), "a", b"\x01"),
         (Integers(1), (-1,), b"\xff" * 8),
         (Blob(2), b"xy", b"xy"),
         (Rest(2), b"x", b"x"),
@@ -160,6 +221,10 @@ def test_another_byte_form_of_the_same_value_is_refused():
 def test_any_bytes_parse_or_are_refused(body: bytes):
     with contextlib.suppress(RecordError):
         assert Outer.parse(body).body() == body
+
+
+def test_sides_and_channels_keep_their_number():
+    assert [int(side) for side in Side] == [int(channel) for channel in Channel] == [0, 1]
 
 
 def test_sides_are_each_others_peers():

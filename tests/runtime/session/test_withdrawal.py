@@ -198,6 +198,11 @@ def test_a_disk_that_never_answers_holds_up_no_withdrawal(log, monkeypatch):
     notes, never = [], threading.Event()
     monkeypatch.setattr(withdrawn, "add", lambda *_: never.wait(PATIENCE_S))
     monkeypatch.setattr(withdrawal, "WITHDRAW_S", 0.01)
+    before = set(threading.enumerate())
     list_withdrawal(log, OURS, notes.append)
+    (thread,) = set(threading.enumerate()) - before
+    assert (thread.name, thread.daemon) == ("withdraw", True), (
+        "the end of the program does not wait for it either"
+    )
     never.set()
     assert "the disk did not answer within 0.01 s" in notes[0]

@@ -45,7 +45,7 @@ def test_a_disk_that_never_answers_holds_up_neither_the_loop_nor_the_end_of_the_
     (thread,) = set(threading.enumerate()) - before
     search.begin(SEEN_LOG)
     assert set(threading.enumerate()) - before == {thread}, "one at a time"
-    assert thread.daemon
+    assert (thread.name, thread.daemon) == ("witness", True)
     assert search.answer() is None
     never.set()
     assert heard(search) == FOUND

@@ -43,8 +43,8 @@ class FrameError(ValueError):
 
 
 def _load() -> Database:
-    text = files("cutgate.protocol").joinpath("cutgate.dbc").read_text(encoding="ascii")
-    database = cantools.database.load_string(text, "dbc", strict=True)
+    text = files("cutgate.protocol").joinpath("cutgate.dbc").read_bytes().decode("ascii")
+    database = cantools.database.load_string(text, "dbc")
     if not isinstance(database, Database):
         raise TypeError("protocol/cutgate.dbc is not a CAN database")
     return database
@@ -281,8 +281,8 @@ def _joint_count(joint: int, value: float) -> int:
 
 def joint_values(first: Joints01, second: Joints23, third: Joint4) -> Floats:
     """The joints of one sample, (rad, rad, mm, rad, rad), shape (5,)."""
-    degrees = np.array([first.q0, first.q1, 0, second.q3, third.q4]) * ROTATION_DEG
-    joints = np.radians(degrees)
+    counts = np.array([first.q0, first.q1, second.q2, second.q3, third.q4])
+    joints = np.radians(counts * ROTATION_DEG)
     joints[2] = second.q2 * SLIDE_MM
     return joints
 

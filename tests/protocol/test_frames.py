@@ -228,6 +228,40 @@ def test_a_joint_may_go_where_a_frame_reports_it_with_a_revolution_to_spare():
     assert SLIDE_MM_MAX <= JOINT_COUNT_MAX * SLIDE_MM  # no limit of the slide, elbow or pitch lies beyond
 
 
+@pytest.mark.parametrize("kind", FRAMES.values(), ids=lambda kind: kind.__name__)
+def test_every_number_of_a_frame_is_taken_to_its_bounds_and_not_one_further(kind: type[Frame]):
+    holding = {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}
+    least = {name: holds() if holds in (bool, int) else min(holds) for name, holds in holding.items()}
+    for name in (name for name, holds in holding.items() if holds is int):
+        low, high = bounds(kind, name)
+        for value in (low, high):
+            frame = kind(**least | {name: value})
+            assert decode_frame(*encode_frame(frame, 0, 1)) == frame
+        for value in (low - 1, high + 1):
+            with pytest.raises(FrameError, match=rf"must be in {low}\.\.{high}"):
+                kind(**least | {name: value})
+
+
+def test_what_the_link_fills_in_is_empty_until_then():
+    beats = (
+        RuntimeHeartbeat(RuntimeCode.CUT, 3),
+        ControllerHeartbeat(ControllerState.CUTTING, 3, StopCause.NONE, True, True, True),
+    )
+    assert [(beat.echo, beat.tag) for beat in beats] == [(255, 0)] * 2
+    assert RuntimeStop(StopCode.STOP, StopCause.BONE_MOVED).echo == 255
+    assert Joint4(7).tag == 0
+    assert ControllerFault(FaultCode.STOPPED, StopCause.BONE_MOVED).detail == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_farthest_joints_that_a_frame_carries_are_reported(sign: int):
+    deg, mm = JOINT_COUNT_MAX * ROTATION_DEG, JOINT_COUNT_MAX * SLIDE_MM
+    joints = [sign * math.radians(deg)] * 2 + [sign * mm] + [sign * math.radians(deg)] * 2
+    first, second, third = joint_frames(joints)
+    assert {first.q0, first.q1, second.q2, second.q3, third.q4} == {sign * JOINT_COUNT_MAX}
+    assert np.allclose(joint_values(first, second, third), joints, rtol=1e-12)
+
+
 def test_four_joints_are_no_sample():
     with pytest.raises(FrameError, match="five"):
         joint_frames([0.0] * 4)

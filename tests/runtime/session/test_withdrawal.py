@@ -9,7 +9,7 @@ from hashlib import sha256
 
 import pytest
 
-from cutgate.config.load import InputError
+from cutgate.config.load import SETTINGS_LIMIT, InputError
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import WITHDRAWN
 from cutgate.runtime.audit.inspect import Status, read_log
@@ -80,7 +80,7 @@ def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
     found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")
-    assert closed["final_state"] == "refused"
+    assert (closed["final_state"], closed["clean"]) == ("refused", True), "it is no crash"
     assert "line 1" in closed["outcome"]
 
 
@@ -104,16 +104,24 @@ def test_lines_of_0_1_0_stay_in_force_and_are_completed_on_the_disk(tmp_path):
     assert began <= known.known == unknown.known <= datetime.now(UTC)
 
 
-def test_a_list_that_cannot_be_completed_ends_the_session(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), "No space left on device"),
+        (OSError("gone for good"), "gone for good"),
+    ],
+)
+def test_a_list_that_cannot_be_completed_ends_the_session(tmp_path, monkeypatch, error, said):
     withdrawn.add(tmp_path, [Withdrawal(FILE, "gone.mcap")])
 
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    def fails(*_):
+        raise error
 
     with open_log(tmp_path) as log:
-        monkeypatch.setattr(withdrawn, "add", full)
-        with pytest.raises(InputError, match="No space left on device"):
+        monkeypatch.setattr(withdrawn, "add", fails)
+        with pytest.raises(InputError) as refused:
             asked(log, bytes([1]) * 32, PLACED)
+    assert refused.value.problems[0].value == said
 
 
 @pytest.mark.parametrize("case", ["another file", "no registration", "too large", "none", "no log"])
@@ -131,8 +139,9 @@ def test_only_the_registration_with_this_digest_is_believed(tmp_path, case):
             assert attached_registration(tmp_path / "gone.mcap", file) is None
         case _:
             assert attached_registration(path, file) is None
-    whole = closed_log(tmp_path, minutes_ago=1)
-    assert attached_registration(whole, sha256(DATA).digest()).place == PLACED.place
+    for name, data in (("short", DATA), ("long", DATA.ljust(SETTINGS_LIMIT))):
+        whole = closed_log(tmp_path / name, data)
+        assert attached_registration(whole, sha256(data).digest()).place == PLACED.place
 
 
 # ---------------------------------------------------------------- a withdrawal of this session
@@ -192,6 +201,10 @@ def test_a_withdrawal_that_cannot_be_listed_is_told(log, monkeypatch, error):
     assert log.listed.lines == 0
     list_withdrawal(log, replace(OURS, file=withdrawn.NO_FILE), notes.append)
     assert "never use any registration that was taken before 20" in notes[1]
+
+
+def test_the_disk_is_waited_for_five_seconds():
+    assert withdrawal.WITHDRAW_S == 5.0
 
 
 def test_a_disk_that_never_answers_holds_up_no_withdrawal(log, monkeypatch):

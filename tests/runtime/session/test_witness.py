@@ -1,6 +1,7 @@
 """The log that the controller saw last is looked up beside the loop; the session shows and records what comes of it."""
 
 import threading
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -105,11 +106,16 @@ def test_the_log_of_the_last_start_is_found_by_the_next_session(pair):
     assert f"the log that the controller saw last: {before.name}\n" in shown(pair)
 
 
-def gone(pair):
+def impatient(pair):
+    """The next session's job: nobody waits long for its operator."""
+    return replace(pair.job, deadlines=replace(pair.job.deadlines, operator_wait_s=1.0))
+
+
+def gone(pair, job=None):
     """The next session, and nobody finds the log of the last one."""
     completed(pair).paths.log.unlink()
     (pair.directory / "logs" / "HEAD").unlink()
-    return pair.begin()
+    return pair.begin(job)
 
 
 def test_a_log_that_is_gone_keeps_from_the_permit_until_that_is_confirmed(pair):
@@ -127,8 +133,8 @@ def test_a_log_that_is_gone_keeps_from_the_permit_until_that_is_confirmed(pair):
 
 
 def test_a_log_that_is_gone_and_confirmed_by_nobody_ends_the_session(pair):
-    gone(pair)
-    assert pair.end(limit_s=400.0) is Phase.REFUSED
+    gone(pair, impatient(pair))
+    assert pair.end() is Phase.REFUSED
     assert "controller's witness: no log " in pair.state.reason
     assert "say confirm WITNESS" in pair.state.reason
 
@@ -144,7 +150,7 @@ def test_what_was_confirmed_in_one_session_is_to_be_confirmed_in_the_next_one_ag
 
 @pytest.mark.parametrize("answers", [True, False])
 def test_no_permit_leaves_before_the_look_up_has_answered(pair, answers):
-    completed(pair).begin()
+    completed(pair).begin(impatient(pair))
     pair.session._witness = search = WitnessSearch(pair.directory, lambda *_: FOUND)
     search.begin = lambda _log: None
     pair.to(Phase.ADMITTED).run(0.5)
@@ -153,5 +159,5 @@ def test_no_permit_leaves_before_the_look_up_has_answered(pair, answers):
         search._answers.put(FOUND)
         pair.to(Phase.PERMITTED)
     else:
-        assert pair.end(limit_s=400.0) is Phase.REFUSED
+        assert pair.end() is Phase.REFUSED
         assert "controller's witness: being looked up" in pair.state.reason

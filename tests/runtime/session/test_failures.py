@@ -200,6 +200,40 @@ def test_a_decision_that_raises_ends_in_a_stop_a_decision_and_a_fault(cutting, b
     assert cutting.read().of("/audit/close")[-1]["clean"] is False
 
 
+@pytest.fixture
+def permitting(pair):
+    """The permit is on its way, and its controller takes no more of it."""
+    pair.to(Phase.PERMITTING).controller_runs = False
+    return pair
+
+
+def test_the_log_says_of_what_waits_that_it_never_leaves_where_the_program_fails(permitting, monkeypatch):
+    assert permitting.session._port.endpoint.control_waits
+    monkeypatch.setattr(permitting.session, "_read_disk", broken)
+    with pytest.raises(RuntimeError):
+        permitting.run_cycle()
+    monkeypatch.undo()
+    permitting.close(clean=False)
+    (withheld,) = [one for one in permitting.read().of("/audit/permit") if one["stage"] == "withheld"]
+    assert (withheld["kind"], withheld["reason"].split(":")[0]) == ("permit", "void")
+
+
+def test_what_waits_is_void_also_where_the_log_cannot_say_so(permitting, monkeypatch):
+    monkeypatch.setattr(permitting.session, "_read_disk", broken)
+    monkeypatch.setattr(permitting.journal, "voided", broken)
+    with pytest.raises(RuntimeError):
+        permitting.run_cycle()
+    assert not permitting.session._port.endpoint.control_waits
+    assert permitting.wire.frames(RuntimeStop)[-1][1].cause is StopCause.INTERNAL_ERROR
+
+
+def test_where_the_session_stood_when_it_failed_is_told(cutting, breaks):
+    assert cutting.session.stopped_in is None
+    with pytest.raises(RuntimeError, match="broken"):
+        cutting.run(0.1)
+    assert cutting.session.stopped_in is Phase.CUTTING, breaks
+
+
 def test_an_error_between_two_turns_is_one_of_a_turn(cutting, monkeypatch):
     monkeypatch.setattr(cutting.session, "_wait", broken)
     with pytest.raises(RuntimeError):

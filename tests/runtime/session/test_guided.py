@@ -57,6 +57,7 @@ def test_guidance_that_comes_in_time_is_shown_recorded_and_part_of_the_document(
     ended(outside)
     outside.prover.give(guidance_of(outside))
     outside.session.guidance(outside.wake[0])
+    assert outside.notes.notes[-1] == "looking for the smallest move of the bone"
     found = guidance_of(outside).guidance.value
     assert outside.notes.guided == [(found, outside.notes.guided[0][1])]
     entry, verdict, document = told(outside)

@@ -1,6 +1,6 @@
 """Whole sessions in virtual time: admitted and cut, refused, stopped, and what bus and log say of them afterwards."""
 
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import pytest
 
@@ -8,8 +8,10 @@ from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, RuntimeCode, StopCause, StopCode
 from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.records import CanTransfer
 from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
+from cutgate.runtime.session.loop import CHECK_HEARTBEATS, GUIDANCE_S
 from tests.runtime.session.pair import CYCLE_S
 from tests.runtime.session.wire import RUNTIME
 
@@ -40,6 +42,32 @@ def test_a_session_cuts_every_segment_and_leaves_a_log_that_replays(pair):
     assert [(stop.code, stop.cause) for _, stop in pair.wire.frames(RuntimeStop)] == [
         (StopCode.END, StopCause.SESSION_ENDED)
     ]
+
+
+def test_every_record_that_left_is_in_the_log(pair):
+    pair.end()
+    pair.close()
+    sent = [one["record"] for one in pair.read().of(CanTransfer.TOPIC) if one["direction"] == "sent"]
+    kinds = ("Open", "Collect", "PathBlock", "NonceRequest", "Permit", "NonceRequest", "Start")
+    assert [kind for kind, _ in groupby(sent)] == [*kinds]
+
+
+def test_where_a_session_stood_when_it_was_stopped_is_told_and_nothing_of_one_that_was_not(pair):
+    pair.to(Phase.PERMITTED)
+    assert pair.session.stopped_in is None
+    pair.say("stop")
+    assert (pair.phase, pair.session.stopped_in) == (Phase.STOPPING, Phase.PERMITTED)
+    assert (pair.end(), pair.session.stopped_in) == (Phase.STOPPED, Phase.PERMITTED)
+
+
+@pytest.mark.parametrize(("phase", "wakes"), [(Phase.OPENING, True), (Phase.PERMITTED, False)])
+def test_the_verification_process_wakes_the_loop_until_its_verdict_and_no_longer(pair, phase, wakes):
+    pair.to(phase).prover.give(b"word")
+    assert [pair.prover.fileno() in pair.session._wait(pair.wake[0]) for _ in range(2)] == [wakes] * 2
+
+
+def test_a_check_holds_up_a_cycle_for_an_eighth_of_a_heartbeat_and_guidance_nobody_for_longer_than_5_s():
+    assert (CHECK_HEARTBEATS, GUIDANCE_S) == (0.125, 5.0)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.3])

@@ -226,6 +226,14 @@ def test_the_tree_that_a_record_says_it_names_is_the_one_that_was_signed(kind, s
     assert left(kind, before(), signed=named, log_size=7, log_root=digest("root").hex()) == []
 
 
+@pytest.mark.parametrize(("kind", "signed"), [("permit", PERMIT), ("start", START)])
+def test_what_was_signed_before_there_was_a_tree_names_none(kind, signed):
+    """Protocol version 3: the record has no tree, and neither had what was signed."""
+    before = {"permit": ledger, "start": permitted}[kind]()
+    old = signed.canonical()[: -len(wire.NO_TREE_HEAD.body())].hex()
+    assert left(kind, before, record=old, log_size=None, log_root=None) == []
+
+
 def test_the_approach_that_is_bound_is_the_one_that_was_verified():
     (line,) = left("permit", ledger(way=approach(entry_um=10_001)))
     assert line == (

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = "protocol|config|runtime|firmware_sim"
 MODULES = sorted(set(re.findall(rf"`((?:{PACKAGES})/[\w/]+(?:\.py|/))`", PAGE)))
-NAMED = re.findall(rf"`((?:{PACKAGES})/[\w/]+\.py)` `(\w+)`", PAGE)
+NAMED = sorted(set(re.findall(rf"`((?:{PACKAGES})/[\w/]+\.py)` `(\w+)`", PAGE)))
 
 
 def defined(path: str) -> set[str]:
@@ -29,7 +29,7 @@ def test_every_name_on_the_way_is_in_its_module(path, name):
     assert name in defined(path)
 
 
-def test_a_pose_a_heartbeat_and_a_decision_are_followed():
-    for what in ("A pose.", "A heartbeat of the controller.", "A decision."):
+def test_a_pose_a_heartbeat_a_decision_and_a_motion_of_the_bone_are_followed():
+    for what in ("A pose.", "A heartbeat of the controller.", "A decision.", "A bone that moves."):
         assert f"**{what}**" in PAGE
     assert len(NAMED) > 15

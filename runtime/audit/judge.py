@@ -8,7 +8,7 @@
 Record 0 opens the log and nothing follows its one close record, which counts all of them. Each record is a JSON object
 whose sequence is its number, and each ``/audit/`` record carries the chain's head before it. Every record of an
 attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0.
-A permit or start that names the log's tree names it as it was (``roots.py``).
+A permit or start that names a log and its tree names this one, and the tree as it was (``roots.py``).
 """
 
 import json
@@ -65,13 +65,14 @@ class Judge:
         record = parse_object(message.data)
         if not self.problems:
             self._follows(number, message, record)
+        if number == 0:
+            self.first, self._first_topic = record, topic
+            self.roots.log_id = (record or {}).get("log_id")
         covered = message.covered
         self.head = follow(self.head, covered)
         self.roots.take(topic, covered, message.data)
         self.count += 1
         add_message(self.read, topic, message.sequence, message.data)
-        if number == 0:
-            self.first, self._first_topic = record, topic
         self.last, self.last_topic = record, topic
         if self._closes == 1 and self._after_close is None:
             self._after_close = (number, topic)

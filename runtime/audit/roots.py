@@ -1,11 +1,12 @@
 """The rule on the trees that permits and starts name.
 
     roots = Roots()
+    roots.log_id = what record 0 names
     for record in the log, in its order:
         roots.take(topic, covered, data)
     roots.wrong  # empty where the rule is kept
 
-What is sent names size and root of the tree as its authorising record became durable. So the size covers the record
+What is sent names the log itself, and size and root of its tree as its authorising record became durable. So the size covers the record
 that authorised it and none behind its own; the root is the one that the tree had at that size. A record is authorised
 once, sent or withheld once, and one at a time; between the two the roots are remembered, ``ROOTS_MAX`` at most.
 """
@@ -14,7 +15,9 @@ from typing import Final, NamedTuple
 
 from pydantic import ValidationError
 
+from cutgate.protocol import records as wire
 from cutgate.runtime.audit.records import AuditPermit
+from cutgate.runtime.audit.signed import signed
 from cutgate.runtime.audit.tree import Tree
 
 ROOTS_MAX: Final = 1 << 16
@@ -35,11 +38,13 @@ class Roots:
     """The tree, one record after the other, and what permits, starts and resets say of it.
 
     Attributes:
+        log_id: of the log, as its record 0 has it in hex; whatever stands there instead, or None, names none.
         tree: of all records so far.
         wrong: the first record that names another tree, and what it should have named; empty if none does.
     """
 
     def __init__(self) -> None:
+        self.log_id: object = None
         self.tree = Tree()
         self.wrong = ""
         self._authorised: _Authorised | None = None
@@ -67,11 +72,11 @@ class Roots:
         elif record.stage in ("sent", "withheld"):
             # Before version 4 of the protocol nothing names a tree.
             names = (record.log_size, record.log_root) != (None, None)
-            told = self._named(record) if names and record.stage == "sent" else ""
+            told = (self._tree(record) or self._log(record)) if names and record.stage == "sent" else ""
             self._authorised = None
         return told
 
-    def _named(self, record: AuditPermit) -> str:
+    def _tree(self, record: AuditPermit) -> str:
         """What is wrong with the tree that it names; empty if nothing is."""
         size, root, authorised = record.log_size, record.log_root, self._authorised
         if size is None or root is None:
@@ -92,3 +97,12 @@ class Roots:
         if found != root:
             return f"it names the root {root} at size {size}, the tree has {found} there"
         return ""
+
+    def _log(self, record: AuditPermit) -> str:
+        """What is wrong with the log that was signed; empty if it is this one."""
+        try:
+            read = signed(wire.Start, record) if record.kind == "start" else signed(wire.Permit, record)
+        except ValueError as error:
+            return f"what was signed cannot be read: {error}"
+        named = read.log.log_id.hex()
+        return "" if named == self.log_id else f"it names the log {named}, this one is {self.log_id}"

@@ -14,19 +14,18 @@ none lets a moving arm go on, while one of its permissives does not hold.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from hashlib import sha256
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from cutgate.protocol import records as wire
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.recomputed.approach import bound_differences
+from cutgate.runtime.audit.signed import canonical, signed
 from cutgate.runtime.interlock.phases import MOVING, STOPPING
 
 TRACKED: Final = ("joints measured", "progress reported", "heartbeat", "time passed")
 """On these the tracking monitor holds the moving arm against the verified path; the decision names what it showed."""
 DIGESTS: Final = ("path", "limits", "calibration", "tool", "registration")
 """What a permit binds of its verdict."""
-
-S = TypeVar("S", wire.Permit, wire.Start)
 
 
 @dataclass
@@ -88,9 +87,9 @@ class Ledger:
             yield from self._on_approach(record)
         try:
             if record.kind == "permit":
-                yield from self._sent_permit(record, _signed(wire.Permit, record))
+                yield from self._sent_permit(record, signed(wire.Permit, record))
             elif record.kind == "start":
-                yield from self._sent_start(record, _signed(wire.Start, record))
+                yield from self._sent_start(record, signed(wire.Start, record))
         except ValueError as error:
             yield f"the {record.kind}'s record cannot be read: {error}"
 
@@ -119,7 +118,7 @@ class Ledger:
             )
 
     def _sent_permit(self, record: records.AuditPermit, signed: wire.Permit) -> Iterator[str]:
-        self._permit = sha256(_canonical(record)).digest()
+        self._permit = sha256(canonical(record)).digest()
         for code in sorted(self._to_confirm - self._confirmed):
             yield f"a permit left although the warning {code} was not confirmed"
         if self._verdict is not None and signed.verifier_version != self._verdict[0].verifier:
@@ -155,22 +154,6 @@ def decision_differences(decision: records.AuditDecision) -> Iterator[str]:
     if decision.from_state in MOVING and decision.event in TRACKED and decision.to_state not in STOPPING:
         for name in failing:
             yield f"decision {decision.sequence} let the arm go on although this did not hold: {name}"
-
-
-def _canonical(record: records.AuditPermit) -> bytes:
-    """What was signed but for session and sequence, as it stands in the record. Raises ValueError if it cannot be read."""
-    return bytes.fromhex(record.record or "")
-
-
-def _signed(kind: type[S], record: records.AuditPermit) -> S:
-    """The same, in its fields; one that names no tree is of version 3 of the protocol, which had none.
-
-    Raises:
-        ValueError: it cannot be read.
-    """
-    body = _canonical(record).removeprefix(kind.DOMAIN + b"\0")
-    log = wire.NO_TREE_HEAD.body() if record.log_size is None else b""
-    return kind.parse(body + log + wire.NO_MAC)
 
 
 def _log_differences(record: records.AuditPermit, signed: wire.Permit | wire.Start) -> Iterator[str]:

@@ -406,7 +406,13 @@ def enable(log: AuditLog, *kinds: str, **changes: Any) -> list[Durable]:
         log.write(decision(token, disposition="authorised", token=token))
         log.commit(token)
         tree = wait_for(log, lambda event, token=token: isinstance(event, Durable) and event.token == token)
-        named = {"log_size": tree.size, "log_root": tree.root.hex()} | changes
+        permit = wire_permit(log=wire.TreeHead(bytes.fromhex(LOG_ID), tree.size, tree.root))
+        signed = permit if kind == "permit" else wire_start(permit, permit.log)
+        named = {
+            "log_size": tree.size,
+            "log_root": tree.root.hex(),
+            "record": signed.canonical().hex(),
+        } | changes
         log.write(records.AuditPermit(kind=kind, stage="sent", token=token, **named))
         log.write(decision(token, event="RecordDurable", disposition="sent"))
         trees.append(tree)
@@ -420,8 +426,13 @@ def forge(
     data: bytes,
     edit: Edit = lambda record: record,
     attachments: Callable[[str, bytes], bytes | None] = lambda _name, data: data,
+    *,
+    trees_again: bool = True,
 ) -> bytes:
-    """The log written again with changed records and attachments, every digest, link and count made to fit."""
+    """The log written again with changed records and attachments, every digest, link and count made to fit.
+
+    ``trees_again``: what permits and starts name of the tree as well, for which the key is needed.
+    """
     old = scan(data)
     log = read_log(data)
     writer = LogWriter(log.report.log_id, {"software": old.metadata[0].metadata["software"]})
@@ -435,7 +446,7 @@ def forge(
         record: records.LogRecord | None = MODELS[message.topic].model_validate_json(message.link.data)
         if isinstance(record, records.AuditAttachment):
             record = _digest_again(record, kept)
-        if isinstance(record, records.AuditPermit):
+        if isinstance(record, records.AuditPermit) and trees_again:
             record = trees.named_again(record)
         record = record and edit(record)
         if isinstance(record, records.AuditClose):

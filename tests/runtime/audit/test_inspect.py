@@ -883,7 +883,7 @@ def test_a_log_rewritten_before_its_start_is_tampered_although_its_chain_fits(en
             record.model_copy(update={"operator": "x"}) if isinstance(record, records.AuditOpen) else record
         )
 
-    report = verify_log(forge(enabled, edit), b"")
+    report = verify_log(forge(enabled, edit, trees_again=False), b"")
     assert report.status is Status.TAMPERED
     assert report.reasons[0].startswith("record 4 (/audit/permit): it names the root "), report
     assert verify_log(forge(enabled), b"").status is Status.OK
@@ -901,3 +901,17 @@ def test_a_crashed_log_that_names_another_tree_is_tampered_not_incomplete(enable
     report = verify_log(forge(enabled, other), b"")
     assert report.status is Status.TAMPERED
     assert "it names a tree of size 3, must be 7 to 8" in report.reasons[0], report
+
+
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_a_log_whose_permit_or_start_names_another_log_is_tampered(enabled, kind):
+    """The same tree under another id: only what was signed tells them apart."""
+
+    def edit(record):
+        if not isinstance(record, records.AuditPermit) or (record.kind, record.stage) != (kind, "sent"):
+            return record
+        return record.model_copy(update={"record": record.record.replace(LOG_ID, "ab" * 16)})
+
+    report = verify_log(forge(enabled, edit), b"")
+    assert report.status is Status.TAMPERED
+    assert report.reasons[0].endswith(f": it names the log {'ab' * 16}, this one is {LOG_ID}"), report

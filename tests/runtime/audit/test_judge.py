@@ -6,12 +6,14 @@ from hashlib import sha256
 import pytest
 from mcap.records import Metadata
 
+from cutgate.protocol.records import TreeHead
 from cutgate.runtime.audit import judge as module
 from cutgate.runtime.audit.chain import GENESIS, of_channel
 from cutgate.runtime.audit.container.stored import ChannelInfo, Scan, Stored, StoredAttachment
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
 from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.tree import Tree
+from tests.runtime.audit.build import wire_permit
 
 LOG_ID = "ab" * 16
 ATTACHED = {"name": "plan.csv", "media_type": "text/csv", "sha256": "cd", "size": 3}
@@ -164,7 +166,8 @@ def test_the_tree_covers_every_record_as_the_chain_does():
 
 
 def test_a_permit_that_names_another_tree_is_named():
-    permit = {"kind": "permit", "token": 1}
+    named = wire_permit(log=TreeHead(bytes.fromhex(LOG_ID), 2, bytes(32)))
+    permit = {"kind": "permit", "token": 1, "record": named.canonical().hex()}
     for root, told in (
         ("right", []),
         ("ab" * 32, ["record 2 (/audit/permit): it names the root abababababa"]),
@@ -174,6 +177,23 @@ def test_a_permit_that_names_another_tree_is_named():
         log.add("/audit/permit", permit | {"stage": "sent", "log_size": 2, "log_root": named}).closed()
         assert [problem[:55] for problem in log.problems()] == told
         assert log.judge.problems == []
+
+
+def test_a_permit_that_names_another_log_than_record_0_is_named():
+    named = wire_permit(log=TreeHead(bytes.fromhex(LOG_ID), 2, bytes(32))).canonical().hex()
+    for content, this in (({"log_id": "cd" * 16}, "cd" * 16), ({}, "None"), ({"log_id": 7}, "7")):
+        log = Records().add("/audit/open", content)
+        permit = {"kind": "permit", "token": 1, "record": named}
+        log.add("/audit/permit", permit | {"stage": "authorised"})
+        root = log.judge.roots.tree.root.hex()
+        log.add("/audit/permit", permit | {"stage": "sent", "log_size": 2, "log_root": root})
+        log.add("/audit/decision", {"log_id": LOG_ID})
+        assert f"record 2 (/audit/permit): it names the log {LOG_ID}, this one is {this}" in log.problems()
+
+
+def test_where_record_0_is_no_object_a_permit_names_no_log():
+    log = Records().add("/audit/open", data=b"7")
+    assert log.judge.roots.log_id is None
 
 
 # ---------------------------------------------------------------- open and close

@@ -16,6 +16,7 @@ from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.certificate import Certificate
 from tests.altering import altered
 from tests.runtime.audit.build import (
+    LOG_ID,
     STANDS,
     VERIFIER,
     forge,
@@ -46,12 +47,20 @@ def replayed(data, verify=certified.verify, verifier=VERIFIER):
     return replay(read_log(data, NO_FRAMES), verify, verifier=verifier)
 
 
-def differs(data, word):
-    """The forged log verifies, and only the replay finds it."""
-    assert verify_log(data, NO_FRAMES).status is Status.OK
+def differs(data, word, status=Status.OK):
+    """The forged log verifies, and only the replay finds it; what both find says ``status``."""
+    assert verify_log(data, NO_FRAMES).status is status
     result = replayed(data)
     assert result.outcome is ReplayOutcome.DIFFERS
     assert any(word in line for line in result.differences), result.differences
+
+
+NAMED = wire.TreeHead(bytes.fromhex(LOG_ID), 1, bytes(32))
+
+
+def named_permit():
+    """A permit that names the log that it is in."""
+    return wire_permit(log=NAMED)
 
 
 def bad(data, word):
@@ -651,7 +660,7 @@ def test_nothing_leaves_on_an_inadmissible_approach(admitted):
     ],
 )
 def test_the_permit_binds_the_approach_that_was_verified(admitted, field, value, name):
-    record = altered(wire_permit(), field, value).canonical().hex()
+    record = altered(named_permit(), field, value).canonical().hex()
     forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=record))
     differs(forged, f"the permit's {name} are not the verified")
 
@@ -659,24 +668,24 @@ def test_the_permit_binds_the_approach_that_was_verified(admitted, field, value,
 @pytest.mark.parametrize("record", [None, "00", "xyz"])
 def test_a_permit_that_cannot_be_read_differs(admitted, record):
     forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=record))
-    differs(forged, "the permit's record cannot be read")
+    differs(forged, "the permit's record cannot be read", Status.TAMPERED)
 
 
 @pytest.mark.parametrize("record", [None, "00", "xyz"])
 def test_a_start_that_cannot_be_read_differs(admitted, record):
     forged = forge(admitted, changed(records.AuditPermit, stage("start", "sent"), record=record))
-    differs(forged, "the start's record cannot be read")
+    differs(forged, "the start's record cannot be read", Status.TAMPERED)
 
 
 def test_a_start_names_the_permit_that_had_left(admitted):
-    other = wire_start(altered(wire_permit(), "lifetime_s", 121)).canonical().hex()
+    other = wire_start(altered(named_permit(), "lifetime_s", 121), NAMED).canonical().hex()
     forged = forge(admitted, changed(records.AuditPermit, stage("start", "sent"), record=other))
     differs(forged, "a start left for another permit than the one that had left")
 
 
 @pytest.mark.parametrize("name", ["path", "limits", "calibration", "tool", "registration", "configuration"])
 def test_the_permits_digests_are_those_that_were_signed(admitted, name):
-    signed = altered(wire_permit(), f"{name}_digest", bytes(32)).canonical().hex()
+    signed = altered(named_permit(), f"{name}_digest", bytes(32)).canonical().hex()
     forged = forge(admitted, changed(records.AuditPermit, stage("permit", "sent"), record=signed))
     differs(forged, f"the permit's {name} digest is not the one that was signed")
 

@@ -4,13 +4,26 @@ import json
 
 import pytest
 
+from cutgate.protocol import records as wire
+from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit import roots as module
 from cutgate.runtime.audit.records import AuditPermit
 from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.tree import Tree
+from tests.runtime.audit.build import wire_permit, wire_start
 
 TOPIC = AuditPermit.TOPIC
 OTHER = "ab" * 32
+LOG_ID = "cd" * 16
+OTHER_LOG = "ef" * 16
+
+
+def of_log(kind, log_id=LOG_ID):
+    """What was signed of a permit or start that names this log, in hex; a reset names none."""
+    if kind == "reset":
+        return wire.Reset(bytes(16), 1, bytes(32), StopCause.SECOND_NODE).canonical().hex()
+    permit = wire_permit(log=wire.TreeHead(bytes.fromhex(log_id), 1, bytes(32)))
+    return (permit if kind == "permit" else wire_start(permit, permit.log)).canonical().hex()
 
 
 class Records:
@@ -18,6 +31,7 @@ class Records:
 
     def __init__(self):
         self.roots = Roots()
+        self.roots.log_id = LOG_ID
         self.tree = Tree()
         self.trees = {0: self.tree.root.hex()}
 
@@ -37,7 +51,8 @@ class Records:
         return self.add(TOPIC, AuditPermit(kind=kind, stage=stage, token=token, **changes).encode())
 
     def sent(self, size, root=None, **changes):
-        return self.permit("sent", log_size=size, log_root=root or self.trees[size], **changes)
+        named = {"log_size": size, "log_root": root or self.trees[size]}
+        return self.permit("sent", **({"record": of_log(changes.get("kind", "permit"))} | named | changes))
 
     @property
     def wrong(self):
@@ -100,10 +115,49 @@ def test_a_tree_is_named_only_by_what_is_authorised(changes):
     assert Records().frames(6).sent(4).wrong == told.replace("start", "permit")
 
 
-@pytest.mark.parametrize("kind", ["permit", "start", "reset"])
+@pytest.mark.parametrize("kind", ["permit", "start"])
 def test_each_kind_is_held_against_its_own(kind):
     assert pending(kind=kind, token=7).sent(5, kind=kind, token=7).wrong == ""
     assert pending(kind=kind, token=7).sent(5, OTHER, kind=kind, token=7).wrong
+
+
+def test_a_reset_names_no_log():
+    told = "record 6 (/audit/permit): what was signed cannot be read: "
+    assert pending(kind="reset").sent(5, kind="reset").wrong.startswith(told)
+    assert pending(kind="reset").permit("sent", kind="reset").wrong == ""
+
+
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_the_log_that_was_signed_is_this_one(kind):
+    log = pending(kind=kind).sent(4, kind=kind, record=of_log(kind, OTHER_LOG))
+    assert log.wrong == f"record 6 (/audit/permit): it names the log {OTHER_LOG}, this one is {LOG_ID}"
+
+
+@pytest.mark.parametrize("log_id", [None, "", "CD" * 16, 7, ["cd" * 16]])
+def test_where_record_0_names_none_nothing_names_it(log_id):
+    log = pending()
+    log.roots.log_id = log_id
+    assert log.sent(4).wrong == f"record 6 (/audit/permit): it names the log {LOG_ID}, this one is {log_id}"
+
+
+def test_before_record_0_there_is_no_log():
+    assert Roots().log_id is None
+
+
+@pytest.mark.parametrize("kind", ["permit", "start"])
+@pytest.mark.parametrize("record", [None, "", "00", "xyz"])
+def test_what_was_signed_can_be_read(kind, record):
+    told = "record 6 (/audit/permit): what was signed cannot be read: "
+    assert pending(kind=kind).sent(4, kind=kind, record=record).wrong.startswith(told)
+
+
+@pytest.mark.parametrize(("kind", "other"), [("permit", "start"), ("start", "permit")])
+def test_what_was_signed_is_of_its_own_kind(kind, other):
+    assert pending(kind=kind).sent(4, kind=kind, record=of_log(other)).wrong
+
+
+def test_another_tree_is_told_before_another_log():
+    assert "it names the root" in pending().sent(4, OTHER, record=of_log("permit", OTHER_LOG)).wrong
 
 
 @pytest.mark.parametrize("stage", ["sent", "withheld"])

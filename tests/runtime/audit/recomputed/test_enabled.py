@@ -114,6 +114,13 @@ def test_a_permit_and_a_start_that_keep_every_rule_are_in_order():
     assert left("start", permitted()) == []
 
 
+@pytest.mark.parametrize("changes", [{"log_size": 1}, {"log_root": "ab" * 32}])
+@pytest.mark.parametrize("kind", ["permit", "start"])
+def test_the_tree_that_is_named_is_the_one_that_was_signed(kind, changes):
+    found = permitted() if kind == "start" else ledger()
+    assert left(kind, found, **changes) == [f"the {kind}'s log is not the one that was signed"]
+
+
 # ---------------------------------------------------------------- authorised
 
 

@@ -121,6 +121,13 @@ def test_the_tree_that_is_named_is_the_one_that_was_signed(kind, changes):
     assert left(kind, found, **changes) == [f"the {kind}'s log is not the one that was signed"]
 
 
+def test_before_version_4_nothing_names_a_tree():
+    older = PERMIT.canonical()[: -len(wire.NO_TREE_HEAD.body())].hex()
+    assert left("permit", ledger(), record=older, log_size=None, log_root=None) == []
+    told = ["the permit's log is not the one that was signed"]
+    assert left("permit", ledger(), record=older, log_size=None, log_root="ab" * 32) == told
+
+
 # ---------------------------------------------------------------- authorised
 
 

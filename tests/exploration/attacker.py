@@ -178,10 +178,15 @@ def beats(causes: Iterable[StopCause]) -> Iterable[c.HeartbeatReceived]:
 
 
 def withdrawals(session: c.ControllerSession) -> Iterable[c.Event]:
-    """What the session's runtime may have said of its registration, taken as said in every session."""
-    barrier_us = BARRIER_US if session.digest == SESSION else EARLIER_BARRIER_US
-    for place in (session.place, records.NO_PLACE):
-        yield c.WithdrawReceived(records.Withdraw(place, barrier_us), 1, authentic=True)
+    """What the session's runtime may have said of registrations, taken as said in every session, now or held back.
+
+    In answer to an OPENED that says when the bone moved, also a barrier before its own registration.
+    """
+    named = [(session.place, EARLIER_BARRIER_US), (records.NO_PLACE, EARLIER_BARRIER_US)]
+    if session.digest == SESSION:
+        named = [(session.place, BARRIER_US), (records.NO_PLACE, BARRIER_US), named[1]]
+    for one in named:
+        yield c.WithdrawReceived(records.Withdraw(*one), 1, authentic=True)
     yield WITHDRAWS
 
 

@@ -136,7 +136,7 @@ class Controller:
         """With what memory holds; where that is not known, what it was to hold, or a latch less."""
         memories = {state.memory, state.written or replace(state.memory, latched=StopCause.NONE)}
         for memory in sorted(memories, key=repr):
-            again = c.Controller.powered_up(
+            again = invariants.JudgedController.powered_up(
                 state.identity, replace(state.holdings, path=None, ends=None), memory, BOOT
             )
             again = replace(again, epoch=EPOCH, inputs=state.inputs)
@@ -270,6 +270,7 @@ class Controller:
                         forged=forged,
                     )
                     self.written.append(again)
+        after = invariants.accounted(state, event, after, forged=forged)
         wrong = invariants.controller_step(
             state, event, after, message, forged=forged, late_s=late_s + slow_s
         )

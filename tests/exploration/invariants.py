@@ -3,7 +3,7 @@
 Judged from outside: from what was sent, held and committed, never by asking the guards that are under test.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
@@ -16,6 +16,31 @@ from tests.exploration.names import Message, RuntimeSide
 MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})
 ENABLING = (records.Permit, records.Start, records.Reset)
 SIGNS = (c.PermitReceived, c.StartReceived, c.ResetReceived)
+
+
+@dataclass(frozen=True)
+class JudgedController(c.Controller):
+    """The controller, with what no guard of its table reads.
+
+    Attributes:
+        moved: in its session, that is since it was opened, the bone moved or the runtime said so or withdrew.
+    """
+
+    moved: bool = False
+
+
+def accounted(before: JudgedController, event: c.Event, after: JudgedController, *, forged: bool) -> JudgedController:
+    """The controller after an event, with the account continued."""
+    here = after.session is not None and before.session is not None
+    moved = here and (before.moved or _withdraws(event, forged=forged))
+    return after if moved is after.moved else replace(after, moved=moved)
+
+
+def _withdraws(event: c.Event, *, forged: bool) -> bool:
+    """Whether a holder of the key, or the wired sensor, says that from now on a Withdraw is due."""
+    return isinstance(event, c.BoneMoved) or (
+        isinstance(event, c.HeartbeatReceived) and event.cause in WITHDRAWING and not forged
+    )
 
 
 def controller_state(state: c.Controller) -> str | None:
@@ -53,9 +78,9 @@ def must_stand_after(event: c.Event) -> bool:
 
 
 def controller_step(
-    before: c.Controller,
+    before: JudgedController,
     event: c.Event,
-    after: c.Controller,
+    after: JudgedController,
     message: Message | None,
     *,
     forged: bool = False,
@@ -112,29 +137,26 @@ def _forgotten(before: c.Memory, after: c.Memory) -> bool:
     return not before.withdrawn <= after.withdrawn or after.barrier_us < before.barrier_us
 
 
-def _memory_step(before: c.Controller, event: c.Event, after: c.Controller, *, forged: bool) -> str | None:
+def _memory_step(
+    before: JudgedController, event: c.Event, after: JudgedController, *, forged: bool
+) -> str | None:
     """Invariant 9: what memory holds of registrations is changed by who holds the key, or by the wired sensor, alone."""
     old, new = before.memory, after.memory
     if _forgotten(old, new):
         return "1: a withdrawal was forgotten"
     if _barrier_not_kept(before, event, new):
         return "1: the barrier that a Withdraw tells was not kept"
-    if old.withdrawal_due and not new.withdrawal_due and not isinstance(event, c.WithdrawReceived):
-        return f"9: a withdrawal that was due is not, after {type(event).__name__}"
+    if old.withdrawal_due and not new.withdrawal_due:
+        if not isinstance(event, c.WithdrawReceived):
+            return f"9: a withdrawal that was due is not, after {type(event).__name__}"
+        if before.moved:
+            return "9: a withdrawal is due no longer by a Withdraw of a session that was opened before it"
     same = (old.withdrawn, old.barrier_us, old.withdrawal_due) == (
         new.withdrawn,
         new.barrier_us,
         new.withdrawal_due,
     )
-    match event:
-        case c.BoneMoved():
-            entitled = True
-        case c.WithdrawReceived(authentic=authentic):
-            entitled = authentic
-        case c.HeartbeatReceived(cause=cause):
-            entitled = cause in WITHDRAWING and not forged
-        case _:
-            entitled = False
+    entitled = (isinstance(event, c.WithdrawReceived) and event.authentic) or _withdraws(event, forged=forged)
     if not same and not entitled:
         return f"9: a registration was withdrawn or restored by {type(event).__name__} that no holder of the key made"
     return None

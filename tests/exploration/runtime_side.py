@@ -24,6 +24,7 @@ from tests.exploration.names import (
     BARRIER_US,
     BOOT,
     CUT,
+    EARLIER_BARRIER_US,
     EARLIER_BOOT,
     EPOCH,
     LIVE,
@@ -191,6 +192,8 @@ class Runtime:
             yield feed(event)
         for event in attacker.opened(self.world) if state.phase is r.Phase.OPENING else ():
             yield feed(event)
+            if event.opened.withdrawal_due:  # since before this registration
+                yield feed(event, barrier_us=EARLIER_BARRIER_US)
         yield feed(r.PathConfirmed(attacker.STORED), first=STANDING)
         if link_open(state):
             for cause in attacker.causes(self.world):
@@ -284,14 +287,20 @@ class Runtime:
         first: r.Event | None = None,
         deviates: bool = False,
         forged: bool = False,
+        barrier_us: int = BARRIER_US,
     ) -> Change:
-        """One step of the real table, judged, and what it sends; ``deviates``: by it the arm is not where it may be."""
+        """One step of the real table, judged, and what it sends.
+
+        Args:
+            deviates: by it the arm is not where it may be.
+            barrier_us: what a Withdraw tells that leaves with it.
+        """
         state = side.interlock
         if first is not None:
             state, _ = self.step(state, first, NOW)
         after, effects = self.step(state, event, NOW + late_s)
         for effect in effects:
-            answer = answered(effect)
+            answer = answered(effect, barrier_us)
             if answer is not None:
                 after, more = self.step(after, answer, NOW + late_s)
                 effects += more
@@ -335,11 +344,11 @@ def durable(commit: r.Commit) -> r.RecordDurable:
     return r.RecordDurable(commit.token, log)
 
 
-def answered(effect: r.Effect) -> r.Event | None:
+def answered(effect: r.Effect, barrier_us: int) -> r.Event | None:
     """What the shell answers at once: a Withdraw has left, the log was found."""
     match effect:
         case r.SendWithdraw():
-            return r.WithdrawalSent(BARRIER_US)
+            return r.WithdrawalSent(barrier_us)
         case r.SeekWitness():
             return SOUGHT
     return None

@@ -18,10 +18,19 @@ from cutgate.protocol import records
 from cutgate.protocol.states import EPOCHS, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.tracking import TrackingMonitor
-from tests.exploration import attacker, canonical, controller_side, runtime_side
+from tests.exploration import attacker, canonical, controller_side, invariants, runtime_side
 from tests.exploration.canonical import NOW, cause_class
 from tests.exploration.model import Model
-from tests.exploration.names import DEAD, EPOCH, LIVE, TOKEN, Passing, RuntimeSide, rename_controller
+from tests.exploration.names import (
+    BARRIER_US,
+    DEAD,
+    EPOCH,
+    LIVE,
+    TOKEN,
+    Passing,
+    RuntimeSide,
+    rename_controller,
+)
 from tests.exploration.recovery import Recovery
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_RESET
 from tests.exploration.world import JOB, VERDICT, World
@@ -36,11 +45,12 @@ WALKS, STEPS = 2, 4
 
 @dataclass(frozen=True)
 class Input:
-    """One step of a table as the exploration makes it: the event, how late, and what was measured before."""
+    """One step of a table as the exploration makes it: the event, how late, what was measured before, what is told."""
 
     event: Any
     late_s: float = 0.0
     first: Any = None
+    barrier_us: int = BARRIER_US
 
 
 class Recording:
@@ -51,10 +61,18 @@ class Recording:
         self.inputs: list[Input] = []
 
     def feed(
-        self, _state: Any, _actor: str, event: Any, *, late_s: float = 0.0, first: Any = None, **_: Any
+        self,
+        _state: Any,
+        _actor: str,
+        event: Any,
+        *,
+        late_s: float = 0.0,
+        first: Any = None,
+        barrier_us: int = BARRIER_US,
+        **_: Any,
     ) -> None:
         """Remember."""
-        self.inputs.append(Input(event, late_s, first))
+        self.inputs.append(Input(event, late_s, first, barrier_us))
 
 
 class RecordingRuntime(Recording, runtime_side.Runtime):
@@ -136,7 +154,7 @@ def after_runtime(side: RuntimeSide, given: Input, now_s: float) -> tuple[Runtim
         state, _ = table.step(state, given.first, now_s)
     after, effects = table.step(state, given.event, now_s + given.late_s)
     for effect in effects:
-        answer = runtime_side.answered(effect)
+        answer = runtime_side.answered(effect, given.barrier_us)
         if answer is not None:
             after, more = table.step(after, answer, now_s + given.late_s)
             effects += more
@@ -261,6 +279,7 @@ def after_controller(state: c.Controller, given: Input, now_s: float) -> tuple[c
         if isinstance(effect, c.Persist):
             after, more = step(after, c.Persisted(effect.memory), now_s + given.late_s)
             effects += more
+    after = invariants.accounted(state, given.event, after, forged=False)
     for effect in effects:
         match effect:
             case c.Send(record=records.Nonce(purpose=purpose), session=tag):

@@ -132,8 +132,8 @@ def test_a_controller_that_does_not_keep_the_barrier_is_found(monkeypatch):
     monkeypatch.setattr(
         c.Memory,
         "with_barrier",
-        lambda memory, place, barrier_us: replace(
-            real(memory, place, barrier_us), barrier_us=memory.barrier_us
+        lambda memory, place, barrier_us, *, settles: replace(
+            real(memory, place, barrier_us, settles=settles), barrier_us=memory.barrier_us
         ),
     )
     _finds(World(bone=True), TO_PERMITTED, "1: the barrier that a Withdraw tells was not kept", 3)
@@ -358,6 +358,19 @@ def test_a_withdraw_and_an_open_whose_code_nobody_verifies_are_found(monkeypatch
     else:
         _without(monkeypatch, "WITHDRAW_RULES", WITHDRAW_RULES, Refusal.MAC_INVALID)
         _finds(World(), TO_VERIFYING, "9: a registration was withdrawn or restored by WithdrawReceived", 2)
+
+
+def test_a_withdraw_that_settles_what_happened_after_its_session_was_opened_is_found(monkeypatch):
+    """Said before the bone moved, it arrives afterwards."""
+    real = c.Memory.with_barrier
+    monkeypatch.setattr(
+        c.Memory,
+        "with_barrier",
+        lambda memory, place, barrier_us, **_: real(memory, place, barrier_us, settles=True),
+    )
+    found = "9: a withdrawal is due no longer by a Withdraw of a session that was opened before it"
+    shown = _finds(World(bone=True), TO_VERIFYING, found, 3)
+    assert "BoneMoved" in shown
 
 
 # ---------------------------------------------------------------- 10, 11: what opens, what is believed

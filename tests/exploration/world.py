@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from cutgate.firmware_sim import state as c
 from cutgate.runtime.interlock import state as r
+from tests.exploration.invariants import JudgedController
 from tests.exploration.names import BOOT, EPOCH, OPEN, TOKEN
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
@@ -39,7 +39,7 @@ VERDICT = r.CutVerdict(
     trajectory=builders.trajectory(fixed.START_JOINTS),
 )
 WARNED = replace(VERDICT, to_confirm=("CUT_TINY",))
-POWERED_UP = replace(fixed.POWERED_UP, announce_nonce=BOOT, epoch=EPOCH)
+POWERED_UP = JudgedController(**{**vars(fixed.POWERED_UP), "announce_nonce": BOOT, "epoch": EPOCH})
 OFF_START = (0, *fixed.START_JOINTS[1:])
 OTHER_LIMITS = fixed.OTHER_LIMITS.body()
 FLIPPED_PATH = fixed.PATH.body()[:-1] + bytes([fixed.PATH.body()[-1] ^ 1])
@@ -70,7 +70,7 @@ class World:
     warned: bool = False
     link: str = ""
     exact: bool = False
-    begin: c.Controller = POWERED_UP
+    begin: JudgedController = POWERED_UP
 
 
 class Move(NamedTuple):

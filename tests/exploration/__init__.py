@@ -34,7 +34,7 @@ are left out. Of registrations the present and one other are told apart, and a n
 Records that serve no more. A permit, start or reset of the present session that differs from one that serves in nothing
 but its nonce, its epoch, what its nonce was given for, its session or announce nonce is taken as said already, code
 included; every rule is a comparison, so that one which differs in more is accepted in no more cases. A runtime with an
-earlier epoch or boot can make only such, so that it does not matter which it has (``Model._settled``). ``World.exact``
+earlier epoch or boot can make only such, so that it does not matter which it has (``Model.settled``). ``World.exact``
 does without both, for traces in which only what was said is repeated.
 
 Time. No clock runs: that something is too old when it is looked at is chosen anew at each look, a deadline or time-out

@@ -82,7 +82,7 @@ def unsigned_records() -> Iterable[r.Event]:
             yield r.ReplyReceived(kind.TYPE, refusal, StopCause.NONE)
 
 
-def opened(world: World) -> Iterable[r.SessionOpened]:
+def opened(world: World, epoch: int) -> Iterable[r.SessionOpened]:
     """What a controller may say as it opens the session: of its state and, where bones move, of the registration."""
     memories: list[dict[str, Any]] = [{}]
     if world.bone:
@@ -93,9 +93,7 @@ def opened(world: World) -> Iterable[r.SessionOpened]:
             {"registration": Refusal.REGISTRATION_TOO_EARLY, "barrier_us": BARRIER_US},
             {"barrier_us": EARLIER_BARRIER_US},
         ]
-    for epoch, state, memory in product(
-        (EPOCH, EARLIER_EPOCH), (ControllerState.OPEN, ControllerState.FAULT), memories
-    ):
+    for state, memory in product((ControllerState.OPEN, ControllerState.FAULT), memories):
         yield r.SessionOpened(records.Opened(epoch, state, StopCause.NONE, **memory), authentic=True)
 
 

@@ -44,13 +44,18 @@ def cause_class(cause: StopCause) -> StopCause:
     return cause if cause in (StopCause.NONE, StopCause.EMERGENCY_STOP) else StopCause.OPERATOR_STOP
 
 
+def standing(cause: StopCause) -> StopCause:
+    """The same for a cause that stands, which is only named again; an emergency stop must also be clear."""
+    return cause if cause in (StopCause.NONE, StopCause.EMERGENCY_STOP) else StopCause.OPERATOR_STOP
+
+
 def canonical_controller(state: c.Controller) -> c.Controller:
     """Without clock values and without what only a live session or a permit gives meaning."""
     live = state.session is not None and state.session.live
     memory = _canonical_memory(state.memory)
     return replace(
         state,
-        cause=cause_class(state.cause),
+        cause=standing(state.cause),
         memory=memory,
         written=memory if state.written == state.memory else None,
         moved_at_s=None,
@@ -62,6 +67,16 @@ def canonical_controller(state: c.Controller) -> c.Controller:
         measured_u=None,
         device=state.device if state.permit else c.DeviceCycle.UNSEEN,
         heartbeat_fresh=state.heartbeat_fresh and live,
+    )
+
+
+def taken_controller(state: c.Controller) -> c.Controller:
+    """What may become so at any moment is taken as so already, and what is chosen at the permit is not kept before."""
+    pressed = state.inputs.device_pressed and state.permit is not None
+    return replace(
+        state,
+        heartbeat_fresh=state.session is not None and state.session.live,
+        inputs=replace(state.inputs, device_pressed=pressed),
     )
 
 
@@ -83,7 +98,7 @@ def _canonical_awaiting(awaiting: c.Awaiting) -> c.Awaiting:
 
 def _canonical_memory(memory: c.Memory) -> c.Memory:
     """The log of the last start is only told on; it is the controller's own affair (``tests/firmware_sim``)."""
-    return replace(memory, latched=cause_class(memory.latched), log=records.NO_TREE_HEAD)
+    return replace(memory, latched=standing(memory.latched), log=records.NO_TREE_HEAD)
 
 
 def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
@@ -118,7 +133,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         joints_u=START_JOINTS if state.joints_u else None,
         tracking=MONITOR if state.tracking else None,
         nonce=state.nonce if state.phase in AUTHORISING else None,
-        acknowledged=cause_class(state.acknowledged) if state.phase in HELD else StopCause.NONE,
+        acknowledged=standing(state.acknowledged) if state.phase in HELD else StopCause.NONE,
         reason="",
         announced_version=None if state.session is None else records.PROTOCOL_VERSION,
         opened=_canonical_opened(state) if state.opened else None,
@@ -152,7 +167,7 @@ def _canonical_view(state: r.Interlock) -> r.Interlock:
     if state.phase in (r.Phase.CUTTING, r.Phase.FINISHING, r.Phase.STOPPING) or view is None:
         kept = STOOD if view is not None and view.cause is StopCause.NONE else None
         return replace(state, controller=kept, device=r.DeviceCycle.UNSEEN, heartbeat_fresh=False)
-    view = replace(view, cause=cause_class(view.cause))
+    view = replace(view, cause=standing(view.cause))
     if state.phase in BEFORE_PERMIT:
         latched = view.state is ControllerState.FAULT
         seen = view.state if latched else ControllerState.LOADED

@@ -11,7 +11,7 @@ from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
 from tests.exploration import attacker, invariants
-from tests.exploration.canonical import NOW, canonical_controller, cause_class
+from tests.exploration.canonical import NOW, canonical_controller, cause_class, taken_controller
 from tests.exploration.labels import LATE, NONCE_OLD, PERMIT_OLD, describe, lateness
 from tests.exploration.names import (
     BOOT,
@@ -83,6 +83,12 @@ class Controller:
             elif isinstance(content, c.HeartbeatReceived):
                 beats = [content, replace(content, fresh=False)]
                 self.heard[key] = self._with_failures(number, lambda: [feed(one) for one in beats])
+            elif isinstance(content, records.Permit) and state.session and not self.world.exact:
+                pressed = replace(state, inputs=replace(state.inputs, device_pressed=True))
+                feeds = feed, partial(self.feed, pressed, "bus > controller", message=message)
+                self.heard[key] = self._with_failures(
+                    number, lambda: [one for each in feeds for one in self._looks_at(each, content)]
+                )
             else:
                 looks = partial(self._looks_at, feed, content)
                 self.heard[key] = self._with_failures(number, looks if state.session else list)
@@ -102,7 +108,11 @@ class Controller:
         found = changes()
         if self.world.disk:
             found += [again(memory_fails=True) for again in self.written]
-        return distinct(number, found)
+        return distinct(number, [one._replace(sent=()) for one in found])
+
+    def number(self, canonical: c.Controller) -> int:
+        """The number of this controller, or of the one that is taken for it."""
+        return self.states.number(canonical if self.world.exact else taken_controller(canonical))
 
     # ------------------------------------------------------------ its own, people, sensors, clock
 
@@ -142,7 +152,7 @@ class Controller:
             again = replace(again, epoch=EPOCH, inputs=state.inputs)
             wrong = invariants.reboot(state, again)
             move = Move("controller", "reboots", wrong=wrong)
-            yield Change(move, self.states.number(again), (), Passing.STOP | Passing.BOOT | Passing.NONCE)
+            yield Change(move, self.number(again), (), Passing.STOP | Passing.BOOT | Passing.NONCE)
 
     def _silent_changes(self, number: int, state: c.Controller) -> Iterable[Change]:
         held = state.holdings
@@ -150,7 +160,7 @@ class Controller:
         if held.path is not None:
             changes.append(("a bit of the stored path flips", replace(held, path=FLIPPED_PATH)))
         for text, holdings in changes:
-            yield Change(Move("controller", text), self.states.number(replace(state, holdings=holdings)))
+            yield Change(Move("controller", text), self.number(replace(state, holdings=holdings)))
 
     def _beats(self, number: int, state: c.Controller) -> Iterable[Change]:
         if state.session is None:
@@ -191,6 +201,10 @@ class Controller:
         said = attacker.earlier_records(session, issued, latched, exact=self.world.exact)
         for message in said:
             yield from self._looks_at(partial(feed, message=message), message.content)
+        if not self.world.exact:
+            yield feed(
+                c.AcknowledgeReceived(records.Acknowledge(epoch=EPOCH, cause=state.cause), 1, authentic=True)
+            )
 
     def _looks_at(self, feed: Callable[..., Change], record: Any) -> list[Change]:
         """Permit, start and reset: looked at in time or too late, the arm at its start or away from it."""
@@ -282,7 +296,7 @@ class Controller:
         number = self.known.get(key)
         if number is None:
             canonical = canonical_controller(rename_controller(present(after), renamed))
-            number = self.known[key] = self.states.number(canonical)
+            number = self.known[key] = self.number(canonical)
         move = Move(actor, text, sound, wrong)
         return Change(move, number, sent, passing)
 

@@ -29,7 +29,9 @@ class JudgedController(c.Controller):
     moved: bool = False
 
 
-def accounted(before: JudgedController, event: c.Event, after: JudgedController, *, forged: bool) -> JudgedController:
+def accounted(
+    before: JudgedController, event: c.Event, after: JudgedController, *, forged: bool
+) -> JudgedController:
     """The controller after an event, with the account continued."""
     here = after.session is not None and before.session is not None
     moved = here and (before.moved or _withdraws(event, forged=forged))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
+from cutgate.protocol.states import StopCause
 from tests.exploration import invariants
 from tests.exploration.controller_side import Controller, told
 from tests.exploration.names import (
@@ -21,12 +22,14 @@ from tests.exploration.names import (
     EARLIER_TAG,
     EPOCH,
     KINDS,
+    SESSION,
     STALE,
     TAG,
     Message,
     Passing,
     Quiet,
     Told,
+    is_past,
     rename_controller,
     rename_message,
     rename_runtime,
@@ -37,6 +40,8 @@ from tests.exploration.world import Change, Move, Numbers, World
 
 State = tuple[int, int, int]
 """A runtime, a controller and what has been said, by number."""
+Key = tuple[int, int]
+"""A controller and what has been said."""
 
 
 class Step(NamedTuple):
@@ -93,7 +98,11 @@ class Model:
             following, now = self.with_runtime(con, said, step.said, step.passing)
             yield step.move, (step.side, following, now)
         for step in self.of_controller(con, said):
-            yield step.move, (self.renamed_runtime(run, step.passing), step.side, step.said)
+            renamed = self.renamed_runtime(run, step.passing)
+            if renamed is None:
+                yield step.move, (self.runtime.none, *self.without_runtime(step))
+            else:
+                yield step.move, (renamed, step.side, step.said)
         move, following, now = self.ages(con, said, cuts=bool(self.runtime.cut >> run & 1))
         yield move, (run, following, now)
 
@@ -165,7 +174,10 @@ class Model:
         found = self.memo.get(key)
         if found is None:
             told = frozenset(one.content.state for one in self.said(said) if isinstance(one.content, Told))
-            found = self.memo[key] = Heard(self.controller.states.values[con].issued is not None, told)
+            state = self.controller.states.values[con]
+            session = state.session
+            opened = session is not None and session.digest == SESSION and session.live
+            found = self.memo[key] = Heard(state.issued is not None, told, opened)
         return found
 
     def of_runtime(self, run: int, heard: Heard) -> list[Step]:
@@ -173,17 +185,23 @@ class Model:
         key = "runtime", run, heard
         found = self.memo.get(key)
         if found is None:
-            steps = [
-                Step(
-                    one.move,
-                    self._settled(one.side),
-                    self.kept(one.sent) | self.orders(run, one.side),
-                    one.passing,
-                )
-                for one in self.runtime.changes(run, heard)
-            ]
+            steps = [self._runtime_step(run, one) for one in self.runtime.changes(run, heard)]
             found = self.memo[key] = self._distinct(run, 0, steps)
         return found
+
+    def _runtime_step(self, run: int, change: Change) -> Step:
+        """One that is past is led on by itself (``alone``); here its process has died."""
+        side = self.settled(change.side)
+        if self.past(side):
+            return Step(change.move, self.runtime.none, 0, change.passing | Passing.SESSION)
+        return Step(change.move, side, self.kept(change.sent) | self.orders(run, change.side), change.passing)
+
+    def past(self, run: int) -> bool:
+        return not self.world.exact and is_past(self.runtime.sides.values[run])
+
+    def without_runtime(self, step: Step) -> Key:
+        """The controller and what was said, after a move of the controller behind which the runtime is past."""
+        return self.with_runtime(step.side, step.said, 0, Passing.SESSION)
 
     def of_controller(self, con: int, said: int) -> list[Step]:
         """Moves of the controller after all this was said."""
@@ -228,14 +246,18 @@ class Model:
             said = self.after(said | sent, 0, con)
         return con, said
 
-    def renamed_runtime(self, run: int, passing: int, *, settled: bool = True) -> int:
-        """The runtime after a move of the controller."""
+    def renamed_runtime(self, run: int, passing: int) -> int | None:
+        """The runtime after a move of the controller; None if it is past."""
         if not passing:
             return run
-        renamed = self._renamed("runtime", self.runtime.sides, run, passing, rename_runtime)
-        return self._settled(renamed) if settled else renamed
+        renamed = self.settled(self.real_runtime(run, passing))
+        return None if self.past(renamed) else renamed
 
-    def _settled(self, run: int) -> int:
+    def real_runtime(self, run: int, passing: int) -> int:
+        """The runtime after a move of the controller, whatever it still counts for."""
+        return self._renamed("runtime", self.runtime.sides, run, passing, rename_runtime)
+
+    def settled(self, run: int) -> int:
         """Nothing counts that a runtime of an earlier boot or epoch signs; which one, and by what nonce, is forgotten."""
         side = self.runtime.sides.values[run]
         if self.world.exact or side is None or not stale(side.interlock):
@@ -272,22 +294,21 @@ class Model:
                     wrong.append((run, step.move))
         return tuple(groups.items()), count, wrong
 
-    def _renamed_runtimes(self, runs: int, passing: int) -> int:
-        """These runtimes after a move of the controller."""
+    def _renamed_runtimes(self, runs: int, passing: int) -> tuple[int, bool]:
+        """These runtimes after a move of the controller, without those that are past; whether there are such."""
         if not passing:
-            return runs
-        renamed = 0
+            return runs, False
+        renamed, past = 0, False
         for place, byte in enumerate(_bytes(runs)):
             if byte:
                 key = "renamed", place, byte, passing
                 found = self.memo.get(key)
                 if found is None:
-                    found = 0
-                    for run in _numbers(byte, place):
-                        found |= 1 << self.renamed_runtime(run, passing)
-                    self.memo[key] = found
-                renamed |= found
-        return renamed
+                    numbers = [self.renamed_runtime(run, passing) for run in _numbers(byte, place)]
+                    bits = sum({1 << one for one in numbers if one is not None})
+                    found = self.memo[key] = bits, None in numbers
+                renamed, past = renamed | found[0], past or found[1]
+        return renamed, past
 
     # ------------------------------------------------------------ what was said
 
@@ -312,13 +333,15 @@ class Model:
             case records.Open():
                 return content.announce_nonce == state.announce_nonce
             case records.Acknowledge():
-                return content.epoch == EPOCH and content.cause is state.cause
+                return self.world.exact and content.epoch == EPOCH and content.cause is state.cause
             case c.HeartbeatReceived():
                 return bool(content == CUT)
         issued = state.issued
         serves = (
             issued is not None and issued.nonce == content.nonce and KINDS[issued.purpose] is type(content)
         )
+        if isinstance(content, records.Reset):  # a latch, and another cause of it, come with a new epoch
+            serves = serves and content.cause is state.memory.latched is not StopCause.NONE
         return self.world.exact or (serves and content.epoch == EPOCH)
 
     def after(self, said: int, passing: int, con: int) -> int:

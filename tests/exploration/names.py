@@ -266,6 +266,13 @@ def _nonce(nonce: bytes, passing: int) -> bytes:
     return DEAD if passing & Passing.NONCE and nonce == LIVE else nonce
 
 
+def is_past(side: RuntimeSide | None) -> bool:
+    """Whether nothing that the runtime says counts any more: it is stopping, or speaks in an earlier epoch or boot."""
+    if side is None or side.interlock.session is None or side.interlock.phase is r.Phase.OPENING:
+        return False
+    return side.interlock.phase is r.Phase.STOPPING or stale(side.interlock)
+
+
 STALE = Passing.EPOCH | Passing.NONCE | Passing.BOOT
 
 

@@ -2,16 +2,13 @@
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from cutgate.runtime.interlock import state as r
-from tests.exploration import attacker
 from tests.exploration.model import Model, State
 from tests.exploration.names import Message, rename_message
-from tests.exploration.runtime_side import Heard, tag_of
+from tests.exploration.runtime_side import EVERYTHING, tag_of
 from tests.exploration.world import Change, Move
-
-EVERYTHING = tuple(Heard(nonce, frozenset(attacker.TOLD)) for nonce in (False, True))
-"""All that a runtime can be told."""
 
 DELIVERIES = 50
 """Answers to answers end before this."""
@@ -87,7 +84,7 @@ class Recovery:
         else:
             con = change.side
             said = self.model.with_controller(said, change).said
-            run = self.model.renamed_runtime(run, change.passing, settled=False)
+            run = self.model.real_runtime(run, change.passing) if change.passing else run
         for messages in (up, down):
             renamed = [rename_message(one, change.passing) for one in messages]
             messages.clear()
@@ -98,10 +95,15 @@ class Recovery:
 
 
 def stuck(model: Model, controllers: Iterable[int]) -> list[int]:
-    """The controllers from which, without a process and with an empty bus, no recovery way leads to motion."""
-    recovery, good, found = Recovery(model), set(), []
+    """The controllers from which, without a process and with an empty bus, no recovery way leads to motion.
+
+    Nothing is taken as said or as so on the way.
+    """
+    exact = Model(replace(model.world, exact=True), model.runtime.step, model.controller.step)
+    recovery, good, found = Recovery(exact), set(), []
     for con in controllers:
-        way = _way(recovery, (model.runtime.none, con, model.quiet), good)
+        begin = exact.controller.number(model.controller.states.values[con])
+        way = _way(recovery, (exact.runtime.none, begin, exact.quiet), good)
         good.update(way)
         if not way:
             found.append(con)
@@ -140,7 +142,7 @@ def runtimes_that_do_not_end(model: Model) -> list[int]:
     found = []
     for number in range(1, len(sides)):
         if ends(number):
-            led = [one.side for heard in EVERYTHING for one in model.runtime.changes(number, heard)]
+            led = [one.side for one in model.runtime.changes(number, EVERYTHING)]
             waited = [one.side for one in model.runtime.own(number)]
             if not all(map(ends, led)) or model.runtime.none not in waited:
                 found.append(number)

@@ -26,6 +26,7 @@ from tests.exploration.names import (
     CUT,
     EARLIER_BARRIER_US,
     EARLIER_BOOT,
+    EARLIER_EPOCH,
     EPOCH,
     LIVE,
     NEXT_BOOT,
@@ -59,13 +60,21 @@ ORDERS = (r.Phase.STARTING, r.Phase.CUTTING)
 
 
 class Heard(NamedTuple):
-    """What a runtime can be told beyond what anybody can say: a nonce that counts, and what the controller's heartbeat has told."""
+    """What a runtime can be told beyond what anybody can say.
+
+    Attributes:
+        live_nonce: a nonce that counts was given.
+        told: what the controller's heartbeat has said in the runtime's session.
+        opened: its OPEN was accepted, and no stop has come since.
+    """
 
     live_nonce: bool
     told: frozenset[ControllerState]
+    opened: bool
 
 
-NOTHING = Heard(False, frozenset())
+NOTHING = Heard(live_nonce=False, told=frozenset(), opened=False)
+EVERYTHING = Heard(live_nonce=True, told=frozenset(attacker.TOLD), opened=True)
 
 
 class Runtime:
@@ -95,17 +104,23 @@ class Runtime:
 
         Args:
             number: which runtime.
-            heard: a nonce that counts was given; the states that the controller's heartbeat has told.
+            heard: what it can be told beyond what anybody can say.
         """
         key = number, heard
         if key not in self.attacked:
-            side, (live_nonce, told) = self.sides.values[number], heard
+            side = self.sides.values[number]
             if side is None:
                 found = []
-            elif live_nonce:
-                found = [*self.changes(number, Heard(False, told)), *self._nonce_said(side)]
-            elif told:
-                found = [*self.changes(number, NOTHING), *self._told(side, told)]
+            elif heard.live_nonce:
+                found = [*self.changes(number, heard._replace(live_nonce=False)), *self._nonce_said(side)]
+            elif heard.told:
+                found = [
+                    *self.changes(number, heard._replace(told=frozenset())),
+                    *self._told(side, heard.told),
+                ]
+            elif heard.opened:
+                feed = partial(self.feed, side, "bus > runtime")
+                found = [*self.changes(number, NOTHING), *self._opened(feed, side.interlock, EPOCH)]
             else:
                 found = [*self._own(side), *self._said(side)]
             self.attacked[key] = distinct(number, found)
@@ -190,10 +205,7 @@ class Runtime:
             return
         for event in attacker.unsigned_records():
             yield feed(event)
-        for event in attacker.opened(self.world) if state.phase is r.Phase.OPENING else ():
-            yield feed(event)
-            if event.opened.withdrawal_due:  # since before this registration
-                yield feed(event, barrier_us=EARLIER_BARRIER_US)
+        yield from self._opened(feed, state, EARLIER_EPOCH)
         yield feed(r.PathConfirmed(attacker.STORED), first=STANDING)
         if link_open(state):
             for cause in attacker.causes(self.world):
@@ -201,6 +213,13 @@ class Runtime:
             yield from self._beats_said(feed, state)
         if state.tracking is not None:
             yield from self._tracked(feed)
+
+    def _opened(self, feed: Callable[..., Change], state: r.Interlock, epoch: int) -> Iterable[Change]:
+        """The answer to its OPEN, given in this epoch."""
+        for event in attacker.opened(self.world, epoch) if state.phase is r.Phase.OPENING else ():
+            yield feed(event)
+            if event.opened.withdrawal_due:  # since before this registration
+                yield feed(event, barrier_us=EARLIER_BARRIER_US)
 
     def _beats_said(self, feed: Callable[..., Change], state: r.Interlock) -> Iterable[Change]:
         """All that need not have been told, and what a link that is at fault lets through."""

@@ -4,11 +4,8 @@ import time
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from tests.exploration.model import Model, State
+from tests.exploration.model import Key, Model, State
 from tests.exploration.world import Move
-
-Key = tuple[int, int]
-"""A controller and what has been said."""
 
 
 @dataclass
@@ -74,24 +71,36 @@ def _next(found: Found, level: dict[Key, int]) -> dict[Key, int]:
             for _move, (started, following, now) in model.starts(con, said):
                 reached[following, now] |= 1 << started
         groups, count, broken = model.runtimes_after(runs, model.heard(con, said))
-        wrong = list(broken)
         for (sent, passing), after in groups.items():
             reached[model.with_runtime(con, said, sent, passing)] |= after
-        renamed = {}
-        for step in model.of_controller(con, said):
-            after = renamed.get(step.passing)
-            if after is None:
-                after = renamed[step.passing] = model.renamed_runtimes(runs, step.passing)
-            reached[step.side, step.said] |= after
-            if step.move.wrong:
-                wrong.append((runs.bit_length() - 1, step.move))
         count += runs.bit_count() * len(model.of_controller(con, said))
-        wrong += _ages(model, (con, said), runs, reached)
+        wrong = [
+            *broken,
+            *_moved(model, (con, said), runs, reached),
+            *_ages(model, (con, said), runs, reached),
+        ]
         found.transitions += count
         if wrong:
             found.wrong = (wrong[0][0], con, said), wrong[0][1]
             break
     return reached
+
+
+def _moved(model: Model, key: Key, runs: int, reached: dict[Key, int]) -> list[tuple[int, Move]]:
+    """The controller moves: where it leads, and what is wrong with it."""
+    wrong, renamed = [], {}
+    for step in model.of_controller(*key):
+        after = renamed.get(step.passing)
+        if after is None:
+            after = renamed[step.passing] = model.renamed_runtimes(runs, step.passing)
+        present, past = after
+        if present:
+            reached[step.side, step.said] |= present
+        if past:
+            reached[model.without_runtime(step)] |= 1 << model.runtime.none
+        if step.move.wrong:
+            wrong.append((runs.bit_length() - 1, step.move))
+    return wrong
 
 
 def _ages(model: Model, key: Key, runs: int, reached: dict[Key, int]) -> list[tuple[int, Move]]:

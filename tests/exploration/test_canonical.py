@@ -6,7 +6,8 @@ epochs, nonces and tokens. Where the canonical state stands for several, the eve
 
 import random
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
+from operator import or_
 from typing import Any
 
 import pytest
@@ -19,7 +20,7 @@ from cutgate.protocol.states import EPOCHS, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration import attacker, canonical, controller_side, invariants, runtime_side
-from tests.exploration.canonical import NOW, cause_class
+from tests.exploration.canonical import NOW, cause_class, standing
 from tests.exploration.model import Model
 from tests.exploration.names import (
     BARRIER_US,
@@ -27,12 +28,16 @@ from tests.exploration.names import (
     EPOCH,
     LIVE,
     TOKEN,
+    Message,
     Passing,
     RuntimeSide,
+    is_past,
     rename_controller,
 )
 from tests.exploration.recovery import Recovery
-from tests.exploration.traces import LATCHED, TO_MOVING, TO_RESET
+from tests.exploration.runtime_side import ORDERS
+from tests.exploration.search import Found, explore
+from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET
 from tests.exploration.world import JOB, VERDICT, World
 
 pytestmark = [pytest.mark.no_cover, pytest.mark.slow]
@@ -80,8 +85,9 @@ class RecordingRuntime(Recording, runtime_side.Runtime):
 
     def all(self, side: RuntimeSide) -> list[Input]:
         """In the order in which it makes them."""
-        told = frozenset(attacker.TOLD)
-        for _ in (*self._own(side), *self._said(side), *self._told(side, told), *self._nonce_said(side)):
+        told = self._told(side, frozenset(attacker.TOLD))
+        opened = self._opened(partial(self.feed, side, ""), side.interlock, EPOCH)
+        for _ in (*self._own(side), *self._said(side), *told, *opened, *self._nonce_said(side)):
             pass
         return self.inputs
 
@@ -113,8 +119,9 @@ def places() -> tuple[tuple[RuntimeSide | None, c.Controller], ...]:
 
 
 def classed(thing: Any) -> Any:
-    """With the one cause of each class."""
-    return replace(thing, cause=cause_class(thing.cause)) if hasattr(thing, "cause") else thing
+    """With the one cause of each class; a record names one that stands."""
+    by = standing if isinstance(thing, records.Record) else cause_class
+    return replace(thing, cause=by(thing.cause)) if hasattr(thing, "cause") else thing
 
 
 def another(cause: StopCause, chance: random.Random) -> StopCause:
@@ -393,3 +400,131 @@ def test_a_controller_that_is_made_to_forget_one_thing_more_does_something_else(
     monkeypatch.setattr(canonical, "canonical_controller", forgetful)
     monkeypatch.setattr(controller_side, "canonical_controller", forgetful)
     assert controller_differs() is not None
+
+
+# ---------------------------------------------------------------- what is taken as said or as so
+
+
+def controllers_met() -> list[tuple[c.Controller, bool]]:
+    """Some of those that one move of the exact world leads to from the way to the cut, also from one that is taken."""
+    side = controller_side.Controller(WORLD)
+    for start in dict.fromkeys(state for _, state in places()):
+        number = side.number(start)
+        for message in signed(start):
+            side.repeated(number, message)
+        side.changes(number)
+    return random.Random(3).sample(side.states.values, 150)
+
+
+def signed(state: c.Controller) -> list[Message]:
+    """What the session's runtime may have signed for this moment."""
+    if state.session is None:
+        return []
+    found = attacker.present_records(state.session, state.permit, state.memory.latched)
+    return [Message(state.session.tag, record) for record in found]
+
+
+def outcomes(side: controller_side.Controller, number: int, state: c.Controller) -> set[tuple[int, int]]:
+    """The controllers that every move leads to, as they are taken, and what passes away."""
+    changes = [*side.changes(number)]
+    for message in signed(state):
+        changes += side.repeated(number, message)
+    return {(change.side, change.passing) for change in changes} | {(side.number(state), 0)}
+
+
+def controller_taken_for_less() -> str | None:
+    """The first controller that can lead to something to which the one that is taken for it cannot."""
+    side = controller_side.Controller(replace(WORLD, exact=False))
+    for state in controllers_met():
+        real = outcomes(side, side.states.number(state), state)
+        if not real <= outcomes(side, side.number(state), state):
+            return f"{state.state.name}, issued {state.issued}, {state.inputs}"
+    return None
+
+
+def test_where_a_controller_leads_the_one_that_is_taken_for_it_leads_as_well():
+    assert controller_taken_for_less() is None
+
+
+@pytest.mark.parametrize(
+    "taken",
+    [
+        {"heartbeat_fresh": False},
+        {"issued": None},
+        {"cut_ordered": False},
+        {"cause": StopCause.OPERATOR_STOP},
+    ],
+    ids=lambda one: next(iter(one)),
+)
+def test_a_controller_that_is_taken_for_one_that_leads_to_less_is_found(monkeypatch, taken):
+    places()
+    monkeypatch.setattr(
+        controller_side,
+        "taken_controller",
+        lambda state: replace(canonical.taken_controller(state), **taken) if state.session else state,
+    )
+    assert controller_taken_for_less() is not None
+
+
+SMALL = World()
+FROM = {(): 11, TO_PERMITTED: 4, TO_MOVING: 4}
+"""From where every move is made, and how many."""
+
+
+@cache
+def exact() -> tuple[Found, ...]:
+    """Every state that so many moves lead to, with nothing taken as said or as so, and no runtime left out."""
+    model = Model(replace(SMALL, exact=True))
+    return tuple(explore(model, Recovery(model).follow(way), deepest) for way, deepest in FROM.items())
+
+
+def pairs(found: Found) -> dict[int, int]:
+    """For each controller the runtimes met with it."""
+    return {con: reduce(or_, sets.values()) for con, sets in found.seen.items()}
+
+
+def left_out() -> str | None:
+    """The first state of the exact world that is not met with what is taken as said or as so."""
+    taken = explore(Model(SMALL))
+    met, sides, states = (
+        pairs(taken),
+        exact()[0].model.runtime.sides.values,
+        exact()[0].model.controller.states.values,
+    )
+    for found in exact():
+        for con, runs in pairs(found).items():
+            for run in [run for run in range(runs.bit_length()) if runs >> run & 1]:
+                number, present = taken_for(taken.model, states[con], sides[run])
+                if not met.get(number, 0) >> present & 1:
+                    return f"{sides[run]} {states[con]}"
+    return None
+
+
+def taken_for(model: Model, state: c.Controller, side: RuntimeSide | None) -> tuple[int, int]:
+    """The controller and the runtime, by number, that stand for these two."""
+    con, run = model.controller.number(state), model.settled(model.runtime.sides.number(side))
+    if not model.past(run):
+        return con, run
+    return model.with_runtime(con, 0, 0, Passing.SESSION)[0], model.runtime.none
+
+
+def test_every_state_of_the_exact_world_is_met_with_what_is_taken_as_said_or_as_so():
+    assert left_out() is None
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        (
+            "tests.exploration.model.is_past",
+            lambda side: is_past(side) or (side and side.interlock.phase in ORDERS),
+        ),
+        ("tests.exploration.runtime_side.Runtime._opened", lambda *_: ()),
+        ("tests.exploration.model.Model._counts", lambda *_: False),
+    ],
+    ids=["past", "opened", "said"],
+)
+def test_states_that_are_left_out_are_found(monkeypatch, fault):
+    exact()
+    monkeypatch.setattr(*fault)
+    assert left_out() is not None

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cutgate.firmware_sim.state import HeartbeatLost
+from tests.exploration.alone import alone
 from tests.exploration.model import Model
 from tests.exploration.recovery import runtimes_that_do_not_end, stuck
 from tests.exploration.search import Found, explore, trace, trace_to_controller
@@ -60,6 +61,9 @@ def _keeps_the_invariants(name: str, world: World) -> None:
     print(f"{name}: {found.figures}")  # noqa: T201 - the figures are the result
     assert found.wrong is None, "\n" + trace(found)
     assert found.fixed_point
+    runtimes, wrong = alone(found.model)
+    print(f"{name}: {runtimes} runtimes by themselves")  # noqa: T201 - likewise
+    assert not wrong
     shown = f"| {name} | {' | '.join(map(str, found.counts))} |"
     _every_stop_is_left(found)
     _motion_can_always_end(found)

@@ -46,10 +46,14 @@ DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
 
 
 def _finds(world: World, way: tuple[str, ...], invariant: str, longest: int) -> str:
-    """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart."""
-    model = Model(replace(world, exact=True))
-    found = explore(model, Recovery(model).follow(way), deepest=longest)
-    assert found.wrong is not None, found.figures
+    """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart.
+
+    Without and with what is taken as said or as so.
+    """
+    for exact in (False, True):
+        model = Model(replace(world, exact=exact))
+        found = explore(model, Recovery(model).follow(way), deepest=longest)
+        assert found.wrong is not None, (exact, found.figures)
     shown = trace(found)
     print("\n" + shown)  # noqa: T201 - shown on request
     assert found.wrong[1].wrong.startswith(invariant)

@@ -41,7 +41,7 @@ from tests.exploration.names import (
     Message,
     digest_of,
 )
-from tests.exploration.world import FLIPPED_PATH, OTHER_LIMITS, POWERED_UP, World
+from tests.exploration.world import FLIPPED_PATH, OTHER_LIMITS, POWERED_UP, START_LOG, World
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
 
@@ -83,8 +83,9 @@ def unsigned_records() -> Iterable[r.Event]:
 
 
 def opened(world: World, epoch: int) -> Iterable[r.SessionOpened]:
-    """What a controller may say as it opens the session: of its state and, where bones move, of the registration."""
+    """What a controller may say as it opens the session: of its state, of logs and, where bones move, of the registration."""
     memories: list[dict[str, Any]] = [{}]
+    memories += [{"log": START_LOG}] if world.warned else []
     if world.bone:
         memories += [
             {"withdrawal_due": 1},

@@ -28,7 +28,7 @@ from tests.exploration.names import (
     TOKEN,
     RuntimeSide,
 )
-from tests.exploration.world import JOB, VERDICT
+from tests.exploration.world import JOB, MISSED, START_LOG, VERDICT
 from tests.firmware_sim.controllers import START_JOINTS
 
 NOW = 1000.0
@@ -138,7 +138,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         announced_version=None if state.session is None else records.PROTOCOL_VERSION,
         opened=_canonical_opened(state) if state.opened else None,
         barrier_us=records.NO_TIME,
-        witness=None,
+        witness=MISSED if state.witness is not None and not state.witness.found else None,
     )
     return _canonical_tokens(state, side.commits)
 
@@ -146,9 +146,12 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
 def _canonical_opened(state: r.Interlock) -> records.Opened:
     """What it says of the registration: that it stands, or that it does not, which stays so for the session.
 
-    State, cause and epoch are looked at as OPENED comes; the log was found.
+    State, cause and epoch are looked at as OPENED comes; a log that was found is as none.
     """
-    said = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE)
+    assert state.opened is not None
+    found = state.witness is not None and state.witness.found
+    log = records.NO_TREE_HEAD if found or state.opened.log == records.NO_TREE_HEAD else START_LOG
+    said = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE, log=log)
     if registration_stands(replace(state, registration_withdrawn=False), NOW).holds:
         return said
     return replace(said, registration=Refusal.REGISTRATION_WITHDRAWN)

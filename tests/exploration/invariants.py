@@ -288,6 +288,11 @@ def _left_without_cover(before: RuntimeSide, event: r.Event, record: records.Rec
         return f"2: a {name} left without an admissible verdict"
     if not state.confirmed.issuperset(verdict.to_confirm):
         return f"2: a {name} left although a warning was not confirmed"
+    log_missed = state.opened is None or (
+        state.opened.log != records.NO_TREE_HEAD and not (state.witness and state.witness.found)
+    )
+    if log_missed and r.WITNESS not in state.confirmed:
+        return f"2: a {name} left although the log that the controller saw last was not found"
     received = tuple(digest(data) if data else b"" for data in (held.limits, held.calibration, held.tool))
     made_for = (verdict.limits, verdict.calibration, verdict.tool, verdict.path)
     if made_for != (*received, digest(state.job.path)):

@@ -38,11 +38,12 @@ from tests.exploration.names import (
     digest_of,
 )
 from tests.exploration.world import (
+    FOUND,
     FRESH,
+    MISSED,
     OFF_START,
     OTHER_LIMITS,
     PERMIT_LOG,
-    SOUGHT,
     START_LOG,
     VERDICT,
     WARNED,
@@ -161,7 +162,11 @@ class Runtime:
             yield feed("operator", r.CommandGiven(r.OperatorCommand.WITHDRAW))
         if self.world.warned:
             yield feed("operator", r.CommandGiven(r.OperatorCommand.CONFIRM, *WARNED.to_confirm), sound=True)
+            yield feed("operator", r.CommandGiven(r.OperatorCommand.CONFIRM, r.WITNESS))
             yield feed("operator", r.CommandGiven(r.OperatorCommand.CONFIRM, "ANOTHER"))
+            if is_sought(state):
+                yield feed("disk", FOUND)
+                yield feed("disk", MISSED)
         over = Passing.SESSION if state.session else 0
         yield Change(Move("runtime", "its process dies"), self.none, (), over)
 
@@ -364,13 +369,13 @@ def durable(commit: r.Commit) -> r.RecordDurable:
 
 
 def answered(effect: r.Effect, barrier_us: int) -> r.Event | None:
-    """What the shell answers at once: a Withdraw has left, the log was found."""
-    match effect:
-        case r.SendWithdraw():
-            return r.WithdrawalSent(barrier_us)
-        case r.SeekWitness():
-            return SOUGHT
-    return None
+    """What the shell answers at once: a Withdraw has left."""
+    return r.WithdrawalSent(barrier_us) if isinstance(effect, r.SendWithdraw) else None
+
+
+def is_sought(state: r.Interlock) -> bool:
+    """Whether the log that the controller saw last is being looked up."""
+    return state.opened is not None and state.opened.log != records.NO_TREE_HEAD and state.witness is None
 
 
 def present(side: RuntimeSide) -> RuntimeSide:

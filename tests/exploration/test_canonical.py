@@ -7,6 +7,7 @@ epochs, nonces and tokens. Where the canonical state stands for several, the eve
 import random
 from dataclasses import dataclass, replace
 from functools import cache, partial, reduce
+from itertools import product
 from operator import or_
 from typing import Any
 
@@ -38,11 +39,11 @@ from tests.exploration.recovery import Recovery
 from tests.exploration.runtime_side import ORDERS
 from tests.exploration.search import Found, explore
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET
-from tests.exploration.world import JOB, VERDICT, World
+from tests.exploration.world import JOB, PERMIT_LOG, VERDICT, WARNED, World
 
 pytestmark = [pytest.mark.no_cover, pytest.mark.slow]
 
-WORLD = World(reboots=True, limits=True, bone=True, emergency_stop=True, disk=True, exact=True)
+WORLD = World(reboots=True, limits=True, bone=True, emergency_stop=True, disk=True, warned=True, exact=True)
 LAST = EPOCHS - 1
 WALKS, STEPS = 2, 4
 """From each place on the way to the cut, and how far."""
@@ -110,7 +111,8 @@ class RecordingController(Recording, controller_side.Controller):
 def places() -> tuple[tuple[RuntimeSide | None, c.Controller], ...]:
     """Both sides at every place on the way to the cut, and on the way out of a latched fault."""
     found = []
-    for world, way in ((WORLD, TO_MOVING), (replace(WORLD, begin=LATCHED), TO_RESET)):
+    for begin, way in ((WORLD.begin, TO_MOVING), (LATCHED, TO_RESET)):
+        world = replace(WORLD, warned=False, begin=begin)
         model = Model(world)
         for length in range(len(way) + 1):
             run, con, _ = Recovery(model).follow(way[:length])
@@ -190,10 +192,23 @@ def runtime_effects(before: RuntimeSide, after: RuntimeSide, effects: tuple[Any,
     return found
 
 
+def runtimes_to_begin_with() -> list[RuntimeSide]:
+    """At every place, and with a warning that waits and a log that the controller has seen: sought, found, not found."""
+    found = [side for side, _ in places() if side is not None]
+    verifying = next(one.interlock for one in found if one.interlock.phase is r.Phase.VERIFYING)
+    verdict = r.VerdictReady(replace(WARNED, request=verifying.token))
+    sought = (None, *(r.WitnessSought(found=here, text="somewhere") for here in (True, False)))
+    for witness, confirmed in product(sought, ((), WARNED.to_confirm, (r.WITNESS,))):
+        opened = replace(verifying.opened, log=PERMIT_LOG)
+        state = replace(verifying, opened=opened, witness=witness, confirmed=frozenset(confirmed))
+        found.append(after_runtime(RuntimeSide(state), Input(verdict), NOW)[0])
+    return found
+
+
 def runtime_differs() -> str | None:
     """The first step that a raw and its canonical runtime make differently."""
     chance = random.Random(1)
-    for start in [side for side, _ in places() if side is not None]:
+    for start in runtimes_to_begin_with():
         for _ in range(WALKS):
             raw, now_s = start, NOW
             for _ in range(STEPS):
@@ -354,6 +369,9 @@ def test_every_event_does_the_same_with_a_raw_and_with_its_canonical_controller(
         {"controller": None},
         {"permit": None},
         {"acknowledged": StopCause.NONE},
+        {"opened": None},
+        {"witness": None},
+        {"confirmed": frozenset()},
     ],
     ids=lambda one: next(iter(one)),
 )

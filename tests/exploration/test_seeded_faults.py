@@ -21,7 +21,7 @@ from cutgate.firmware_sim.rules import (
     WITHDRAW_RULES,
 )
 from cutgate.protocol import records
-from cutgate.protocol.states import WITHDRAWING, ControllerState, FaultCode, Refusal
+from cutgate.protocol.states import WITHDRAWING, ControllerState, FaultCode, Refusal, StopCause
 from cutgate.runtime.interlock.state import (
     FaultReceived,
     Gone,
@@ -35,24 +35,33 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration.model import Model
-from tests.exploration.names import BARRIER_US, PLACE
+from tests.exploration.names import BARRIER_US, EPOCH, PLACE
 from tests.exploration.recovery import Recovery, runtimes_that_do_not_end, stuck
 from tests.exploration.search import explore, trace, trace_to_controller
 from tests.exploration.traces import LATCHED, TO_MOVING, TO_PERMITTED, TO_RESET, TO_VERIFYING
-from tests.exploration.world import World
+from tests.exploration.world import START_LOG, World
 
 pytestmark = pytest.mark.no_cover
 DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
 
 
-def _finds(world: World, way: tuple[str, ...], invariant: str, longest: int) -> str:
+def _finds(
+    world: World, way: tuple[str, ...], invariant: str, longest: int, opened: records.Opened | None = None
+) -> str:
     """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart.
 
     Without and with what is taken as said or as so.
+
+    Args:
+        opened: what the controller has said in OPENED, if not what it said on the way.
     """
     for exact in (False, True):
         model = Model(replace(world, exact=exact))
-        found = explore(model, Recovery(model).follow(way), deepest=longest)
+        run, con, said = Recovery(model).follow(way)
+        if opened is not None:
+            side = model.runtime.sides.values[run]
+            run = model.runtime.sides.number(replace(side, interlock=replace(side.interlock, opened=opened)))
+        found = explore(model, (run, con, said), deepest=longest)
         assert found.wrong is not None, (exact, found.figures)
     shown = trace(found)
     print("\n" + shown)  # noqa: T201 - shown on request
@@ -156,6 +165,18 @@ def test_where_a_withdrawal_that_is_due_is_only_noted_motion_is_found(monkeypatc
 def test_without_a_look_at_the_verdict_a_permit_without_an_admissible_one_is_found(monkeypatch):
     _blind(monkeypatch, cutgate.runtime.interlock.permissives.verdict_admissible)
     _finds(World(disk=True), TO_VERIFYING, "2: a Permit left without an admissible", 5)
+
+
+def test_without_a_look_at_the_witness_a_permit_beside_a_log_that_is_gone_is_found(monkeypatch):
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.controllers_witness)
+    opened = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE, log=START_LOG)
+    shown = "2: a Permit left although the log that the controller saw last was not found"
+    _finds(World(warned=True), TO_VERIFYING, shown, 6, opened)
+
+
+def test_without_a_look_at_the_warnings_a_permit_with_one_that_is_not_confirmed_is_found(monkeypatch):
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.warnings_confirmed)
+    _finds(World(warned=True), TO_VERIFYING, "2: a Permit left although a warning was not confirmed", 6)
 
 
 def test_without_a_look_at_what_the_verdict_was_made_for_a_permit_for_something_else_is_found(monkeypatch):

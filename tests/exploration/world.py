@@ -9,8 +9,8 @@ from tests.exploration.names import BOOT, EPOCH, OPEN, TOKEN
 from tests.firmware_sim import controllers as fixed
 from tests.runtime.interlock import builders
 
-SOUGHT = r.WitnessSought(found=True, text="")
-"""The log that the controller saw last is here."""
+FOUND, MISSED = (r.WitnessSought(found=found, text="") for found in (True, False))
+"""Whether the log that the controller saw last is here."""
 PERMIT_LOG, START_LOG = fixed.PERMIT_LOG, fixed.START_LOG
 JOB = replace(
     builders.JOB,
@@ -55,7 +55,8 @@ class World:
         bone: it moves, the registration is withdrawn, and there is another one.
         emergency_stop: it is pressed and released.
         disk: records late, log failing, the arm away from where it was verified, verdicts against the path.
-        warned: the verdict comes with a warning, which the operator confirms or does not.
+        warned: the verdict comes with a warning, and the controller may have seen a log, which is found or not; the
+            operator confirms or does not.
         link: what the link of either side lets through although it must not (seeded faults).
         exact: of the signed records of the present session only those are said again that were said. Without it
             every record is taken as said already that differs in nothing but an earlier nonce, epoch, session or boot.

@@ -179,13 +179,10 @@ def beats(causes: Iterable[StopCause]) -> Iterable[c.HeartbeatReceived]:
 def withdrawals(session: c.ControllerSession) -> Iterable[c.Event]:
     """What the session's runtime may have said of registrations, taken as said in every session, now or held back.
 
-    In answer to an OPENED that says when the bone moved, also a barrier before its own registration.
+    A barrier before its own registration it tells in answer to an OPENED that says when the bone moved.
     """
-    named = [(session.place, EARLIER_BARRIER_US), (records.NO_PLACE, EARLIER_BARRIER_US)]
-    if session.digest == SESSION:
-        named = [(session.place, BARRIER_US), (records.NO_PLACE, BARRIER_US), named[1]]
-    for one in named:
-        yield c.WithdrawReceived(records.Withdraw(*one), 1, authentic=True)
+    for named in product((session.place, records.NO_PLACE), (EARLIER_BARRIER_US, BARRIER_US)):
+        yield c.WithdrawReceived(records.Withdraw(*named), 1, authentic=True)
     yield WITHDRAWS
 
 

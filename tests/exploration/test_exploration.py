@@ -96,13 +96,14 @@ def test_every_state_of_the_large_world_keeps_the_invariants(name):
     ("world", "shown"),
     [
         (World(), ""),
+        pytest.param(World(bone=True, emergency_stop=True, disk=True), "", marks=pytest.mark.slow),
         pytest.param(
             World(bone=True, emergency_stop=True, disk=True, warned=True),
             "{} runtimes by themselves",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.long,
         ),
     ],
-    ids=["smallest", "largest"],
+    ids=["smallest", "larger", "largest"],
 )
 def test_every_runtime_by_itself_keeps_the_invariants_and_ends_at_the_operators_stop(world, shown):
     """Also what is past, and so led on nowhere else; the largest world contains those of every other."""

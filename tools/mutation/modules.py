@@ -86,6 +86,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # The audit log: what could make a forged or broken log pass as whole.
     "runtime/audit/chain.py": ("tests/runtime/audit/test_chain.py",),
     "runtime/audit/tree.py": ("tests/runtime/audit/test_tree.py",),
+    "runtime/audit/signed.py": ("tests/runtime/audit/test_signed.py",),
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
     "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),

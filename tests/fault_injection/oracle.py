@@ -191,11 +191,13 @@ class Oracle:
     # ------------------------------------------------------------ the controller
 
     def controller_powered(self) -> None:
-        """A controller that has just been switched on: listen to what reaches it. A latch and its memory outlast that."""
+        """A controller that has just been switched on: listen to what reaches it. A latch and its memory outlast that.
+
+        So does what its session withdrew as the power went.
+        """
         endpoint = self.pair.process.port.endpoint
         if self._seen is not None:
             self._seen.arm = None
-            self._seen.session = None
             self._seen.cause = StopCause.NONE
         self._listen(endpoint)
 

@@ -119,6 +119,7 @@ class Play:
             self.run_cycle()
         self.injection.clear()
         self.oracle.at_rest()
+        self.run_cycle()  # what somebody has said while the controller stood still is heard first
         if pair.controller.holdings.limits != self.job.limits:
             reboot(self.injection)
         if not pair.controller.inputs.emergency_stop_clear:

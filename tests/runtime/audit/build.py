@@ -441,7 +441,7 @@ def forge(
     for entry, content in changed:
         if content is not None:
             writer.attach(entry.name, entry.media_type, content, log_time_ns=entry.log_time)
-    trees = TreesAgain()
+    trees = TreesAgain(bytes.fromhex(log.report.log_id))
     for message in old.messages:
         record: records.LogRecord | None = MODELS[message.topic].model_validate_json(message.link.data)
         if isinstance(record, records.AuditAttachment):
@@ -463,12 +463,13 @@ def forge(
 class TreesAgain:
     """What permits and starts name of the tree, as the log that is written again has it."""
 
+    log_id: bytes
     head: wire.TreeHead = wire.NO_TREE_HEAD
     permit: bytes = b""
 
     def authorised(self, tree: Tree) -> None:
         """The record that authorises has been written; the tree with it as its last."""
-        self.head = wire.TreeHead(bytes.fromhex(LOG_ID), tree.size, tree.root)
+        self.head = wire.TreeHead(self.log_id, tree.size, tree.root)
 
     def named_again(self, record: records.AuditPermit) -> records.AuditPermit:
         if record.stage != "sent" or record.log_size is None or record.record is None:

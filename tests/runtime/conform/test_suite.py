@@ -215,6 +215,7 @@ def test_a_controller_that_takes_stale_heartbeats_for_fresh_fails_exactly_the_ca
         if of is not rig.process.port.endpoint.link:
             return judge(of, echo, now_s)
         of._heard, of._refreshed_s = True, now_s
+        of._sent_s.setdefault(echo, now_s)
         return True
 
     monkeypatch.setattr(Link, "_refresh", lax)

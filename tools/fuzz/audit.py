@@ -140,7 +140,7 @@ def written(messages: list[Message], attachments: dict[str, bytes]) -> bytes:
     for name, data in attachments.items():
         writer.add_attachment(0, 0, name, MEDIA_TYPES[name], data)
     channels: dict[str, int] = {}
-    head, tree, trees = GENESIS, Tree(), TreesAgain()
+    head, tree, trees = GENESIS, Tree(), TreesAgain(bytes.fromhex(LOG_ID))
     for number, (topic, content) in enumerate(messages):
         model = TOPICS[topic]
         if topic not in channels:

@@ -84,7 +84,8 @@ def runtime_edges() -> tuple[Edge, ...]:
         )
         cycle = state.device if state.permit else None  # what came before the permit does not count
         tracked = state.tracking and (state.tracking.progress, state.measured_s == OLD)
-        return state.phase, seen, cycle, healthy, tracked, *got
+        witnessed = state.witness is not None and state.witness.found
+        return state.phase, seen, cycle, healthy, tracked, witnessed, *got
 
     began, _ = interlock_table.step(builders.FRESH, interlock_state.Tick(), builders.NOW)
 

@@ -48,4 +48,4 @@ def test_another_search_finds_no_other_way_between_phases():
 
 def test_a_picture_names_event_case_and_what_leaves():
     (edge,) = [edge for edge in runtime_edges() if (edge.source, edge.target) == ("STARTING", "CUTTING")]
-    assert "STARTING --> CUTTING : ReplyReceived (accepted)\n" in picture([edge])
+    assert "STARTING --> CUTTING : HeartbeatReceived (expected state)\n" in picture([edge])

@@ -366,16 +366,20 @@ def _await_memory(state: Controller, event: StartReceived | ResetReceived, memor
 
 
 def persisted(state: Controller, event: Persisted, now_s: float) -> Outcome:
-    """What waited for this is carried out; a stop in between has voided it."""
+    """What waited for this is carried out; a stop in between has voided it.
+
+    A Withdraw is in force since it came: what has happened since then stays, and is written next.
+    """
     known, awaiting = replace(state, written=event.memory), state.awaiting
     if awaiting is None or awaiting.memory != event.memory:
         return known, ()
-    settled = replace(known, memory=event.memory, awaiting=None)
+    settled = replace(known, awaiting=None)
+    if isinstance(awaiting.event, WithdrawReceived):
+        return settled, (_accept(settled, awaiting.event.withdraw, awaiting.event.sequence),)
+    settled = replace(settled, memory=event.memory)
     if isinstance(awaiting.event, StartReceived):
         return begin_cut(settled, awaiting.event, now_s)
-    if isinstance(awaiting.event, ResetReceived):
-        return leave_fault(settled, awaiting.event)
-    return settled, (_accept(settled, awaiting.event.withdraw, awaiting.event.sequence),)
+    return leave_fault(settled, awaiting.event)
 
 
 def persist_failed(state: Controller, _event: PersistFailed, _now_s: float) -> Outcome:

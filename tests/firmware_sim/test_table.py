@@ -396,6 +396,21 @@ def test_a_withdraw_settles_what_happened_before_its_session_alone():
     assert (after.memory.withdrawal_due, after.moved_at_s) == (True, NOW + 99), "due again"
 
 
+@pytest.mark.parametrize(
+    "news",
+    [BoneMoved(), alive(epoch=EVERY_STATE["stopped"].epoch, cause=StopCause.BONE_MOVED)],
+    ids=["wired", "heartbeat"],
+)
+def test_a_motion_while_a_withdraw_is_written_is_not_forgotten_when_that_is_durable(news):
+    waiting, (persist,) = step(EVERY_STATE["stopped"], withdrawing(records.NO_PLACE, 17), NOW)
+    moved, _ = step(waiting, news, NOW + 1)
+    wanted = replace(persist.memory, withdrawn=frozenset({PLACE}), withdrawal_due=True)
+    assert moved.memory == wanted
+    after, _ = step(moved, Persisted(persist.memory), NOW + 1)
+    assert (after.memory, after.written) == (wanted, persist.memory)
+    assert Persist(wanted) in step(after, Tick(), NOW + 2)[1], "written next"
+
+
 @pytest.mark.parametrize(("barrier_us", "due"), [(-1, True), (records.NO_TIME, True), (1, False)])
 def test_a_withdraw_that_tells_no_time_settles_nothing(barrier_us, due):
     after = fed(POWERED_UP, BoneMoved(), opening(), withdrawing(records.NO_PLACE, barrier_us))

@@ -265,8 +265,25 @@ def registration_stands(state: Interlock, _now_s: float) -> Permissive:
         not against,
         against or "not withdrawn",
         "not withdrawn, and later than every withdrawal",
-        "the bone may have moved: register it again",
+        CLOCK_WRONG if _ahead(state) else "the bone may have moved: register it again",
     )
+
+
+CLOCK_WRONG = (
+    "a clock was set wrong as it was withdrawn, or this one is: set it right; where it is, that goes only with a new key and "
+    "memory of the controller (docs/controllers.md, Keys)"
+)
+
+
+def _barriers(state: Interlock) -> list[int]:
+    """What the controller says and what it was told in this session, where they are times."""
+    said = state.opened.barrier_us if state.opened else records.NO_TIME
+    return [barrier for barrier in (said, state.barrier_us) if barrier != records.NO_TIME]
+
+
+def _ahead(state: Interlock) -> bool:
+    """Whether nothing that is registered now would count."""
+    return max(_barriers(state), default=state.job.prepared_us) - state.job.prepared_us > AHEAD_MAX_US
 
 
 def _against_registration(state: Interlock) -> str:
@@ -276,7 +293,7 @@ def _against_registration(state: Interlock) -> str:
         return state.job.withdrawal or "withdrawn"
     if opened is None:
         return "the controller has not yet said what it knows of it"
-    barriers = [barrier for barrier in (opened.barrier_us, state.barrier_us) if barrier != records.NO_TIME]
+    barriers = _barriers(state)
     from_when = f"; what is taken from {utc(max(barriers) + SECOND_US)} on counts" if barriers else ""
     if opened.registration is Refusal.REGISTRATION_WITHDRAWN:
         return f"withdrawn at the controller{from_when}"
@@ -292,6 +309,8 @@ def _against_registration(state: Interlock) -> str:
 
 
 SECOND_US = 1_000_000
+AHEAD_MAX_US = 3600 * SECOND_US
+"""No barrier is told further ahead: the largest ``clock_skew_s``."""
 _BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
 
 

@@ -119,6 +119,8 @@ class Job:
     """Digest of where the registration says that the bone is; NO_PLACE for a plan in robot coordinates."""
     registration_time_us: int = records.NO_TIME
     """When it was made, since 1970, UTC; NO_TIME where there is none."""
+    prepared_us: int = records.NO_TIME
+    """When the job was made, by this computer's clock, since 1970, UTC."""
     withdrawal: str = ""
     """Why the registration must not be used, as this site's own list says; empty where it may."""
     simulation_allowed_by: str = ""
@@ -258,6 +260,8 @@ class Interlock:
     opened: records.Opened | None = None
     """What the controller said when it opened the session."""
     witness: WitnessSought | None = None
+    held_on: StopCause = StopCause.NONE
+    """The cause that the session was opened on, until the controller lets go of it: any stop brings it back."""
     epoch: int = 0
     controller: ControllerView | None = None
     heartbeat_fresh: bool = False

@@ -150,7 +150,16 @@ def _withdrawn(state: Interlock) -> Interlock:
 
 def _stopped_by(state: Interlock, cause: StopCause, reason: str, now_s: float) -> Outcome:
     """A cause that the controller's heartbeat names, under its tag; it may withdraw."""
-    return stop(_withdrawn(state) if cause in WITHDRAWING else state, cause, reason, now_s)
+    return stop(_withdrawn(state) if _withdraws(state, cause) else state, cause, reason, now_s)
+
+
+def _withdraws(state: Interlock, cause: StopCause) -> bool:
+    """Whether the controller says by it that the bone has moved in this session.
+
+    What the session was opened on is older than that, and comes back with every stop, whoever has sent it. Where the
+    bone has moved again meanwhile the controller remembers that, and tells it as the next session is opened.
+    """
+    return cause in WITHDRAWING and cause is not state.held_on
 
 
 def _link(state: Interlock) -> tuple[Effect, ...]:
@@ -171,7 +180,19 @@ def failed(state: Interlock, event: Failed, now_s: float) -> Outcome:
 def gone(state: Interlock, event: Gone, now_s: float) -> Outcome:
     """The stop leaves if it still can. Nobody waits for its confirmation: without heartbeats the controller stops."""
     stopped, effects = stop(state, event.cause, event.reason, now_s)
-    return _enter(stopped, Phase.STOPPED, now_s), effects
+    return _stopped(stopped, now_s), effects
+
+
+def _stopped(state: Interlock, now_s: float) -> Interlock:
+    """Nothing is waited for any more; what the controller has not confirmed of a withdrawal is told."""
+    unheard = WITHDRAWAL_UNHEARD if state.withdraw_due else ""
+    return _enter(state, Phase.STOPPED, now_s, reason=f"{state.reason}{unheard}")
+
+
+WITHDRAWAL_UNHEARD = (
+    "; the controller has not confirmed the withdrawal: only this log directory knows of it. Before the controller is "
+    "used with another one, say withdraw in a session there"
+)
 
 
 def heartbeat_lost(state: Interlock, event: HeartbeatLost, now_s: float) -> Outcome:
@@ -273,7 +294,7 @@ def opened(state: Interlock, event: SessionOpened, now_s: float) -> Outcome:
     if not event.authentic:
         return state, (Dropped(f"an OPENED that no holder of the key made{_our_key(state)}"),)
     answer = event.opened
-    seen = replace(state, opened=answer, epoch=answer.epoch)
+    seen = replace(state, opened=answer, held_on=answer.cause, epoch=answer.epoch)
     effects: tuple[Effect, ...] = (OpenLink(state.session),)
     if answer.withdrawal_due:
         age_s = None if answer.motion_age_s == records.AGE_UNKNOWN else answer.motion_age_s
@@ -365,7 +386,8 @@ def heartbeat_while_held(state: Interlock, event: HeartbeatReceived, now_s: floa
     seen, effects = heartbeat_while_resetting(state, event, now_s)
     released = event.view.state is ControllerState.OPEN and event.view.cause is StopCause.NONE
     if seen.phase is Phase.HELD and released:
-        return _enter(seen, Phase.COLLECTING, now_s), (Send(records.Collect()),)
+        let_go = _enter(seen, Phase.COLLECTING, now_s, held_on=StopCause.NONE)
+        return let_go, (Send(records.Collect()),)
     return seen, effects
 
 
@@ -709,7 +731,7 @@ def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: 
     """At rest is confirmed; until the deadline a Reply that is on its way may say why, or that a Withdraw has arrived."""
     news = state.controller is not None and state.controller.cause is StopCause.NONE  # else it stood before
     seen = _see(state, event)
-    if news and event.view.cause in WITHDRAWING and not seen.registration_withdrawn:
+    if news and _withdraws(seen, event.view.cause) and not seen.registration_withdrawn:
         return _tell_withdrawal(_withdrawn(seen), now_s)
     if event.view.state not in (ControllerState.INHIBITED, ControllerState.FAULT):
         return seen, ()
@@ -717,7 +739,7 @@ def heartbeat_while_stopping(state: Interlock, event: HeartbeatReceived, now_s: 
         return _tell_withdrawal(seen, now_s)
     if seen.answer_due or seen.withdraw_due:
         return seen, ()
-    return _enter(seen, Phase.STOPPED, now_s), ()
+    return _stopped(seen, now_s), ()
 
 
 WITHDRAW_TIMEOUTS = 2
@@ -784,7 +806,7 @@ def tick(state: Interlock, _event: Tick, now_s: float) -> Outcome:
         missing = failing(FOR_PERMIT, state, now_s) if state.phase is Phase.ADMITTED else ()
         return refuse(state, "; ".join((reason, *map(str, missing))), now_s)
     if state.phase is Phase.STOPPING:
-        return _enter(state, Phase.STOPPED, now_s), ()
+        return _stopped(state, now_s), ()
     return stop(state, cause, reason, now_s)
 
 
@@ -887,7 +909,7 @@ TABLE: dict[tuple[Phase, type], Handler] = {
     (P.FINISHING, ProgressReported): progress_while_moving,
     (P.FINISHING, Tick): tick_while_moving,
     (P.STOPPING, HeartbeatReceived): heartbeat_while_stopping,
-    (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_enter(state, P.STOPPED, now_s), ()),
+    (P.STOPPING, HeartbeatLost): lambda state, _event, now_s: (_stopped(state, now_s), ()),
     (P.STOPPING, FaultReceived): lambda state, _event, _now_s: (state, ()),  # answered, it would never end
     (P.STOPPING, ReplyReceived): reply_while_stopping,
     (P.STOPPING, CommandGiven): command_while_stopping,

@@ -127,6 +127,7 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
         place=registration.place if registration else records.NO_PLACE,
         registration_time_us=since_1970_us(registration.created) if registration else records.NO_TIME,
         registration_age_s=age_s,
+        prepared_us=since_1970_us(now),
         registration_max_age_s=settings.registration_max_age_s,
         registration_residual_mm=registration.residual_rms_mm if registration else None,
         registration_max_residual_mm=settings.registration_max_residual_mm,

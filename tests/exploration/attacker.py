@@ -94,8 +94,9 @@ def opened(world: World, epoch: int) -> Iterable[r.SessionOpened]:
             {"registration": Refusal.REGISTRATION_TOO_EARLY, "barrier_us": BARRIER_US},
             {"barrier_us": EARLIER_BARRIER_US},
         ]
-    for state, memory in product((ControllerState.OPEN, ControllerState.FAULT), memories):
-        yield r.SessionOpened(records.Opened(epoch, state, StopCause.NONE, **memory), authentic=True)
+    stands = (StopCause.NONE, StopCause.BONE_MOVED) if world.bone else (StopCause.NONE,)
+    for state, cause, memory in product((ControllerState.OPEN, ControllerState.FAULT), stands, memories):
+        yield r.SessionOpened(records.Opened(epoch, state, cause, **memory), authentic=True)
 
 
 TOLD = (ControllerState.PERMITTED, ControllerState.CUTTING, ControllerState.DONE)

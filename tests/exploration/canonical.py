@@ -14,11 +14,12 @@ from dataclasses import replace
 
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
-from cutgate.protocol.states import LATCHING, ControllerState, Refusal, StopCause
+from cutgate.protocol.states import LATCHING, WITHDRAWING, ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.permissives import registration_stands
 from cutgate.runtime.interlock.phases import AUTHORISING, ENDED
 from cutgate.runtime.interlock.tracking import TrackingMonitor
+from tests.exploration.invariants import HELD
 from tests.exploration.names import (
     BARRIER_US,
     EPOCH,
@@ -39,7 +40,7 @@ def cause_class(cause: StopCause) -> StopCause:
     """The one cause that stands for all which both tables treat alike."""
     if cause in LATCHING:
         return StopCause.AUTHENTICATION_FAILED
-    if cause in (StopCause.BONE_MOVED, StopCause.REGISTRATION_WITHDRAWN):
+    if cause in WITHDRAWING:
         return StopCause.BONE_MOVED
     return cause if cause in (StopCause.NONE, StopCause.EMERGENCY_STOP) else StopCause.OPERATOR_STOP
 
@@ -47,6 +48,11 @@ def cause_class(cause: StopCause) -> StopCause:
 def standing(cause: StopCause) -> StopCause:
     """The same for a cause that stands, which is only named again; an emergency stop must also be clear."""
     return cause if cause in (StopCause.NONE, StopCause.EMERGENCY_STOP) else StopCause.OPERATOR_STOP
+
+
+def withdrawing(cause: StopCause) -> StopCause:
+    """The same for a cause that a later one is compared with, where that withdraws."""
+    return cause_class(cause) if cause in WITHDRAWING else StopCause.NONE
 
 
 def canonical_controller(state: c.Controller) -> c.Controller:
@@ -120,6 +126,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
             answer_due=state.answer_due,
             registration_withdrawn=state.registration_withdrawn,
             withdraw_due=state.withdraw_due,
+            held_on=state.held_on,
             controller=state.controller,
         )
         side = replace(side, commits=())
@@ -134,6 +141,7 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
         tracking=MONITOR if state.tracking else None,
         nonce=state.nonce if state.phase in AUTHORISING else None,
         acknowledged=standing(state.acknowledged) if state.phase in HELD else StopCause.NONE,
+        held_on=withdrawing(state.held_on),
         reason="",
         announced_version=None if state.session is None else records.PROTOCOL_VERSION,
         opened=_canonical_opened(state) if state.opened else None,
@@ -146,12 +154,13 @@ def canonical_runtime(side: RuntimeSide) -> RuntimeSide | None:
 def _canonical_opened(state: r.Interlock) -> records.Opened:
     """What it says of the registration: that it stands, or that it does not, which stays so for the session.
 
-    State, cause and epoch are looked at as OPENED comes; a log that was found is as none.
+    State and epoch are looked at as OPENED comes, the cause until the controller lets go; a log that was found is as none.
     """
     assert state.opened is not None
     found = state.witness is not None and state.witness.found
     log = records.NO_TREE_HEAD if found or state.opened.log == records.NO_TREE_HEAD else START_LOG
-    said = records.Opened(EPOCH, ControllerState.OPEN, StopCause.NONE, log=log)
+    cause = withdrawing(state.opened.cause) if state.phase in HELD else StopCause.NONE
+    said = records.Opened(EPOCH, ControllerState.OPEN, cause, log=log)
     if registration_stands(replace(state, registration_withdrawn=False), NOW).holds:
         return said
     return replace(said, registration=Refusal.REGISTRATION_WITHDRAWN)
@@ -180,8 +189,6 @@ def _canonical_view(state: r.Interlock) -> r.Interlock:
 
 
 P = r.Phase
-HELD = frozenset({P.HELD, P.NONCE_RESET, P.AUTHORISING_RESET, P.RESETTING})
-"""Where the acknowledged cause is what a reset will name."""
 DEVICE_COUNTS = frozenset({P.PERMITTED, P.NONCE_START, P.AUTHORISING_START, P.STARTING})
 BEFORE_PERMIT = frozenset(P) - ENDED - DEVICE_COUNTS - {P.PERMITTING, P.CUTTING, P.FINISHING, P.STOPPING}
 

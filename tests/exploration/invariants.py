@@ -13,6 +13,8 @@ from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.phases import PHASES
 from tests.exploration.names import Message, RuntimeSide
 
+HELD = frozenset({r.Phase.HELD, r.Phase.NONCE_RESET, r.Phase.AUTHORISING_RESET, r.Phase.RESETTING})
+"""Where the cause stands that the session was opened on, and what is acknowledged is what a reset will name."""
 MOVING = frozenset({r.Phase.STARTING, r.Phase.CUTTING, r.Phase.FINISHING})
 ENABLING = (records.Permit, records.Start, records.Reset)
 SIGNS = (c.PermitReceived, c.StartReceived, c.ResetReceived)
@@ -237,6 +239,8 @@ def _believed(before: r.Interlock, event: r.Event, after: r.Interlock, *, forged
         return f"11: a session is believed to be open by {name}"
     if after.registration_withdrawn and not before.registration_withdrawn:
         by_key = heartbeat and event.view.cause in WITHDRAWING
+        if by_key and before.opened and before.phase in HELD and event.view.cause is before.opened.cause:
+            return "9: a registration was withdrawn by the cause that its session was opened on"
         by_person = isinstance(event, r.CommandGiven) and event.command is r.OperatorCommand.WITHDRAW
         if not (by_key or by_person):
             return f"9: a registration was withdrawn by {name} that no holder of the key made"

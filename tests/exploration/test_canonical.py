@@ -16,7 +16,7 @@ import cutgate.firmware_sim.table
 import cutgate.runtime.interlock.table
 from cutgate.firmware_sim import state as c
 from cutgate.protocol import records
-from cutgate.protocol.states import EPOCHS, StopCause
+from cutgate.protocol.states import EPOCHS, WITHDRAWING, ControllerState, StopCause
 from cutgate.runtime.interlock import state as r
 from cutgate.runtime.interlock.tracking import TrackingMonitor
 from tests.exploration import attacker, canonical, controller_side, invariants, runtime_side
@@ -25,6 +25,7 @@ from tests.exploration.exact import Pair, left_out, met_exactly
 from tests.exploration.model import Model
 from tests.exploration.names import (
     BARRIER_US,
+    BOOT,
     DEAD,
     EPOCH,
     LIVE,
@@ -141,7 +142,7 @@ def another(cause: StopCause, chance: random.Random) -> StopCause:
 # ---------------------------------------------------------------- the runtime
 
 
-def raw_runtime_input(given: Input, raw: RuntimeSide, chance: random.Random) -> Input:
+def raw_runtime_input(given: Input, raw: RuntimeSide, form: RuntimeSide, chance: random.Random) -> Input:
     """The same for the raw runtime: its tokens, and any cause of the class."""
     event, token = given.event, raw.interlock.token
     match event:
@@ -151,7 +152,9 @@ def raw_runtime_input(given: Input, raw: RuntimeSide, chance: random.Random) -> 
         case r.VerdictReady(verdict=verdict):
             event = r.VerdictReady(replace(verdict, request=verdict.request - TOKEN + token))
         case r.HeartbeatReceived(view=view):
-            event = replace(event, view=replace(view, cause=another(view.cause, chance)))
+            brought_back = view.cause in WITHDRAWING and view.cause is form.interlock.held_on
+            cause = raw.interlock.held_on if brought_back else another(view.cause, chance)
+            event = replace(event, view=replace(view, cause=cause))
         case r.Failed(cause=cause) | r.FaultReceived(cause=cause):
             event = replace(event, cause=another(cause, chance))
     return replace(given, event=event)
@@ -194,8 +197,19 @@ def runtime_effects(before: RuntimeSide, after: RuntimeSide, effects: tuple[Any,
 
 
 def runtimes_to_begin_with() -> list[RuntimeSide]:
-    """At every place, and with a warning that waits and a log that the controller has seen: sought, found, not found."""
+    """At every place, and with a warning that waits and a log that the controller has seen: sought, found, not found.
+
+    And opened on a controller that stands since the bone moved, as it is held and after a stop in that session.
+    """
     found = [side for side, _ in places() if side is not None]
+    waiting = next(one for one in found if one.interlock.phase is r.Phase.WAITING)
+    opening, _ = after_runtime(waiting, Input(attacker.announced(BOOT)), NOW)
+    for cause in sorted(WITHDRAWING):
+        opened = records.Opened(EPOCH, ControllerState.FAULT, cause, withdrawal_due=1)
+        held, _ = after_runtime(opening, Input(r.SessionOpened(opened, authentic=True)), NOW)
+        stopping, _ = after_runtime(held, Input(r.Failed(StopCause.SECOND_NODE, "")), NOW)
+        view = replace(canonical.STOOD, state=ControllerState.FAULT)
+        found += [held, replace(stopping, interlock=replace(stopping.interlock, controller=view))]
     verifying = next(one.interlock for one in found if one.interlock.phase is r.Phase.VERIFYING)
     verdict = r.VerdictReady(replace(WARNED, request=verifying.token))
     sought = (None, *(r.WitnessSought(found=here, text="somewhere") for here in (True, False)))
@@ -219,7 +233,7 @@ def runtime_differs() -> str | None:
                 inputs = RecordingRuntime().all(form)
                 followers = []
                 for given in inputs:
-                    step = raw_runtime_input(given, raw, chance)
+                    step = raw_runtime_input(given, raw, form, chance)
                     left, sent = after_runtime(raw, step, now_s)
                     right, expected = after_runtime(form, given, NOW)
                     same = canonical.canonical_runtime(left) == canonical.canonical_runtime(right)
@@ -379,6 +393,7 @@ def test_every_event_does_the_same_with_a_raw_and_with_its_canonical_controller(
         {"controller": None},
         {"permit": None},
         {"acknowledged": StopCause.NONE},
+        {"held_on": StopCause.NONE},
         {"opened": None},
         {"witness": None},
         {"confirmed": frozenset()},

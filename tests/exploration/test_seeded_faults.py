@@ -375,6 +375,20 @@ def test_a_runtime_that_an_unkeyed_fault_makes_withdraw_is_found(monkeypatch):
     _finds(World(bone=True), TO_VERIFYING, "9: a registration was withdrawn by FaultReceived", 2)
 
 
+def test_a_runtime_that_takes_the_cause_its_session_was_opened_on_for_news_is_found(monkeypatch):
+    """A stop by anybody brings it back."""
+    real = cutgate.runtime.interlock.table.opened
+
+    def unmindful(state, event, now_s):
+        seen, effects = real(state, event, now_s)
+        return replace(seen, held_on=StopCause.NONE), effects
+
+    _replaced(monkeypatch, cutgate.runtime.interlock.table.TABLE, (Phase.OPENING, SessionOpened), unmindful)
+    _finds(
+        World(bone=True), (), "9: a registration was withdrawn by the cause that its session was opened on", 5
+    )
+
+
 @pytest.mark.parametrize("seeded", ["withdraw", "open"])
 def test_a_withdraw_and_an_open_whose_code_nobody_verifies_are_found(monkeypatch, seeded):
     if seeded == "open":

@@ -120,6 +120,7 @@ JOB = Job(
     registration=records.digest(b"registration"),
     place=records.digest(b"place"),
     registration_time_us=1_790_000_000_000_000,
+    prepared_us=1_790_000_060_000_000,
     configuration=records.digest(b"configuration"),
     verifier="cutgate test",
     branch=records.Branch("right", 0, 0),

@@ -357,6 +357,26 @@ def test_without_a_time_no_registration_is_later_than_a_barrier():
         assert said.text.startswith("one without a time is not surely later than the last withdrawal")
 
 
+@pytest.mark.parametrize("time_us", [TIME_US, records.NO_TIME])
+def test_a_barrier_that_lies_ahead_tells_that_a_clock_was_wrong_and_what_mends_that(time_us):
+    """To register again would be refused as well. No barrier is told more than an hour ahead of a clock."""
+    for opened in ({}, {"opened.registration": Refusal.REGISTRATION_WITHDRAWN}):
+        state = altered(READY, "job.registration_time_us", time_us)
+        for field, value in opened.items():
+            state = altered(state, field, value)
+        hour_us = JOB.prepared_us + 3_600_000_000
+        near = p.registration_stands(altered(state, "opened.barrier_us", hour_us), NOW)
+        ahead = p.registration_stands(altered(state, "opened.barrier_us", hour_us + 1), NOW)
+        for said in (near, ahead):
+            assert not said.holds
+            assert said.text.endswith("; what is taken from 2026-09-21 15:14:21 UTC on counts")
+        assert near.remedy == "the bone may have moved: register it again"
+        assert ahead.remedy == (
+            "a clock was set wrong as it was withdrawn, or this one is: set it right; where it is, that goes only with a new "
+            "key and memory of the controller (docs/controllers.md, Keys)"
+        )
+
+
 def test_a_motion_without_a_session_is_over_once_the_controller_is_told_a_barrier():
     due = altered(READY, "opened.withdrawal_due", 1)
     assert p.registration_stands(altered(due, "barrier_us", TIME_US - 1), NOW).holds

@@ -1410,6 +1410,67 @@ def test_a_new_stop_while_held_ends_the_session_even_if_the_fault_frame_was_lost
         assert stops(effects) == [wanted]
 
 
+ON_MOTION = opened(ControllerState.FAULT, StopCause.BONE_MOVED, withdrawal_due=1)
+"""The session is opened on a controller that stands since the bone moved, and that is latched besides."""
+ACKNOWLEDGED = (
+    beat(ControllerState.FAULT, cause=StopCause.BONE_MOVED),
+    CommandGiven(OperatorCommand.ACKNOWLEDGE),
+    beat(ControllerState.FAULT),
+)
+
+
+def held_on_motion(phase, **changes):
+    return in_phase(phase, held_on=StopCause.BONE_MOVED, **changes)
+
+
+@pytest.mark.parametrize("cause", WITHDRAWING)
+@pytest.mark.parametrize("words", [(), ACKNOWLEDGED], ids=["standing", "acknowledged"])
+def test_the_cause_that_a_session_was_opened_on_withdraws_nothing_as_a_stop_brings_it_back(words, cause):
+    """Anybody may send that stop; another cause than that one is the controller's own news."""
+    run = Run(in_phase(Phase.OPENING), NOW).feed(ON_MOTION, *words)
+    assert run.phase is Phase.HELD
+    run.feed(beat(ControllerState.FAULT, cause=cause, epoch=NEXT_EPOCH))
+    news = cause is not StopCause.BONE_MOVED
+    assert (run.phase, run.state.registration_withdrawn) == (Phase.STOPPING, news)
+    assert withdrawals(run.effects) == ([SendWithdraw(JOB.place)] if news else [])
+
+
+@pytest.mark.parametrize(
+    "stopped_by",
+    [CommandGiven(OperatorCommand.STOP), FaultReceived(FaultCode.LATCHED, StopCause.OPERATOR_STOP)],
+)
+@pytest.mark.parametrize("cause", WITHDRAWING)
+def test_nor_does_it_where_the_session_is_stopping_already(stopped_by, cause):
+    run = Run(in_phase(Phase.OPENING), NOW).feed(ON_MOTION, *ACKNOWLEDGED, stopped_by)
+    assert run.phase is Phase.STOPPING
+    run.feed(beat(ControllerState.FAULT, cause=cause, epoch=NEXT_EPOCH))
+    news = cause is not StopCause.BONE_MOVED
+    assert run.state.registration_withdrawn is news
+    assert (run.phase, withdrawals(run.effects)) == (
+        (Phase.STOPPING, [SendWithdraw(JOB.place)]) if news else (Phase.STOPPED, [])
+    )
+
+
+@pytest.mark.parametrize("phase", [Phase.HELD, Phase.RESETTING], ids=str)
+def test_once_the_controller_has_let_go_of_it_the_same_cause_is_a_new_motion(phase):
+    run = Run(held_on_motion(phase), NOW).feed(beat(ControllerState.OPEN))
+    assert run.phase is Phase.COLLECTING
+    run.feed(beat(ControllerState.OPEN, cause=StopCause.BONE_MOVED, epoch=NEXT_EPOCH))
+    assert (run.state.registration_withdrawn, withdrawals(run.effects)) == (True, [SendWithdraw(JOB.place)])
+
+
+@pytest.mark.parametrize("phase", [Phase.NONCE_RESET, Phase.AUTHORISING_RESET, Phase.RESETTING], ids=str)
+def test_a_reset_under_way_lets_go_of_nothing(phase):
+    run = Run(held_on_motion(phase), NOW).feed(beat(ControllerState.FAULT))
+    run.feed(beat(ControllerState.FAULT, cause=StopCause.BONE_MOVED, epoch=NEXT_EPOCH))
+    assert (run.phase, run.state.registration_withdrawn) == (Phase.STOPPING, False)
+
+
+def test_what_the_operator_withdraws_in_such_a_session_is_withdrawn():
+    run = Run(in_phase(Phase.OPENING), NOW).feed(ON_MOTION, CommandGiven(OperatorCommand.WITHDRAW))
+    assert (run.state.registration_withdrawn, withdrawals(run.effects)) == (True, [SendWithdraw(JOB.place)])
+
+
 def test_a_reset_waits_for_everything_a_reset_needs():
     for field, value in (
         ("heartbeat_fresh", False),
@@ -1603,6 +1664,32 @@ def test_a_withdrawal_that_is_not_answered_is_awaited_as_long_as_a_confirmation(
     assert run.feed(Tick(), after_s=DEADLINES.stop_confirm_s + 0.01).phase is Phase.STOPPED
     lost = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(OperatorCommand.WITHDRAW), HeartbeatLost())
     assert lost.phase is Phase.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("command", "answers", "told"),
+    [
+        (OperatorCommand.WITHDRAW, (), True),
+        (OperatorCommand.WITHDRAW, (reply(records.Withdraw),), False),
+        (OperatorCommand.STOP, (), False),
+    ],
+)
+@pytest.mark.parametrize(
+    "over", [HeartbeatLost(), Gone(StopCause.BUS_FAILED, "the bus"), None], ids=["lost", "gone", "late"]
+)
+def test_a_withdrawal_that_the_controller_has_not_confirmed_is_told_as_the_session_ends(
+    command, answers, told, over
+):
+    run = Run(in_phase(Phase.CUTTING), NOW).feed(CommandGiven(command))
+    reason = run.state.reason
+    run.feed(*answers)
+    run.feed(over) if over else run.feed(Tick(), after_s=DEADLINES.stop_confirm_s + 0.01)
+    assert run.phase is Phase.STOPPED
+    unheard = (
+        "; the controller has not confirmed the withdrawal: only this log directory knows of it. Before the "
+        "controller is used with another one, say withdraw in a session there"
+    )
+    assert run.state.reason == (reason + unheard if told else reason)
 
 
 def test_a_stop_behind_a_withdrawal_that_is_not_answered_sends_it_again():

@@ -74,7 +74,7 @@ from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 KEY = bytes(range(32))
 CYCLE_S = 0.005
 SKEW_S = 60.0
-NOW = datetime(2026, 9, 1, tzinfo=UTC)
+NOW = datetime(2026, 9, 21, 14, 30, tzinfo=UTC)
 ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
 STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
 """Where the arm stands at power-up, 1e-6 deg | mm: a few degrees from the entry, so that nobody waits for it."""

@@ -44,6 +44,7 @@ def test_a_job_names_where_the_bone_is_and_when_that_was_found(files):
     assert datetime.fromtimestamp(job.registration_time_us / 1e6, UTC) == said.created
     bare = make_job(replace(files, prepared=replace(files.prepared, registration=None)), now=NOW)
     assert (bare.place, bare.registration_time_us) == (records.NO_PLACE, records.NO_TIME)
+    assert job.prepared_us == bare.prepared_us == NOW.timestamp() * 1e6
 
 
 def test_the_age_of_a_registration_counts_from_its_creation(files):

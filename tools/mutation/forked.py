@@ -18,6 +18,7 @@ import importlib.util
 import os
 import pickle
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -96,32 +97,37 @@ class UnfitError(RuntimeError):
 
 def pooled(tasks: Iterable[Callable[[], int]], jobs: int) -> Iterator[tuple[int, int]]:
     """Run each task in a fork of this process, ``jobs`` at a time; yields each one's number and exit code."""
-    running: dict[int, int] = {}
+    running: dict[int, tuple[int, str]] = {}
     for number, task in enumerate(tasks):
         if len(running) == jobs:
             yield _ended(running)
-        running[_forked(task)] = number
+        child, folder = _forked(task)
+        running[child] = number, folder
     while running:
         yield _ended(running)
 
 
-def _ended(running: dict[int, int]) -> tuple[int, int]:
+def _ended(running: dict[int, tuple[int, str]]) -> tuple[int, int]:
     child, status = os.wait()
-    return running.pop(child), os.waitstatus_to_exitcode(status)
+    number, folder = running.pop(child)
+    shutil.rmtree(folder, ignore_errors=True)
+    return number, os.waitstatus_to_exitcode(status)
 
 
-def _forked(task: Callable[[], int]) -> int:
-    """Start a task; an error of its own ends it with a code that is nobody's verdict."""
+def _forked(task: Callable[[], int]) -> tuple[int, str]:
+    """Start a task; an error of its own ends it with a code that is nobody's verdict. Its folder is to be removed then."""
+    folder = tempfile.mkdtemp(dir=os.environ.get(FOLDER))
     child = os.fork()
     if child == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         code = os.EX_SOFTWARE
         try:
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-            os.environ[FOLDER] = tempfile.mkdtemp(dir=os.environ.get(FOLDER))
+            os.environ[FOLDER] = folder
             code = task()
         finally:
             os._exit(code)
-    return child
+    return child, folder
 
 
 def _silently(task: Callable[[], Result]) -> Result:
@@ -160,11 +166,12 @@ def told(task: Callable[[], Result]) -> Result:
             pickle.dump(task(), pipe)
         return os.EX_OK
 
-    child = _forked(tell)
+    child, folder = _forked(tell)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
         said = pipe.read()
     os.waitpid(child, 0)
+    shutil.rmtree(folder, ignore_errors=True)
     if not said:
         raise UnfitError("a process that runs tests ended without a word")
     result: Result = pickle.loads(said)  # noqa: S301 - our own child's

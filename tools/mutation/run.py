@@ -6,6 +6,7 @@ Leaves with 1 if a mutant lives that ``survivors.toml`` does not list, or if it 
 import argparse
 import hashlib
 import os
+import signal
 import sys
 import time
 import tomllib
@@ -97,6 +98,7 @@ def main(words: Sequence[str]) -> int:
         found = sample(found, asked.sample)
     known, wrong = listed(), 0
     began_s = time.monotonic()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(os.EX_TEMPFAIL))  # so that no folder stays behind
     try:
         for module, those in found.items():
             verdicts = Trial(ROOT / "cutgate" / module, ROOT, OWN_TESTS[module], asked.jobs).verdicts(those)

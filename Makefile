@@ -34,7 +34,7 @@ coverage: $(READY)
 	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 # A million random segments against the dense reference on all cores, 2000 runs of fault injection over both loops, the large worlds of
-# the exploration (3 GB); CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
+# the exploration (3.3 GB); CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration
 

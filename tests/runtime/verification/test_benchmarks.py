@@ -91,3 +91,28 @@ def test_no_upload_is_nearer_to_the_bit_rate_than_full_frames_can_be(script):
             float(mode[name]) for name in ("full frames without stuff bits / limit", "upload / limit")
         )
         assert 1.0 < lowest < found < 1.25 * lowest
+
+
+def test_a_session_on_the_wire_is_counted_to_its_end(script):
+    _, *rows = script("wire").session_bytes()
+    counted = {name: row for name, *row in rows}
+    assert int(counted["RuntimeStop"][0]) == 1
+    assert int(counted["bulk records of the runtime"][0]) > 5000
+    assert int(counted["bulk records of the runtime"][4]) < 1000
+
+
+@pytest.mark.processes
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["controller", "runtime"])
+def test_every_reaction_that_is_timed_is_the_expected_one(script, side, monkeypatch):
+    """An arm that has stopped is not shown to move after the fault frame: its joints are compared, not their tag."""
+    reaction = script("reaction")
+    monkeypatch.setattr(reaction, "TRIALS_CUTTING", 4)
+    monkeypatch.setattr(reaction, "TRIALS_RUNTIME", 2)
+    head, *rows = getattr(reaction, f"{side}_cutting")()
+    assert len(rows) == {"controller": len(reaction.WRONGS), "runtime": 6}[side]
+    for row in rows:
+        shown = dict(zip(head, row, strict=True))
+        if side == "controller" and shown["bound"] == reaction.CYCLE:
+            moved, stopped = (float(shown[name].split()[0]) for name in ("last movement shown, max", "max"))
+            assert moved <= stopped

@@ -54,7 +54,8 @@ def hip_stem(name: str) -> tuple[Problem, Verdict]:
     examples = ROOT / "examples"
     robot = load_robot(examples / "robot.toml").value
     placed = load_registration(examples / f"registration-{name}.json")
-    path = prepare(load_plan(examples / "hip-stem.plan.json"), placed, robot, now=datetime.now(UTC)).path
+    plan, now = load_plan(examples / "hip-stem.plan.json"), datetime.now(UTC)
+    path = prepare(plan, placed, robot, now=now, clock_skew_s=0.0).path
     bodies = (limits_record(robot).body(), calibration_record(robot).body(), tool_record(robot).body())
     problem = problem_from_records(path.body(), *bodies, robot, any_branch=True)
     return problem, certified.verify(problem)

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from cutgate.config.load import InputError, load_robot
-from cutgate.config.model import Robot
+from cutgate.config.model import Robot, Site
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.reach_files import files_for, save
 from cutgate.runtime.commands.reach_picture import height, signed
@@ -78,7 +78,7 @@ def _made_for(prepared: Prepared, robot: Robot) -> dict[str, Any]:
         "elbow": robot.elbow,
         "registration": placed.value.id if placed else None,
         "path_sha256": prepared.path.digest.hex(),
-        "registration_sha256": prepared.registration_sha256.hex(),
+        "registration_sha256": prepared.registration_digest.hex(),
     }
 
 
@@ -119,7 +119,8 @@ def reach_command(
     lifts = None if lift_mm is None else _values(lift_mm, "--lift-mm", -2000.0, 2000.0)
     arm = load_robot(robot)
     placed = load_registration(registration) if registration else None
-    prepared = prepare(load_plan(plan), placed, arm.value, now=datetime.now(UTC))
+    now, skew_s = datetime.now(UTC), Site().clock_skew_s
+    prepared = prepare(load_plan(plan), placed, arm.value, now=now, clock_skew_s=skew_s)
     problem = off_line_problem(prepared.path, arm.value)
     if canonical(problem)[0].workspace.empty:
         raise InputError(

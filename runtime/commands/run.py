@@ -117,7 +117,7 @@ def run(
             _tell(log.previous, view)
             with working("reading the list of withdrawn registrations"):
                 listed = listed_before(log)
-            against = refusal(listed, job.registration, files.registration, files.settings.clock_skew_s)
+            against = refusal(listed, files.prepared.digests, files.registration, files.settings.clock_skew_s)
             if against:
                 view.note(against)
             state = Interlock(replace(job, withdrawal=against))

@@ -113,7 +113,7 @@ def check(
         elapsed_ms = (time.perf_counter() - began) * 1000.0
     branch = verdict.branch
     path = with_branch(prepared.path, branch.q0_turns, branch.roll_turns) if branch else prepared.path
-    digests = Digests(path.digest, digest(limits), digest(calibration), prepared.registration_sha256)
+    digests = Digests(path.digest, digest(limits), digest(calibration), prepared.registration_digest)
     return Checked(problem, verdict, digests, len(path), elapsed_ms)
 
 
@@ -132,13 +132,20 @@ def read(
     """
     with working(f"reading {path}"):
         arm = load_robot(robot).value
-        bounds = (site or Site()).files
+        settings = site or Site()
+        bounds = settings.files
         plan = load_plan(
             path, size_limit=bounds.file_size_limit_mb * BYTES_PER_MB, pose_limit=bounds.pose_limit
         )
         placed = load_registration(registration) if registration else None
         prepared = prepare(
-            plan, placed, arm, now=datetime.now(UTC), tool_length_mm=tool_length_mm, feed_mm_s=feed_mm_s
+            plan,
+            placed,
+            arm,
+            now=datetime.now(UTC),
+            clock_skew_s=settings.clock_skew_s,
+            tool_length_mm=tool_length_mm,
+            feed_mm_s=feed_mm_s,
         )
     return arm, prepared
 

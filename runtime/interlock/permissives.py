@@ -277,8 +277,8 @@ CLOCK_WRONG = (
 
 def _barriers(state: Interlock) -> list[int]:
     """What the controller says and what it was told in this session, where they are times."""
-    said = state.opened.barrier_us if state.opened else records.NO_TIME
-    return [barrier for barrier in (said, state.barrier_us) if barrier != records.NO_TIME]
+    opened_us = state.opened.barrier_us if state.opened else records.NO_TIME
+    return [barrier for barrier in (opened_us, state.barrier_us) if barrier != records.NO_TIME]
 
 
 def _ahead(state: Interlock) -> bool:

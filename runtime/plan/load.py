@@ -1,5 +1,6 @@
 """Plan, tool path and registration files, by their extension."""
 
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,7 +53,16 @@ def load_registration(path: str | Path) -> Loaded[Registration]:
     """
     path = _found(path, REGISTRATIONS, REGISTRATION_EXTENSIONS, "a registration")
     data = read_settings(path)
-    return Loaded(registration_from_bytes(path, data), data, path)
+    registration = registration_from_bytes(path, data)
+    _check_time(path, registration.created_utc)
+    return Loaded(registration, data, path)
+
+
+def _check_time(path: Path, created_utc: str) -> None:
+    """Refuses a time that would not be told apart from another one: it is known, and compared, to the microsecond."""
+    if re.search(r"[.,]\d{7}", created_utc):
+        bound = "at most six digits behind the second"
+        raise InputError(path, "created_utc", created_utc, bound, "leave the other digits out")
 
 
 def registration_from_bytes(path: Path, data: bytes) -> Registration:

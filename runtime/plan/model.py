@@ -77,6 +77,9 @@ Row = Annotated[tuple[Real, Real, Real, Real], BeforeValidator(_list_to_tuple)]
 Transform = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(_list_to_tuple), AfterValidator(_rigid)]
 
 
+BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+
 def _utc(text: str) -> str:
     """Refuses what is not an ISO-8601 time in UTC."""
     try:
@@ -137,6 +140,26 @@ class Registration(Strictly):
         """What the place is known by, whatever else is written around it: SHA-256 over rows 0 to 2 of ``R_T_CT``, 32 bytes."""
         rows = self.matrix[:3] + 0.0  # -0 is 0
         return hashlib.sha256(b"cutgate/place/1" + rows.astype("<f8").tobytes()).digest()
+
+    @property
+    def digest(self) -> bytes:
+        """What the registration is known by, however its file is written: SHA-256 over its content, 32 bytes.
+
+        "cutgate/registration/1" | rows 0 to 2 of ``R_T_CT`` | residual | created, us since 1970, i64 | id | ct_id; numbers
+        binary64 with -0 as 0, each text UTF-8 behind its length, u16; no ct_id is one of length 0. Little endian.
+        """
+        numbers = np.append(self.matrix[:3].ravel(), self.residual_rms_mm) + 0.0
+        created_us = (self.created - BEGINNING) // timedelta(microseconds=1)
+        texts = [text.encode() for text in (self.id, self.ct_id or "")]
+        content = b"".join(
+            (
+                b"cutgate/registration/1",
+                numbers.astype("<f8").tobytes(),
+                created_us.to_bytes(8, "little", signed=True),
+                *(len(text).to_bytes(2, "little") + text for text in texts),
+            )
+        )
+        return hashlib.sha256(content).digest()
 
     @property
     def created(self) -> datetime:

@@ -27,7 +27,7 @@ TOOL_TOLERANCE_U: Final = 10_000
 """0.01 mm in counts of 1e-6 mm."""
 TURN_MAX_DEG: Final = 179.0
 IDENTITY_REGISTRATION: Final = b"cutgate.registration/identity"
-"""Stands for the file's bytes in the registration digest where no registration is given."""
+"""Stands for the content in the registration digest where no registration is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +47,17 @@ class Prepared:
     ct_link: Link
 
     @property
-    def registration_sha256(self) -> bytes:
-        """SHA-256 of the registration file's bytes, or of ``IDENTITY_REGISTRATION``."""
-        return (
-            self.registration.sha256 if self.registration else hashlib.sha256(IDENTITY_REGISTRATION).digest()
-        )
+    def registration_digest(self) -> bytes:
+        """What the registration is known by (`Registration.digest`); SHA-256 of ``IDENTITY_REGISTRATION`` without one."""
+        if self.registration is None:
+            return hashlib.sha256(IDENTITY_REGISTRATION).digest()
+        return self.registration.value.digest
+
+    @property
+    def digests(self) -> frozenset[bytes]:
+        """The same, and the SHA-256 of the file, by which 0.1.0 knew it."""
+        files = () if self.registration is None else (self.registration.sha256,)
+        return frozenset({self.registration_digest, *files})
 
     @property
     def quantise(self) -> Quantise:
@@ -81,6 +87,7 @@ def prepare(
     robot: Robot,
     *,
     now: datetime,
+    clock_skew_s: float,
     tool_length_mm: float | None = None,
     feed_mm_s: float | None = None,
 ) -> Prepared:
@@ -90,7 +97,8 @@ def prepare(
         plan: the plan or bare tool path.
         registration: None stands for identity.
         robot: elbow and mounted tool.
-        now: aware; a registration made later is refused.
+        now: aware; a registration made later is refused,
+        clock_skew_s: by more than the clock of who registers may be ahead of this one.
         tool_length_mm: replaces the robot's tool (off-line verification only).
         feed_mm_s: feed where the file has none; 10 mm/s if None.
 
@@ -104,7 +112,7 @@ def prepare(
     link = _check_link(plan, registration)
     placement = plan.value.ct_T_implant
     if registration is not None:
-        _check_age(registration, now)
+        _check_age(registration, now, clock_skew_s)
         placement = registration.value.matrix @ placement
     tips, axes = transform_poses(placement, plan.value.tips_mm, plan.value.axes)
     _check_turns(plan, axes)
@@ -153,11 +161,11 @@ def _check_link(plan: Loaded[Plan], registration: Loaded[Registration] | None) -
     return "linked"
 
 
-def _check_age(registration: Loaded[Registration], now: datetime) -> None:
+def _check_age(registration: Loaded[Registration], now: datetime, clock_skew_s: float) -> None:
     """Refuses a registration made in the future."""
-    if not (registration.value.created <= now):
+    if not ((registration.value.created - now).total_seconds() <= clock_skew_s):
         found = registration.value.created_utc
-        bound = f"not later than now ({now:%Y-%m-%dT%H:%M:%SZ})"
+        bound = f"not later than now ({now:%Y-%m-%dT%H:%M:%SZ}) and clock_skew_s ({clock_skew_s:g} s)"
         remedy = (
             "check the clocks of both computers, and that it is UTC: local time is converted, not relabelled"
         )

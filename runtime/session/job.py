@@ -82,10 +82,17 @@ def read_files(
     arm = load_robot(robot)
     settings = load_site(site) if site else None
     placed = load_registration(registration)
-    bounds = (settings.value if settings else Site()).files
-    size_limit = bounds.file_size_limit_mb * BYTES_PER_MB
-    wanted = load_plan(plan, size_limit=size_limit, pose_limit=bounds.pose_limit)
-    prepared = prepare(wanted, placed, arm.value, now=datetime.now(UTC), feed_mm_s=feed_mm_s)
+    chosen = settings.value if settings else Site()
+    size_limit = chosen.files.file_size_limit_mb * BYTES_PER_MB
+    wanted = load_plan(plan, size_limit=size_limit, pose_limit=chosen.files.pose_limit)
+    prepared = prepare(
+        wanted,
+        placed,
+        arm.value,
+        now=datetime.now(UTC),
+        clock_skew_s=chosen.clock_skew_s,
+        feed_mm_s=feed_mm_s,
+    )
     return InputFiles(arm, settings, prepared, allow_simulated)
 
 
@@ -108,13 +115,15 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
     problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
     path = _on_branch(path, problem, asked)
     registration = files.registration
-    age_s = (now - registration.created).total_seconds() if registration else 0.0
+    age_s = (
+        max(0.0, (now - registration.created).total_seconds()) if registration else 0.0
+    )  # of a clock ahead: now
     return Job(
         limits=limits,
         calibration=calibration,
         tool=tool,
         path=path.body(),
-        registration=files.prepared.registration_sha256,
+        registration=files.prepared.registration_digest,
         configuration=configuration(files),
         verifier=VERIFIER,
         branch=records.Branch(path.elbow, path.q0_turns, path.roll_turns),

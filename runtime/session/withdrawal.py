@@ -20,7 +20,7 @@ from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.journal import plain
-from cutgate.runtime.session.withdrawn import NO_FILE, Withdrawal
+from cutgate.runtime.session.withdrawn import NO_REGISTRATION, Withdrawal
 
 WITHDRAW_S: Final = 5.0
 """So long is the disk waited for that is to list a withdrawal."""
@@ -51,7 +51,7 @@ def listed_before(log: AuditLog) -> tuple[Withdrawal, ...]:
 def _completed(log: AuditLog, older: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
     """What is added to the list for lines of 0.1.0."""
     directory = log.path.parent
-    attached = {one.log: attached_registration(directory / one.log, one.file) for one in older}
+    attached = {one.log: attached_registration(directory / one.log, one.registration) for one in older}
     added = withdrawn.complete(older, attached, datetime.now(UTC))
     try:
         log.listed = withdrawn.add(directory, added, log.listed)
@@ -122,7 +122,9 @@ def list_withdrawal(log: AuditLog, entry: Withdrawal, note: Callable[[str], None
                 return
             case error:
                 trouble = error
-    which = "any registration" if entry.file == NO_FILE else "this registration again, nor any"
+    which = (
+        "any registration" if entry.registration == NO_REGISTRATION else "this registration again, nor any"
+    )
     note(
         f"the withdrawal could not be listed ({trouble}): never use {which} that was taken "
         f"before {entry.known:%Y-%m-%d %H:%M:%S} UTC"

@@ -1,16 +1,17 @@
 """Registrations that this site must never use again: the runtime's own list, beside its logs.
 
 The controller keeps a list as well, but a withdrawal that never reached it (a dead bus, a controller without power)
-would be forgotten without this one. One line each: the registration file's SHA-256, the log that tells why, the digest
-of the place that it gave the bone, and when this side learned of it. What is withdrawn is the place, whatever else is
-written around it; and every registration that was taken before, for the bone has moved since.
+would be forgotten without this one. One line each: the registration's digest (`Registration.digest`; in a line of 0.1.0
+its file's SHA-256), the log that tells why, the digest of the place that it gave the bone, and when this side learned of
+it. What is withdrawn is the place, whatever else is written around it; and every registration that was taken before, for
+the bone has moved since.
 
 Lines are only ever added, and HEAD says how many there are; a list that cannot be read, or has lost any, stops the next
 session, for nobody knows what it held. Lines of 0.1.0 have neither place nor time; `complete` adds a line with both.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -21,7 +22,7 @@ from cutgate.runtime.audit.directory import WITHDRAWN, Listed, extend_list, with
 from cutgate.runtime.plan.model import Registration
 
 _ENTRY: Final = re.compile(
-    r"(?P<file>[0-9a-f]{64}) (?P<log>\S+)"
+    r"(?P<registration>[0-9a-f]{64}) (?P<log>\S+)"
     r"(?: (?P<place>[0-9a-f]{64}|-) (?P<known>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z))?"
 )
 YEAR_MAX: Final = 2999
@@ -29,7 +30,7 @@ YEAR_MAX: Final = 2999
 _TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
 _SECOND: Final = timedelta(seconds=1)
 _BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
-NO_FILE: Final = bytes(32)
+NO_REGISTRATION: Final = bytes(32)
 """Stands in a line for no registration in particular: the bone moved before the session, as the controller tells."""
 
 
@@ -38,13 +39,13 @@ class Withdrawal:
     """One line of the list.
 
     Attributes:
-        file: SHA-256 of the registration file.
+        registration: its digest, or, of 0.1.0, its file's.
         log: name of the log that tells why.
         place: digest of the place (``Registration.place``); None where nobody can tell it any more.
         known: when this side learned of it, aware; None in a line of 0.1.0.
     """
 
-    file: bytes
+    registration: bytes
     log: str
     place: bytes | None = None
     known: datetime | None = None
@@ -52,9 +53,11 @@ class Withdrawal:
     def line(self) -> bytes:
         """As it stands in the list."""
         if self.known is None:
-            return f"{self.file.hex()} {self.log}\n".encode("ascii")
+            return f"{self.registration.hex()} {self.log}\n".encode("ascii")
         place = "-" if self.place is None else self.place.hex()
-        return f"{self.file.hex()} {self.log} {place} {self.known.astimezone(UTC):{_TIME}}\n".encode("ascii")
+        return f"{self.registration.hex()} {self.log} {place} {self.known.astimezone(UTC):{_TIME}}\n".encode(
+            "ascii"
+        )
 
 
 def load(directory: Path) -> tuple[Withdrawal, ...]:
@@ -78,7 +81,7 @@ def _entry(file: Path, number: int, line: str) -> Withdrawal:
     found = _ENTRY.fullmatch(line)
     if found is None:
         raise _no_entry(file, number, line)
-    digest, place, known = (found[name] for name in ("file", "place", "known"))
+    digest, place, known = (found[name] for name in ("registration", "place", "known"))
     try:
         at = None if known is None else datetime.fromisoformat(known)
     except ValueError:  # the 31st of February
@@ -114,8 +117,8 @@ def add(directory: Path, added: Iterable[Withdrawal], known: Listed | None = Non
 
 def incomplete(listed: Sequence[Withdrawal]) -> tuple[Withdrawal, ...]:
     """Lines of 0.1.0 to which none with a time has been added."""
-    timed = {(one.file, one.log) for one in listed if one.known is not None}
-    return tuple(one for one in listed if one.known is None and (one.file, one.log) not in timed)
+    timed = {(one.registration, one.log) for one in listed if one.known is not None}
+    return tuple(one for one in listed if one.known is None and (one.registration, one.log) not in timed)
 
 
 def complete(
@@ -130,15 +133,16 @@ def complete(
     """
     found = ((one, attached[one.log]) for one in lines)
     return tuple(
-        Withdrawal(one.file, one.log, None if placed is None else placed.place, now) for one, placed in found
+        Withdrawal(one.registration, one.log, None if placed is None else placed.place, now)
+        for one, placed in found
     )
 
 
-def of_now(file: bytes, log: str, registration: Registration | None, now: datetime) -> Withdrawal:
+def of_now(digest: bytes, log: str, registration: Registration | None, now: datetime) -> Withdrawal:
     """What is to be listed: known now, and never before the registration itself, whatever became of the clock."""
     if registration is None:
-        return Withdrawal(file, log, None, now)
-    return Withdrawal(file, log, registration.place, max(now, registration.created))
+        return Withdrawal(digest, log, None, now)
+    return Withdrawal(digest, log, registration.place, max(now, registration.created))
 
 
 def of_motion(log: str, barrier_us: int, skew_s: float) -> Withdrawal:
@@ -150,7 +154,7 @@ def of_motion(log: str, barrier_us: int, skew_s: float) -> Withdrawal:
         skew_s: what it was told beyond the time itself.
     """
     told = _BEGINNING + timedelta(microseconds=barrier_us)
-    return Withdrawal(NO_FILE, log, None, told - timedelta(seconds=skew_s))
+    return Withdrawal(NO_REGISTRATION, log, None, told - timedelta(seconds=skew_s))
 
 
 def barrier(
@@ -187,18 +191,21 @@ def since_1970_us(at: datetime) -> int:
 
 
 def refusal(
-    listed: Sequence[Withdrawal], file: bytes, registration: Registration | None, skew_s: float
+    listed: Sequence[Withdrawal],
+    digests: Collection[bytes],
+    registration: Registration | None,
+    skew_s: float,
 ) -> str:
     """Why a registration must not be used; empty if it may.
 
     Args:
         listed: every withdrawal.
-        file: SHA-256 of the registration file.
+        digests: what the registration is known by, and its file's SHA-256, by which lines of 0.1.0 know it.
         registration: what it says; None for a path that is in robot coordinates, which has no time.
         skew_s: how far the clock of who registers may be ahead of this one, s.
     """
     for one in listed:
-        if one.file == file:
+        if one.registration in digests:
             return f"this registration was withdrawn in {one.log}: register the bone anew"
         if registration is not None and one.place == registration.place:
             return f"the same place was withdrawn in {one.log}, under whatever name: register the bone anew"

@@ -195,17 +195,17 @@ def test_what_was_withdrawn_under_0_1_0_is_refused_and_whatever_was_taken_before
     job = make_job(files, now=datetime.now(UTC))
     log = AuditLog.create(tmp_path, log_id=bytes(16).hex(), opened=OpenInfo("cutgate", "cutgate"))
     listed = listed_before(log)
-    found = withdrawn.refusal(listed, job.registration, files.registration, 60.0)
+    found = withdrawn.refusal(listed, files.prepared.digests, files.registration, 60.0)
     assert said in found
     again = files.registration.model_copy(update={"id": "under another name"})
-    same = withdrawn.refusal(listed, bytes(32), again, 60.0)
+    same = withdrawn.refusal(listed, {bytes(32)}, again, 60.0)
     known = registration == "registration.json" and there
     assert ("the same place was withdrawn" if known else "is not surely later than the withdrawal") in same
     later = datetime.now(UTC) + timedelta(seconds=61)
     moved = again.model_copy(
         update={"R_T_CT": np.eye(4).tolist(), "created_utc": f"{later:%Y-%m-%dT%H:%M:%S.%fZ}"}
     )
-    assert withdrawn.refusal(listed, bytes(32), moved, 60.0) == ""
+    assert withdrawn.refusal(listed, {bytes(32)}, moved, 60.0) == ""
     assert log.close(final_state="refused", clean=True).closed
     permissive = registration_stands(Interlock(replace(job, withdrawal=found)), 0.0)
     assert (permissive.holds, permissive.text) == (False, found)

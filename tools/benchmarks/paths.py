@@ -35,7 +35,7 @@ def prepared(registration: str, name: str = "hip-stem") -> tuple[Prepared, Probl
     robot = load_robot(EXAMPLES / "robot.toml").value
     plan = load_plan(EXAMPLES / f"{name}.plan.json")
     placed = load_registration(EXAMPLES / f"registration-{registration}.json")
-    ready = prepare(plan, placed, robot, now=datetime.now(UTC))
+    ready = prepare(plan, placed, robot, now=datetime.now(UTC), clock_skew_s=0.0)
     bodies = (limits_record(robot).body(), calibration_record(robot).body(), tool_record(robot).body())
     return ready, problem_from_records(ready.path.body(), *bodies, robot, any_branch=True)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path as FilePath
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from pydantic import ValidationError
 
@@ -43,7 +43,7 @@ class ReplayInputs(NamedTuple):
     tool: bytes
     robot: Robot
     site: Site
-    registration_sha256: bytes
+    registration_digest: bytes
     placed: Placed | None
     size_max: int
     """Bytes of the largest attachment that is read: what the site allowed its input files."""
@@ -87,7 +87,8 @@ def inputs_of(log: Log) -> ReplayInputs:
     except InputError as error:
         raise ReplayError(f"attachment {error}") from None
     size_max = max(size_max, site.files.file_size_limit_mb * BYTES_PER_MB)
-    registration = _by_stem(log, names.REGISTRATION, size_max)
+    file = _by_stem(log, names.REGISTRATION, size_max)
+    registration = None if file is None else _registration(*file)
     return ReplayInputs(
         path=needed(names.PATH),
         limits=needed(names.LIMITS),
@@ -95,20 +96,33 @@ def inputs_of(log: Log) -> ReplayInputs:
         tool=needed(names.TOOL),
         robot=robot,
         site=site,
-        registration_sha256=sha256(registration[1] if registration else IDENTITY_REGISTRATION).digest(),
-        placed=_placed(registration, site),
+        registration_digest=_digest(log, file, registration),
+        placed=None if registration is None else _placed(registration, site),
         size_max=size_max,
     )
 
 
-def _placed(registration: tuple[FilePath, bytes] | None, site: Site) -> Placed | None:
-    if registration is None:
-        return None
+def _registration(path: FilePath, data: bytes) -> Registration:
     try:
-        value = registration_from_bytes(*registration)
+        return registration_from_bytes(path, data)
     except InputError as error:
         raise ReplayError(f"attachment {error}") from None
-    return Placed(value.matrix, value.residual_rms_mm, site.registration_max_residual_mm)
+
+
+FILES_DIGEST: Final = ("cutgate 0.1.0",)
+"""Verifiers whose sessions know a registration by its file's SHA-256."""
+
+
+def _digest(log: Log, file: tuple[FilePath, bytes] | None, registration: Registration | None) -> bytes:
+    """What the session knows its registration by."""
+    if file is None or registration is None:
+        return sha256(IDENTITY_REGISTRATION).digest()
+    by_file = any(opened.verifier in FILES_DIGEST for opened in typed(log, records.AuditOpen)[:1])
+    return sha256(file[1]).digest() if by_file else registration.digest
+
+
+def _placed(registration: Registration, site: Site) -> Placed:
+    return Placed(registration.matrix, registration.residual_rms_mm, site.registration_max_residual_mm)
 
 
 # ---------------------------------------------------------------- what must follow from what
@@ -132,6 +146,7 @@ def derivation(log: Log, inputs: ReplayInputs, opened: records.AuditOpen) -> Ite
             None if registration is None else _loaded(*registration),
             inputs.robot,
             now=_after(opened.utc),
+            clock_skew_s=inputs.site.clock_skew_s,
             feed_mm_s=uploaded.feed_mm_s if wanted.feed_mm_s is None else None,
         )
     except (InputError, RecordError) as error:

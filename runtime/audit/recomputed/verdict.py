@@ -37,7 +37,7 @@ def recomputed_verdict(
         path=sha256(inputs.path).digest(),
         limits=sha256(inputs.limits).digest(),
         calibration=sha256(inputs.calibration).digest(),
-        registration=inputs.registration_sha256,
+        registration=inputs.registration_digest,
     )
     document = verdict_document(
         verdict,

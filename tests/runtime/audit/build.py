@@ -28,6 +28,7 @@ from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
 from cutgate.runtime.audit.tree import Tree
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import prepare, with_branch
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification.approach import report
@@ -174,10 +175,16 @@ class Inputs:
     robot: Loaded[Robot]
     plan: bytes
     registration: bytes
+    """The file, as it is attached."""
     path: bytes
     limits: bytes
     calibration: bytes
     tool: bytes
+
+    @property
+    def placed(self) -> Registration:
+        """What the registration says."""
+        return registration_from_bytes(Path("registration.json"), self.registration)
 
 
 @cache
@@ -206,6 +213,7 @@ def inputs(bone_x_mm: float = 500.0) -> Inputs:
         ),
         robot,
         now=datetime(2026, 9, 1, tzinfo=UTC),
+        clock_skew_s=0.0,
     )
     return Inputs(
         Loaded(robot, data, ROBOT),
@@ -229,11 +237,11 @@ def verdict_of(given: float = 500.0) -> str:
         poses=6,
         guidance=None,
         digests=Digests(
-            *(sha256(part).digest() for part in (i.path, i.limits, i.calibration, i.registration))
+            *(sha256(part).digest() for part in (i.path, i.limits, i.calibration)), i.placed.digest
         ),
         elapsed_ms=1.25,
     )
-    value = registration_from_bytes(Path("registration.json"), i.registration)
+    value = i.placed
     found = cautions(problem, verdict, Placed(value.matrix, value.residual_rms_mm))
     return json.dumps(described(document, problem, verdict, found))
 
@@ -274,8 +282,9 @@ def wire_permit(
     i = inputs(given)
     digests = {
         f"{name}_digest": sha256(getattr(i, name)).digest()
-        for name in ("path", "limits", "calibration", "tool", "registration")
+        for name in ("path", "limits", "calibration", "tool")
     }
+    digests["registration_digest"] = i.placed.digest
     files = i.robot.sha256 + (bytes(32) if site is None else sha256(site).digest())
     return wire.Permit(
         nonce=bytes(16),

@@ -102,7 +102,9 @@ def random_case(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_registration_and_implant_placement_are_composed_in_this_order(seed, tmp_path):
     registration, placement, tips, axes = random_case(seed)
-    path = prepare(*files(tmp_path, registration, placement, tips, axes), ROBOT, now=NOW).path
+    path = prepare(
+        *files(tmp_path, registration, placement, tips, axes), ROBOT, now=NOW, clock_skew_s=0.0
+    ).path
     expected_tips, expected_axes = composed(registration, placement, tips, axes)
     assert np.abs(path.tips_mm - expected_tips).max() <= WIRE_MM
     assert np.abs(path.axes - expected_axes).max() <= WIRE_UNIT
@@ -119,7 +121,9 @@ def test_the_gate_verifies_the_composed_path(seed, tmp_path):
     registration, placement, tips, axes = random_case(seed)
     start = composed(registration, placement, tips[:1], axes[:1])[0][0]
     registration = (registration[0], registration[1] + (450.0, 60.0, 120.0) - start)
-    path = prepare(*files(tmp_path, registration, placement, tips, axes), ROBOT, now=NOW).path
+    path = prepare(
+        *files(tmp_path, registration, placement, tips, axes), ROBOT, now=NOW, clock_skew_s=0.0
+    ).path
     bodies = (limits_record(ROBOT).body(), calibration_record(ROBOT).body(), tool_record(ROBOT).body())
     asked = problem_from_records(path.body(), *bodies, ROBOT, any_branch=True)
     there_tips, there_axes = composed(registration, placement, tips, axes)

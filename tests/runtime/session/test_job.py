@@ -31,7 +31,7 @@ def test_a_job_names_what_was_read(files):
     assert job.limits == limits_record(robot).body()
     assert job.calibration == calibration_record(robot).body()
     assert job.tool == tool_record(robot).body()
-    assert job.registration == hashlib.sha256(files.prepared.registration.data).digest()
+    assert job.registration == files.prepared.registration.value.digest
     assert job.path_digest == hashlib.sha256(job.path).digest()
     assert (job.verifier, job.serial, job.registration_max_age_s) == (VERIFIER, None, None)
     assert len(VERIFIER) <= 16

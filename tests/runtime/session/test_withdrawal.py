@@ -99,8 +99,8 @@ def test_lines_of_0_1_0_stay_in_force_and_are_completed_on_the_disk(tmp_path):
         assert log.listed.lines == 4
     *old, known, unknown = withdrawn.load(tmp_path)
     assert [one.known for one in old] == [None, None]
-    assert (known.file, known.log, known.place) == (file, before.name, PLACED.place)
-    assert (unknown.file, unknown.log, unknown.place) == (bytes([2]) * 32, "gone.mcap", None)
+    assert (known.registration, known.log, known.place) == (file, before.name, PLACED.place)
+    assert (unknown.registration, unknown.log, unknown.place) == (bytes([2]) * 32, "gone.mcap", None)
     assert began <= known.known == unknown.known <= datetime.now(UTC)
 
 
@@ -153,16 +153,16 @@ def test_a_session_lists_its_own_registration_if_it_was_withdrawn(said):
     assert list(of_session(READY, "a.mcap", said, 60.0)) == []
     (entry,) = of_session(replace(READY, registration_withdrawn=True), "a.mcap", said, 60.0)
     place = None if said is None else said.place
-    assert (entry.file, entry.log, entry.place) == (READY.job.registration, "a.mcap", place)
+    assert (entry.registration, entry.log, entry.place) == (READY.job.registration, "a.mcap", place)
     assert began <= entry.known <= datetime.now(UTC)
 
 
 def test_a_motion_without_a_session_is_listed_for_no_place_since_when_the_controller_was_told():
     (entry,) = of_session(replace(MOVED, barrier_us=MOVED_US + 60_000_000), "a.mcap", PLACED, 60.0)
-    assert entry == Withdrawal(withdrawn.NO_FILE, "a.mcap", None, OURS.known)
+    assert entry == Withdrawal(withdrawn.NO_REGISTRATION, "a.mcap", None, OURS.known)
     both = replace(MOVED, barrier_us=MOVED_US, registration_withdrawn=True)
-    assert [one.file for one in of_session(both, "a.mcap", PLACED, 60.0)] == [
-        withdrawn.NO_FILE,
+    assert [one.registration for one in of_session(both, "a.mcap", PLACED, 60.0)] == [
+        withdrawn.NO_REGISTRATION,
         READY.job.registration,
     ]
 
@@ -182,7 +182,11 @@ def test_a_withdrawal_is_listed_and_is_in_the_next_head(log, said):
     assert log.listed.lines == 1
     log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
     (entry,) = withdrawn.load(log.path.parent)
-    assert (entry.file, entry.log, entry.place) == (FILE, log.path.name, None if said is None else said.place)
+    assert (entry.registration, entry.log, entry.place) == (
+        FILE,
+        log.path.name,
+        None if said is None else said.place,
+    )
     assert began <= entry.known <= datetime.now(UTC)
 
 
@@ -199,7 +203,7 @@ def test_a_withdrawal_that_cannot_be_listed_is_told(log, monkeypatch, error):
     assert str(error) in notes[0]
     assert "never use this registration again, nor any that was taken before 20" in notes[0]
     assert log.listed.lines == 0
-    list_withdrawal(log, replace(OURS, file=withdrawn.NO_FILE), notes.append)
+    list_withdrawal(log, replace(OURS, registration=withdrawn.NO_REGISTRATION), notes.append)
     assert "never use any registration that was taken before 20" in notes[1]
 
 

@@ -109,7 +109,7 @@ def test_a_list_that_cannot_be_read_stops(tmp_path):
 def test_a_list_that_has_lost_a_line_stops(tmp_path):
     small_log(tmp_path)
     for number in range(2):
-        withdrawn.add(tmp_path, [replace(WITHDRAWN, file=bytes([number]) * 32)])
+        withdrawn.add(tmp_path, [replace(WITHDRAWN, registration=bytes([number]) * 32)])
     file = tmp_path / withdrawn.WITHDRAWN
     file.write_bytes(file.read_bytes().splitlines(keepends=True)[0])
     with pytest.raises(InputError, match="at least the 2 lines"):
@@ -148,14 +148,14 @@ def test_a_line_is_not_changed_afterwards():
 
 
 def test_without_a_withdrawal_nothing_is_refused():
-    assert refusal((), FILE, PLACED, SKEW_S) == refusal((), FILE, None, SKEW_S) == ""
+    assert refusal((), {FILE}, PLACED, SKEW_S) == refusal((), {FILE}, None, SKEW_S) == ""
 
 
 @pytest.mark.parametrize(
     "said", [PLACED, None, later(3600.0)], ids=["as it was", "no registration", "changed"]
 )
 def test_the_same_file_is_refused_whatever_it_says(said):
-    assert refusal([WITHDRAWN], FILE, said, SKEW_S).startswith("this registration was withdrawn in a.mcap")
+    assert refusal([WITHDRAWN], {FILE}, said, SKEW_S).startswith("this registration was withdrawn in a.mcap")
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_the_same_file_is_refused_whatever_it_says(said):
     ids=["bytes", "id", "time", "residual", "ct_id", "spelling of numbers"],
 )
 def test_the_place_stays_withdrawn_whatever_is_written_around_it(changes):
-    assert refusal([WITHDRAWN], bytes(32), registration(**changes), SKEW_S).startswith(
+    assert refusal([WITHDRAWN], {bytes(32)}, registration(**changes), SKEW_S).startswith(
         "the same place was withdrawn in a.mcap, under whatever name"
     )
 
@@ -194,7 +194,7 @@ def test_another_place_by_the_last_bit_is_another_place(row, column, ulps):
     ("seconds", "counts"), [(-3600.0, False), (0.0, False), (60.0, False), (60.001, True)]
 )
 def test_only_what_was_taken_after_the_withdrawal_counts(seconds, counts):
-    said = refusal([WITHDRAWN], bytes(32), later(seconds), SKEW_S)
+    said = refusal([WITHDRAWN], {bytes(32)}, later(seconds), SKEW_S)
     assert (said == "") is counts
     if not counts:
         assert (
@@ -209,10 +209,10 @@ def test_the_earliest_that_is_told_does_count():
     known = KNOWN.replace(microsecond=0)
     at = datetime(2026, 11, 27, 10, 1, 1, tzinfo=UTC)
     assert "2026-11-27 10:01:01 UTC on" in refusal(
-        [replace(WITHDRAWN, known=known)], bytes(32), PLACED_BEFORE, SKEW_S
+        [replace(WITHDRAWN, known=known)], {bytes(32)}, PLACED_BEFORE, SKEW_S
     )
     told = registration(R_T_CT=ELSEWHERE, created_utc=at.strftime("%Y-%m-%dT%H:%M:%SZ"))
-    assert refusal([replace(WITHDRAWN, known=known)], bytes(32), told, SKEW_S) == ""
+    assert refusal([replace(WITHDRAWN, known=known)], {bytes(32)}, told, SKEW_S) == ""
 
 
 PLACED_BEFORE = registration(R_T_CT=ELSEWHERE)
@@ -221,19 +221,19 @@ PLACED_BEFORE = registration(R_T_CT=ELSEWHERE)
 def test_the_last_withdrawal_is_the_barrier():
     last = Withdrawal(bytes([1]) * 32, "z.mcap", None, KNOWN + timedelta(hours=1))
     for listed in ([WITHDRAWN, last], [last, WITHDRAWN]):
-        assert "the withdrawal in z.mcap" in refusal(listed, bytes(32), later(120.0), SKEW_S)
-        assert refusal(listed, bytes(32), later(3661.0), SKEW_S) == ""
+        assert "the withdrawal in z.mcap" in refusal(listed, {bytes(32)}, later(120.0), SKEW_S)
+        assert refusal(listed, {bytes(32)}, later(3661.0), SKEW_S) == ""
 
 
 def test_after_a_withdrawal_a_path_without_a_registration_is_refused():
     assert "a registration without a time is not surely later" in refusal(
-        [WITHDRAWN], bytes(32), None, SKEW_S
+        [WITHDRAWN], {bytes(32)}, None, SKEW_S
     )
 
 
 def test_the_latest_year_of_a_list_overflows_nothing():
     last = replace(WITHDRAWN, known=datetime(withdrawn.YEAR_MAX, 12, 31, 23, 59, 59, tzinfo=UTC))
-    assert "3000-01-01 01:00:00 UTC on counts" in refusal([last], bytes(32), PLACED_BEFORE, 3600.0)
+    assert "3000-01-01 01:00:00 UTC on counts" in refusal([last], {bytes(32)}, PLACED_BEFORE, 3600.0)
 
 
 @pytest.mark.parametrize(("back_s", "known"), [(0.0, KNOWN), (7200.0, PLACED.created)])
@@ -248,8 +248,8 @@ def test_a_clock_that_was_set_back_lowers_no_barrier(back_s, known):
 
 def test_an_old_line_alone_refuses_its_file_and_nothing_else():
     old = Withdrawal(FILE, "a.mcap")
-    assert "withdrawn in a.mcap" in refusal([old], FILE, PLACED, SKEW_S)
-    assert refusal([old], bytes(32), PLACED, SKEW_S) == ""
+    assert "withdrawn in a.mcap" in refusal([old], {FILE}, PLACED, SKEW_S)
+    assert refusal([old], {bytes(32)}, PLACED, SKEW_S) == ""
 
 
 def test_an_old_line_is_completed_once_with_the_place_of_its_log_and_the_time_of_that():
@@ -298,10 +298,12 @@ def test_times_are_told_to_the_controller_in_whole_microseconds(at):
 def test_what_the_barrier_lets_pass_the_list_lets_pass_as_well():
     told = withdrawn.since_1970_us(withdrawn.barrier(KNOWN, 0, None, (), SKEW_S))
     entry = withdrawn.of_motion("a.mcap", told, SKEW_S)
-    assert entry == Withdrawal(withdrawn.NO_FILE, "a.mcap", None, KNOWN)
+    assert entry == Withdrawal(withdrawn.NO_REGISTRATION, "a.mcap", None, KNOWN)
     for seconds in (59.0, 60.0, 60.000_001, 61.0):
         said = later(seconds)
-        assert (refusal([entry], FILE, said, SKEW_S) == "") is (withdrawn.since_1970_us(said.created) > told)
+        assert (refusal([entry], {FILE}, said, SKEW_S) == "") is (
+            withdrawn.since_1970_us(said.created) > told
+        )
 
 
 @pytest.mark.parametrize("year", [1970, withdrawn.YEAR_MAX])

@@ -68,7 +68,7 @@ def test_a_record_without_a_duration_has_none(recorded, given, opened):
 @pytest.mark.parametrize("field", ["path", "limits", "calibration"])
 def test_the_digests_are_those_of_the_inputs(given, again, field):
     assert again["digests"][field] == sha256(getattr(given, field)).hexdigest()
-    assert again["digests"]["registration"] == given.registration_sha256.hex()
+    assert again["digests"]["registration"] == given.registration_digest.hex()
 
 
 def test_a_verifier_of_0_1_0_did_not_say_where_a_cut_lies(recorded, given, opened):

@@ -34,6 +34,9 @@ from cutgate.protocol.frames import (
     IDS,
     ControllerHeartbeat,
     Frame,
+    Joint4,
+    Joints01,
+    Joints23,
     Progress,
     RuntimeHeartbeat,
     decode_frame,
@@ -57,6 +60,8 @@ approach_clearance_mm = 0.5
 simulated = true
 """
 HEARTBEAT_S, TIMEOUT_S = 0.05, 1.0
+IN_TIME = round(TIMEOUT_S / HEARTBEAT_S) + 2
+"""Heartbeats of the controller: those of the time-out, the one that was due with the last it heard, and one more turn."""
 STANDS = "-35.5,79.5,340,-4,30.5"
 """Where the arm stands at power-up: half a degree from the entry pose, so that no test waits for the approach."""
 POSES = 300
@@ -376,6 +381,18 @@ def begins(message: can.Message, kind: type[records.Record]) -> bool:
     """Whether this is the ISO-TP first frame of such a record: length 4 + 12 bit, then the record's type."""
     sent_on = CONTROL_IDS[kind.SENDER]
     return message.arbitration_id == sent_on and message.data[0] >> 4 == 1 and message.data[2] == kind.TYPE
+
+
+def moved_after(rig: "Rig", stopped_s: float) -> bool:
+    """Whether any joint moved after this moment on the bus."""
+    kinds = (Joints01, Joints23, Joint4)
+    frames = [m for m in list(rig.bus.frames) if m.timestamp > stopped_s]
+    return any(len({_joints(m) for m in frames if is_kind(m, kind)}) > 1 for kind in kinds)
+
+
+def _joints(message: can.Message) -> tuple[int, ...]:
+    """What a frame of joints says of them, without its tag."""
+    return tuple(value for name, value in vars(decoded(message)).items() if name.startswith("q"))
 
 
 def _reassembled(frames: list[bytearray]) -> Iterator[records.Envelope]:

@@ -21,9 +21,8 @@ from tests.protocol.sessions import tagged
 from tests.system.children import Script
 from tests.system.harness import (
     FAST,
-    HEARTBEAT_S,
+    IN_TIME,
     POSES,
-    TIMEOUT_S,
     begins,
     decoded,
     is_kind,
@@ -34,8 +33,6 @@ from tests.system.harness import (
 pytestmark = pytest.mark.processes
 
 STALE = 60
-IN_TIME = round(TIMEOUT_S / HEARTBEAT_S) + 2
-"""As in test_stops.py."""
 
 
 def inject(rig, can_id: int, data: bytes) -> None:

@@ -8,38 +8,13 @@ import pytest
 
 from cutgate.config.key import load_key
 from cutgate.protocol.codes import fingerprint
-from cutgate.protocol.frames import (
-    IDS,
-    ControllerFault,
-    ControllerHeartbeat,
-    Joint4,
-    Joints01,
-    Joints23,
-    RuntimeHeartbeat,
-)
+from cutgate.protocol.frames import IDS, ControllerFault, ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import Status
 from tests.system.children import MOVING, Script
-from tests.system.harness import HEARTBEAT_S, TIMEOUT_S, decoded, is_kind, register, state_of
+from tests.system.harness import IN_TIME, is_kind, moved_after, register, state_of
 
 pytestmark = pytest.mark.processes
-
-IN_TIME = round(TIMEOUT_S / HEARTBEAT_S) + 2
-"""Heartbeats of the controller: those of the time-out, the one that was due with the last it heard, and one more turn."""
-
-
-def moved_after(rig, stopped_s: float) -> bool:
-    """Whether any joint moved after this moment on the bus."""
-    kinds = (Joints01, Joints23, Joint4)
-    frames = [
-        m for m in list(rig.bus.frames) if m.timestamp > stopped_s and any(is_kind(m, k) for k in kinds)
-    ]
-    return any(len({_joints(m) for m in frames if is_kind(m, kind)}) > 1 for kind in kinds)
-
-
-def _joints(message: can.Message) -> tuple[int, ...]:
-    """What a frame of joints says of them, without its tag."""
-    return tuple(value for name, value in vars(decoded(message)).items() if name.startswith("q"))
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.session.withdrawn import since_1970_us
-from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
+from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -148,8 +148,8 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
 def _on_branch(path: records.Path, problem: Problem, asked: AskedTurns) -> records.Path:
     """The branch asked for, else that with the largest worst margin; where none is feasible (0, 0), refused later."""
     chosen = in_branch(problem, asked).branch
-    if chosen is None and (best := certified.verify(problem).branch):
-        chosen = best.q0_turns, best.roll_turns
+    if chosen is None:
+        chosen = decide(problem).branch
     return with_branch(path, *chosen) if chosen else path
 
 

@@ -74,10 +74,10 @@ def candidates(
         shift = REVOLUTION * whole
         margin = min(reach[0] + shift - lower, upper - reach[1] - shift)
         reports = low <= least + shift and most + shift <= high
-        return Candidate(shift, _reported(geometry, joint, start + shift), margin >= 0.0 and reports, margin)
+        return Candidate(shift, reported(geometry, joint, start + shift), margin >= 0.0 and reports, margin)
 
     if asked is not None:
-        return [candidate(round(geometry.side * (asked - _reported(geometry, joint, start))))]
+        return [candidate(round(geometry.side * (asked - reported(geometry, joint, start))))]
     first = math.ceil(max(lower - reach[0], low - least) / REVOLUTION)
     last = math.floor(min(upper - reach[1], high - most) / REVOLUTION)
     if first > last:
@@ -108,7 +108,7 @@ def winding(geometry: Geometry, joint: int, start: float, reach: tuple[float, fl
         start: unwrapped canonical angle at the first pose, rad.
         reach: least and largest unwrapped angle over the path, rad.
     """
-    away = 360.0 * _reported(geometry, joint, start)
+    away = 360.0 * reported(geometry, joint, start)
     offset = float(geometry.offset[joint])
 
     def shown(*angles: float) -> list[float]:
@@ -128,6 +128,6 @@ def winding(geometry: Geometry, joint: int, start: float, reach: tuple[float, fl
     )
 
 
-def _reported(geometry: Geometry, joint: int, angle: float) -> int:
+def reported(geometry: Geometry, joint: int, angle: float) -> int:
     """The whole turns of a canonical angle, as the joint is reported."""
     return int(turns(np.float64(geometry.side * (angle - geometry.offset[joint]))))  # type: ignore[arg-type]

@@ -38,13 +38,14 @@ def defects(problem: Problem) -> tuple[str, ...]:
     found += [
         f"{name} are not all finite" for name, (array, _) in arrays.items() if not np.isfinite(array).all()
     ]
-    found += _bad_numbers(problem)
+    found += bad_numbers(problem)
     if not found:
         found += _bad_axes(problem)
     return tuple(found)
 
 
-def _bad_numbers(problem: Problem) -> list[str]:
+def bad_numbers(problem: Problem) -> list[str]:
+    """Sentences that name what is wrong with the single numbers."""
     calibration, deadband = problem.calibration, problem.deadband
     positive = {
         "feed_mm_s": problem.feed_mm_s,

@@ -16,6 +16,7 @@ Rules, in order; what is not asked of a path is not warned of:
 Example:
     ``stroke`` is that of `problem`.
 
+    >>> from cutgate.runtime.verification import certified
     >>> cautions(stroke, certified.verify(stroke), None)
     ()
     >>> metres = replace(stroke, tips_mm=stroke.tips_mm / 1000.0)
@@ -32,8 +33,8 @@ import numpy as np
 
 from cutgate.protocol.arrays import Floats, Vector
 from cutgate.runtime.kinematics.pose import transform_poses
-from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
+from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Boundary, Verdict
 
@@ -225,7 +226,7 @@ def cautions_of_reading(problem: Problem, verdict: Verdict, registration: Floats
     to_ct = _inverse(registration)
     found = []
     for code, (words, meant) in _readings(registration).items():
-        if certified.verify(_moved(problem, meant @ to_ct)).admissible:
+        if decide(_moved(problem, meant @ to_ct)).admissible:
             text = f"{words} the registration makes the path admissible: {_FRAME}"
             found.append(Caution(code, text, violated, 0.0))
     return tuple(found)

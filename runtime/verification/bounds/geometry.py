@@ -103,6 +103,13 @@ class Segments:
 
 def canonical(problem: Problem) -> tuple[Geometry, Segments]:
     """Bring a problem with finite numbers into canonical form."""
+    geometry = canonical_arm(problem)
+    mirror = np.array((1.0, geometry.side, 1.0))
+    return geometry, _segments(problem.tips_mm * mirror, problem.axes * mirror, problem)
+
+
+def canonical_arm(problem: Problem) -> Geometry:
+    """The arm alone in canonical form; of the path only how far its tips are from the origin."""
     side = 1.0 if problem.arm.elbow == "right" else -1.0
     signs = joint_signs(side)
     calibration = problem.calibration
@@ -118,13 +125,11 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         q1_lo=max(float(lower[1]), 0.0),
         q1_hi=min(float(upper[1]), math.pi),
     )
-    mirror = np.array((1.0, side, 1.0))
-    segments = _segments(problem.tips_mm * mirror, problem.axes * mirror, problem)
-    tilt = calibration.slide_tilt * mirror[:2]
+    tilt = calibration.slide_tilt * (1.0, side)
     stretch = math.sqrt(1.0 + float(tilt @ tilt))
     error_mm, error_rad = errors(problem)
     largest = workspace.a0 + workspace.a1 + problem.tool_length_mm + float(np.abs(problem.tips_mm).max())
-    geometry = Geometry(
+    return Geometry(
         side=side,
         lower=lower,
         upper=upper,
@@ -140,7 +145,6 @@ def canonical(problem: Problem) -> tuple[Geometry, Segments]:
         error_rad=error_rad,
         pad_mm=ROUNDINGS * EPSILON * largest,
     )
-    return geometry, segments
 
 
 def joint_signs(side: float) -> Floats:

@@ -10,6 +10,7 @@ from cutgate.runtime.verification import problem
 VERIFIERS = (
     "certified",
     "certificate",
+    "decide",
     "stocco",
     "plausibility",
     "approach.decision",

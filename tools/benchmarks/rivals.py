@@ -31,6 +31,18 @@ def dense(problem: Problem, step_mm: float) -> Floats:
     return margin
 
 
+def inverse_kinematics(problem: Problem) -> tuple[Floats, ...]:
+    """The joints at each pose, rad and mm, shape (n,) each: contiguous arrays, no more than that. K of the tables."""
+    tip, axis = np.array(problem.tips_mm.T, order="C"), np.array(problem.axes.T, order="C")
+    x, y, z = tip + problem.tool_length_mm * axis
+    a0, a1 = problem.arm.upper_mm, problem.arm.forearm_mm
+    cosine = (x * x + y * y - a0 * a0 - a1 * a1) / (2 * a0 * a1)
+    q1 = np.arccos(cosine)
+    q0 = np.arctan2(y, x) - np.arctan2(a1 * np.sin(q1), a0 + a1 * cosine)
+    roll = np.arctan2(axis[1], axis[0]) - q0 - q1
+    return q0, q1, z, np.mod(roll + np.pi, 2 * np.pi) - np.pi, np.arccos(axis[2])
+
+
 class AlongThePath:
     """D of the paper's annulus along a path of wrist centres: distance to the nearer circle, by arc length."""
 

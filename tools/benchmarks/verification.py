@@ -6,13 +6,15 @@ Markdown tables on stdout; with ``--write`` in a file as well.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from measure import RUNS, a_command, in_a_child, machine, seconds
 from pages import Rows, document, show
 from paths import TABLE_1, TABLE_2, finer, hip_stem, level_pocket, prepared, zigzag
-from rivals import AlongThePath, bisection, dense, optimal_cover
+from rivals import AlongThePath, bisection, dense, inverse_kinematics, optimal_cover
 
 from cutgate.runtime.verification import certificate, certified, stocco
+from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.placing import guidance
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Verdict
@@ -116,32 +118,78 @@ def _works(problem: Problem) -> tuple[Callable[[], object], ...]:
     return lambda: certified.verify(problem), lambda: dense(problem, 1.0), lambda: dense(problem, 0.1)
 
 
+def answer_alone() -> Rows:
+    """Admissible or not, and nothing else. K: the joints at each pose by numpy, once. Many in a row, medians."""
+    yield (
+        "path",
+        "poses",
+        "answer alone",
+        "K",
+        "answer / K",
+        "certified",
+        "certified / answer",
+        "open segments",
+    )
+    for name, problem in (("hip stem", hip_stem()), ("level pocket", level_pocket())):
+        found = decide(problem)
+        if not found.admissible:
+            raise ValueError(f"{name} is inadmissible")
+        alone, k = (
+            took / MANY for took in seconds(*(_many(work, problem) for work in (decide, inverse_kinematics)))
+        )
+        own = seconds(partial(certified.verify, problem))[0]
+        yield (
+            name,
+            f"{len(problem.tips_mm)}",
+            f"{alone * 1e3:.3f} ms",
+            f"{k * 1e3:.3f} ms",
+            f"{alone / k:.2f}",
+            f"{own * 1e3:.1f} ms",
+            f"{own / alone:.0f}",
+            f"{found.open_segments}",
+        )
+
+
+MANY = 50
+
+
+def _many(work: Callable[[Problem], object], problem: Problem) -> Callable[[], object]:
+    return lambda: [work(problem) for _ in range(MANY)]
+
+
 def growth() -> Rows:
     """The hip stem cut finer, each size in a process of its own: best of a few runs, and the peak memory of the whole process."""
-    yield ("poses", "certified", "a segment", "peak memory", "verdict")
+    yield ("poses", "certified", "a segment", "answer alone", "a segment", "peak memory", "verdict")
     for poses in (1_000, 10_000, 100_000, 1_000_000):
-        (took, count, admissible), peak = in_a_child(_grown, poses)
+        (took, alone, count, admissible), peak = in_a_child(_grown, poses)
         yield (
             f"{count}",
             f"{took * 1e3:.1f} ms",
             f"{took / (count - 1) * 1e6:.2f} us",
+            f"{alone * 1e3:.2f} ms",
+            f"{alone / (count - 1) * 1e6:.2f} us",
             f"{peak:.0f} MiB",
             "admissible" if admissible else "inadmissible",
         )
 
 
-def _grown(poses: int) -> tuple[float, int, bool]:
+def _grown(poses: int) -> tuple[float, float, int, bool]:
     whole = hip_stem()
     if poses < len(whole.tips_mm):
         problem = _first(whole, poses)
     else:
         problem = _first(finer(whole, -(-poses // (len(whole.tips_mm) - 1))), poses)
-    took = []
+    took, alone = [], []
     for _ in range(2 if poses > 100_000 else RUNS):
         began = time.perf_counter()
         verdict = certified.verify(problem)
         took.append(time.perf_counter() - began)
-    return min(took), len(problem.tips_mm), verdict.admissible
+        began = time.perf_counter()
+        admissible = decide(problem).admissible
+        alone.append(time.perf_counter() - began)
+        if admissible is not verdict.admissible:
+            raise ValueError(f"the answer alone is another one for {poses} poses")
+    return min(took), min(alone), len(problem.tips_mm), verdict.admissible
 
 
 def _first(problem: Problem, poses: int) -> Problem:
@@ -227,6 +275,7 @@ BESIDE: dict[str, Callable[[], str]] = {
 
 SECTIONS: dict[str, Callable[[], Rows]] = {
     "Growth with the number of poses": growth,
+    "The answer alone": answer_alone,
     "Start-up": start_up,
     "Against dense sampling": against_sampling,
     "Beside the verdict": beside_the_verdict,

@@ -35,6 +35,17 @@ def test_table_2_is_one_more_than_printed(script):
     assert all(int(march) <= int(bound) for *_, bound, march in rows)
 
 
+def test_the_answer_alone_is_timed_on_paths_that_one_look_decides_beside_their_inverse_kinematics(script):
+    head, *rows = script("verification").answer_alone()
+    assert [dict(zip(head, row, strict=True))["open segments"] for row in rows] == ["0", "0"]
+    problem = script("paths").hip_stem()
+    margin = script("rivals").dense(problem, 1e6)
+    q0, q1, z, q3, q4 = script("rivals").inverse_kinematics(problem)
+    for joint, q in enumerate((q0, q1, z, q3, q4)):
+        least = min((q - problem.lower[joint]).min(), (problem.upper[joint] - q).min())
+        assert least == pytest.approx(margin[joint], abs=1e-9)
+
+
 def test_no_cover_is_found_where_the_path_does_not_keep_the_distance(script):
     paths, rivals = script("paths"), script("rivals")
     with pytest.raises(ValueError, match="does not keep"):

@@ -11,6 +11,7 @@ from rich.text import Text
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.verification.advice import Guidance, Move, OtherElbow
+from cutgate.runtime.verification.placing.tolerated import Tolerated
 from cutgate.runtime.verification.plausibility import Caution
 from cutgate.runtime.verification.report.document import Digests
 from cutgate.runtime.verification.report.summary import summary, worst
@@ -73,6 +74,13 @@ def caution_line(caution: Caution) -> Text:
     """One warning, and whether it keeps from a permit."""
     asked = f" (before a permit: confirm {caution.code})" if caution.confirm else ""
     return Text.assemble(("WARNING", WARNED), f" {caution.code}: {printable(caution.text)}{asked}")
+
+
+def print_tolerated(console: Console, found: Tolerated | None) -> None:
+    """Prints what error of the registration an admitted path tolerates, where that is proved."""
+    if found is not None:
+        console.print()
+        console.print(Text(found.text))
 
 
 def print_other_elbow(console: Console, found: OtherElbow | None) -> None:

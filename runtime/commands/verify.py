@@ -19,6 +19,7 @@ from cutgate.runtime.commands.verdict_view import (
     print_cautions,
     print_end,
     print_other_elbow,
+    print_tolerated,
     print_verdict,
     where_facts,
 )
@@ -30,6 +31,7 @@ from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.certificate import certify
 from cutgate.runtime.verification.placing.guidance import guide
 from cutgate.runtime.verification.placing.other_elbow import other_elbow
+from cutgate.runtime.verification.placing.tolerated import tolerated
 from cutgate.runtime.verification.plausibility import (
     Caution,
     Placed,
@@ -187,7 +189,9 @@ def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) 
         elapsed_ms=checked.elapsed_ms,
         other_elbow=other_elbow(problem, verdict),
     )
-    return described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
+    whole = described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
+    error = tolerated(problem, verdict)
+    return {**whole, "registration_error": None if error is None else asdict(error)}
 
 
 def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
@@ -241,6 +245,7 @@ def verify(
         facts = _facts(prepared, checked, every_place=verbose)
         print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
         print_cautions(console, found)
+        print_tolerated(console, tolerated(checked.problem, checked.verdict))
         print_other_elbow(console, other_elbow(checked.problem, checked.verdict))
         guidance = _guidance(checked, prepared)
         print_cautions(console, cautions_of_move(guidance))

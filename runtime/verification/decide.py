@@ -29,6 +29,7 @@ Example:
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -75,6 +76,23 @@ SAG: Final = math.pi**2 / 32.0
 """An axis that turns by du leaves its chord by at most this times |du|^2."""
 
 
+class Error(NamedTuple):
+    """How far the bone may stand from where it is taken to stand: turned about a vertical, then moved.
+
+    Attributes:
+        ball_mm: any translation up to this.
+        yaw_rad: any turn up to this, either way.
+        pivot_mm: of the turn, x and y.
+    """
+
+    ball_mm: float
+    yaw_rad: float = 0.0
+    pivot_mm: tuple[float, float] = (0.0, 0.0)
+
+
+EXACT: Final = Error(0.0)
+
+
 class Decided(NamedTuple):
     """What is decided.
 
@@ -107,6 +125,30 @@ def decide(problem: Problem) -> Decided:
         if not certified.verify(piece).admissible:
             return _verified(problem, len(opened))
     return Decided(admissible=True, branch=branch, open_segments=len(opened))
+
+
+class Around:
+    """Whether a path is admissible wherever its bone stands within an error, as far as one look proves it.
+
+    The placements within an error are one connected set, and where no boundary is met in it the branch is one as well.
+
+    Args:
+        problem: an admissible path.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        arm = _Arm.of(problem)
+        known = arm is not None and _branch(arm, problem) is not None
+        self._looks = list(_looks(arm, problem)) if arm is not None and known else None
+
+    def holds(self, error: Error) -> bool:
+        """Whether it is proved; False where it is not, whatever is true."""
+        return self._looks is not None and all(_holds(look, error) for look in self._looks)
+
+
+def _holds(look: _Look, error: Error) -> bool:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return bool(look.keeps(_Whole, error)) or bool(look.keeps(_Each, error).all())
 
 
 def _verified(problem: Problem, open_segments: int) -> Decided:
@@ -214,15 +256,19 @@ def _branch(arm: _Arm, problem: Problem) -> tuple[int, int] | None:
 
 def _open_segments(arm: _Arm, problem: Problem) -> Rows:
     """Numbers of the segments of which one look proves too little."""
-    n = len(problem.tips_mm) - 1
     found = []
-    for first in range(0, n, BLOCK):
-        look = _Look.at(arm, problem, slice(first, min(first + BLOCK, n) + 1))
+    for number, look in enumerate(_looks(arm, problem)):
         with np.errstate(invalid="ignore", divide="ignore"):
             if not look.keeps(_Whole):
                 kept = look.keeps(_Each)
-                found.append(first + np.flatnonzero(~(kept[:-1] & kept[1:])))
+                found.append(number * BLOCK + np.flatnonzero(~(kept[:-1] & kept[1:])))
     return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
+
+
+def _looks(arm: _Arm, problem: Problem) -> Iterator[_Look]:
+    """Block by block; neighbours share a pose."""
+    n = len(problem.tips_mm) - 1
+    return (_Look.at(arm, problem, slice(i, min(i + BLOCK, n) + 1)) for i in range(0, n, BLOCK))
 
 
 class _Whole:
@@ -365,12 +411,13 @@ class _Look:
             turn2=np.einsum("ij,ij->j", turned, turned),
         )
 
-    def keeps(self, over: Over) -> Any:
+    def keeps(self, over: Over, error: Error = EXACT) -> Any:
         """Whether everything is kept as far from a pose as the path is from its nearer one: of all poses, or each, (m + 1,)."""
         g = self.arm.geometry
         turn2 = over.beside(self.turn2)
         sag_mm = g.stretch * g.tool_mm * SAG * turn2
-        reach_mm = g.stretch / 2 * over.sqrt(over.beside(self.chord2)) + sag_mm
+        moved_mm, turned = self._moved(over, error)
+        reach_mm = g.stretch / 2 * over.sqrt(over.beside(self.chord2)) + sag_mm + moved_mm
         nearest = over.sqrt(over.least(self.square)) - reach_mm
         farthest = over.sqrt(over.most(self.square)) + reach_mm
         bend = self._elbow_sine(over, nearest - g.error_mm, farthest + g.error_mm)
@@ -385,10 +432,12 @@ class _Look:
             & ~over.any_of(self._barely_moves())
             & (nearest >= self.arm.inner_mm)
             & (farthest <= self.arm.outer_mm)
-            & (over.least(self.z) - sag_mm >= self.arm.slide_mm[0])
-            & (over.most(self.z) + sag_mm <= self.arm.slide_mm[1])
+            & (over.least(self.z) - sag_mm - error.ball_mm >= self.arm.slide_mm[0])
+            & (over.most(self.z) + sag_mm + error.ball_mm <= self.arm.slide_mm[1])
             & self._sides_keep(over, reach_mm, farthest)
-            & self._roll_keeps(over, reach_mm, (over.greater(nearest, g.arm_mm), farthest), sines)
+            & self._roll_keeps(
+                over, (reach_mm, moved_mm, turned), (over.greater(nearest, g.arm_mm), farthest), sines
+            )
             & self._rates_keep(over, farthest, sines)
         )
 
@@ -396,6 +445,16 @@ class _Look:
         """Segments as short as what rounds them, but not at rest: what bounds their speed is mostly rounding, (m,)."""
         size2 = self.chord2 + self.arm.geometry.tool_mm**2 * self.turn2
         return (size2 > 0.0) & (size2 < SHORTEST_MM**2)
+
+    def _moved(self, over: Over, error: Error) -> tuple[Any, float]:
+        """How far the bone's error moves a wrist centre in slide coordinates, and turns an azimuth, at most."""
+        g = self.arm.geometry
+        if error.yaw_rad == 0.0:
+            return g.stretch * error.ball_mm, 0.0
+        x, y = self.x - error.pivot_mm[0], self.y - g.side * error.pivot_mm[1]
+        away_mm = np.sqrt(x * x + y * y) + math.hypot(*g.tilt) * np.abs(self.z)
+        chord = 2.0 * math.sin(error.yaw_rad / 2)
+        return g.stretch * error.ball_mm + chord * over.most(away_mm), error.yaw_rad
 
     def _elbow_sine(self, over: Over, nearest_mm: Any, farthest_mm: Any) -> Any:
         """Least sin q1 between two distances from the column; 0 where they reach too far or not far enough."""
@@ -429,7 +488,9 @@ class _Look:
         keeps: Any = (about2 >= outside) | (about2 <= inside) | (across <= line_mm - keep)
         return over.all(keeps[0] & keeps[1])
 
-    def _roll_keeps(self, over: Over, reach_mm: Any, radii: tuple[Any, Any], sines: tuple[Any, Any]) -> Any:
+    def _roll_keeps(
+        self, over: Over, way: tuple[Any, Any, float], radii: tuple[Any, Any], sines: tuple[Any, Any]
+    ) -> Any:
         """The axis turned back by the forearm's heading points within the roll's limits.
 
         With c the wrist centre, D its squared distance from the column, A = (D + a1^2 - a0^2) / 2 and B = a0 a1 sin q1,
@@ -445,7 +506,9 @@ class _Look:
         if sine != 0.0:
             toward = toward * cosine + (uy * fx - ux * fy) * sine
         rounding = 8.0 + 1.0 / level + farthest / (a0 * bend) + (farthest**2 + a0**2 + a1**2) / (a1 * nearest)
-        slack = (3.0 * reach_mm + g.error_mm) / (a1 * bend) + self._azimuth_error(over, level)
+        reach_mm, moved_mm, turned = way
+        slack = turned + (3.0 * reach_mm - 2.0 * moved_mm + g.error_mm) / (a1 * bend)
+        slack += self._azimuth_error(over, level)
         slack += 2.0 * g.pad_mm / (min(a0, a1) * bend) + ROUNDINGS * EPSILON * rounding
         # cos(half - slack), for its second derivative is at most 1
         bound = math.cos(half) + slack * (math.sin(half) + slack / 2)

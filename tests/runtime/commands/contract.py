@@ -146,11 +146,20 @@ class VerdictDocument(Part):
         return self
 
 
+class RegistrationErrorPart(Part):
+    ball_mm: float
+    yaw_deg: float
+    both_ball_mm: float
+    both_yaw_deg: float
+    pivot_mm: tuple[float, float, float]
+
+
 class VerifyDocument(VerdictDocument):
-    """What ``verify --json`` prints: the verdict, and where it lies."""
+    """What ``verify --json`` prints: the verdict, where it lies, and what error of the registration it tolerates."""
 
     warnings: list[WarningPart]
     extent: ExtentPart
+    registration_error: RegistrationErrorPart | None
 
     @model_validator(mode="after")
     def _each_worst_place_has_its_tip(self):

@@ -77,6 +77,19 @@ def test_the_first_registration_is_inadmissible_with_a_verified_way_out(verdict)
     assert {"outer", "top"} <= {move.boundary for move in found.guidance.moves}
 
 
+def test_an_admitted_path_says_what_error_of_its_registration_it_tolerates(cutgate, verdict):
+    """On the screen the sentence, in JSON the numbers; a refusal says nothing of it."""
+    _, found = verdict(PLAN, *MOUNTED, "--registration", SECOND)
+    error = found.registration_error
+    assert error.ball_mm == pytest.approx(17.89, abs=0.02)
+    assert 0.0 < error.both_ball_mm < error.ball_mm
+    _, told, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)
+    told = " ".join(told.split())
+    assert f"alone up to {error.ball_mm:.2f} mm, or {error.yaw_deg:.2f} deg (proved)." in told
+    assert verdict(PLAN, *MOUNTED, "--registration", FIRST)[1].registration_error is None
+    assert "Still admissible" not in cutgate("verify", PLAN, *MOUNTED, "--registration", FIRST)[1]
+
+
 def test_a_refusal_says_what_the_other_elbow_would_before_any_move_is_proposed(cutgate, verdict, tmp_path):
     """A shoulder that stops at 0 deg cannot cut this path with its right elbow, and could with its left one."""
     robot, path = tmp_path / "robot.toml", tmp_path / "path.csv"

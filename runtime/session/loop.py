@@ -321,9 +321,7 @@ class Session:
                 case Reserved(reservation=reservation):
                     if not reservation.reserved:
                         self._view.note(f"space for the audit log: {reservation.how}")
-                    self._feed(
-                        LogChanged(replace(self.state.log, writable=True, reserved_bytes=reservation.size))
-                    )
+                    self._feed(LogChanged(replace(self.state.log, reserved_bytes=reservation.size)))
 
     def _hear_witness(self) -> None:
         """Whether the log that the controller saw last is here: recorded, and shown where it is not."""

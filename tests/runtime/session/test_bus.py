@@ -24,6 +24,7 @@ from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
 from tests.runtime.interlock.builders import DURABLE_LOG
 from tests.runtime.session.pair import Stranger
+from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, double, flip, lose, nth, of
 
 KINDS = [RuntimeHeartbeat, ControllerHeartbeat]
@@ -348,6 +349,19 @@ def test_a_runtime_that_asks_for_a_separation_time_for_the_limits_is_refused_in_
     pair.wire.rules.append(paused(BULK_IDS, RUNTIME))
     assert pair.begin().end() is Phase.STOPPED
     assert f"refused: bulk channel: {SEPARATION}" in pair.said
+
+
+def test_an_opening_whose_flow_control_never_comes_does_not_hold_up_the_next_one(pair):
+    """The first one's beginning is lost, and its sender waits; what the next announcement brings leaves at once."""
+
+    def begins_open(message):
+        return message.arbitration_id == CONTROL_IDS[RUNTIME] and message.data[0] >> 4 == 1
+
+    pair.wire.rules.append(
+        lambda m: [] if begins_open(m) and len(first_frames(pair, records.Open)) == 1 else [m]
+    )
+    assert pair.end() is Phase.DONE, pair.state.reason
+    assert len(first_frames(pair, records.Open)) == 2
 
 
 def test_an_announcement_that_was_damaged_is_followed_by_another(pair):

@@ -114,6 +114,16 @@ def test_a_slow_checkpoint_stops_the_cut_only_beyond_its_own_deadline(pair, dela
         assert pair.state.cause is StopCause.AUDIT_FAILED
 
 
+@pytest.mark.parametrize(("waited_s", "phase"), [(5.0, Phase.CUTTING), (5.0001, Phase.STOPPING)])
+def test_a_disk_that_has_taken_as_long_as_the_deadline_is_not_yet_late(pair, monkeypatch, waited_s, phase):
+    pair.power_up(time_scale=0.05)
+    pair.to(Phase.CUTTING)
+    monkeypatch.setattr(pair.log, "oldest_pending_s", lambda _now_s: waited_s)
+    pair.run_cycle()
+    assert pair.phase is phase
+    assert pair.state.reason == ("" if phase is Phase.CUTTING else "the disk has not answered for 5 s")
+
+
 def test_a_durable_decision_that_no_longer_holds_is_withheld(pair):
     """The registration grows too old while the permit's record is on its way to the disk."""
     pair.begin(replace(pair.job, registration_age_s=0.0, registration_max_age_s=0.5))

@@ -197,7 +197,8 @@ def test_a_decision_that_raises_ends_in_a_stop_a_decision_and_a_fault(cutting, b
     assert fault["detail"] == "internal error: RuntimeError: broken"
     assert ("send STOP INTERNAL_ERROR" in last["effects"]) is (breaks == "a handler")
     assert last["reason"].startswith("without the table: ") is (breaks == "the table")
-    assert cutting.read().of("/audit/close")[-1]["clean"] is False
+    closed = cutting.read().of("/audit/close")[-1]
+    assert (closed["clean"], closed["outcome"]) == (False, "internal error: RuntimeError: broken")
 
 
 @pytest.fixture

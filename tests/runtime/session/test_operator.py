@@ -98,6 +98,21 @@ def test_the_end_of_standard_input_stops_nothing(pair):
     assert pair.terminal.reader.descriptor is None
 
 
+def test_a_terminal_that_has_hung_up_wakes_the_loop_once_and_no_more(pair):
+    """The end of a pipe can be read for ever: a loop that went on listening to it would never rest."""
+
+    def wakes():
+        pair.clock.now_s = pair.session._cycle.next_heartbeat_s  # a cycle is due: nothing is waited for
+        return descriptor in pair.session._wait(pair.wake[0])
+
+    pair.to(Phase.PERMITTED)
+    descriptor = pair.terminal.reader.descriptor
+    pair.terminal.hang_up()
+    assert wakes()
+    pair.run_cycle()
+    assert not wakes()
+
+
 def test_start_before_the_device_was_released_and_pressed_is_refused(pair):
     pair.controller_terminal.type("hold")
     pair.to(Phase.PERMITTED).run(0.1).say("start")

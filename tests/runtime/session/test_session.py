@@ -52,6 +52,16 @@ def test_every_record_that_left_is_in_the_log(pair):
     assert [kind for kind, _ in groupby(sent)] == [*kinds]
 
 
+def test_every_record_that_came_is_in_the_log(pair):
+    pair.end()
+    pair.close()
+    came = [one["record"] for one in pair.read().of(CanTransfer.TOPIC) if one["direction"] == "received"]
+    parameters = ("Limits", "Calibration", "Tool")
+    answers = ("Nonce", "Reply", "Nonce", "Reply")  # to the permit and to the start
+    kinds = ("Announce", "Opened", *parameters, "BlockStored", "PathStored", *answers)
+    assert [kind for kind, _ in groupby(came)] == [*kinds]
+
+
 def test_where_a_session_stood_when_it_was_stopped_is_told_and_nothing_of_one_that_was_not(pair):
     pair.to(Phase.PERMITTED)
     assert pair.session.stopped_in is None

@@ -9,6 +9,8 @@ import pytest
 from cutgate.protocol import candump, records
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session.space import FIXED_BYTES, Space, estimated_s, space, waiting_s
+from cutgate.runtime.verification.steps import finished
+from tests.runtime.session.pair import STANDS, check_of
 from tests.runtime.session.test_session import first_frames
 
 HEARTBEATS_MS = (5, 10, 20, 50, 100)
@@ -88,6 +90,18 @@ def test_a_permit_waits_for_the_space_that_is_known_to_be_needed(pair):
     assert pair.state.log.reserved_bytes == 0
     pair.disk.answers = True
     assert pair.to(Phase.PERMITTED)
+
+
+def test_a_permit_waits_for_no_other_space_where_no_more_is_needed_than_was_estimated(pair, monkeypatch):
+    """The estimate was exact, and what it asked for is reserved; the disk does not answer any more."""
+    own = finished(check_of(pair.job, pair.files.robot.value).steps(1, STANDS)).verdict
+    seconds = own.trajectory.end_s / pair.options.time_scale
+    monkeypatch.setattr("cutgate.runtime.session.loop.estimated_s", lambda _job: seconds)
+    pair.begin().to(Phase.COLLECTING)
+    reserved, needed = pair.state.log.reserved_bytes, pair.state.log.needed_bytes
+    pair.disk.answers = False
+    pair.to(Phase.AUTHORISING_PERMIT)
+    assert (pair.state.log.reserved_bytes, pair.state.log.needed_bytes) == (reserved, needed)
 
 
 def test_a_disk_without_space_for_the_raw_frames_admits_nothing(pair):

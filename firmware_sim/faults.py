@@ -126,6 +126,7 @@ def last_bit_flipped(path: bytes) -> bytes:
 
 def flipped(path: bytes) -> StoredPath:
     """The path with that bit flipped where it lies in memory; the CRCs stay as received."""
-    received, altered = records.split(path), last_bit_flipped(path)
-    blocks = [altered[block.offset : block.offset + len(block.data)] for block in received]
-    return StoredPath(PathHeader.of(path), blocks, [block.block_crc32 for block in received])
+    received = [block.block_crc32 for block in records.split(path)]
+    altered = last_bit_flipped(path)
+    blocks = [altered[at : at + records.BLOCK_BYTES] for at in range(0, len(path), records.BLOCK_BYTES)]
+    return StoredPath(PathHeader.of(path), blocks, received)

@@ -2,7 +2,8 @@
 
 Header of 40 bytes, then 20 bytes a pose: tip x, y, z as int32 in um, tool axis as octahedral map u, v as int32
 in units of 2**-30. Only + - * / and sqrt decode it, so decoding is the same to the last bit on every machine.
-A block of 4000 bytes holds whole poses because the header is as long as two.
+A block of 4000 of these bytes holds whole poses because the header is as long as two. It is sent coded (``coding``),
+each block on its own, and stored as the bytes themselves.
 """
 
 import functools
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cutgate.protocol.arrays import Bools, Floats
+from cutgate.protocol.coding import coded_bytes_max, decode, encode
 from cutgate.protocol.parameters import UNIT, counts_nearest
 from cutgate.protocol.wire import (
     I16,
@@ -48,6 +50,8 @@ HEADER_BYTES = 40
 POSES_MAX = 1 << 20
 PATH_BYTES_MAX = HEADER_BYTES + POSE_BYTES * POSES_MAX
 BLOCK_BYTES = 4000
+BLOCK_DATA_MAX = coded_bytes_max(BLOCK_BYTES // POSE_BYTES)
+"""Of the first block too: its header takes no more than two poses at their worst."""
 TURNS_MAX = 100
 TURN_MAX_DEG = 179.0
 _HALF_SUM_MIN = math.cos(math.radians(TURN_MAX_DEG / 2.0))
@@ -301,7 +305,10 @@ def _refuse_first(wrong: Bools, why: str, first: int = 0) -> None:
 
 @dataclass(frozen=True)
 class PathBlock(Record):
-    """Part `index` of `count` of a path's bytes."""
+    """Part `index` of `count` of a path's bytes, its poses coded.
+
+    Which bytes it stands for follows from its index and from `total`, and so how many poses it holds.
+    """
 
     TYPE: ClassVar[int] = 0x20
     SENDER: ClassVar[Side] = Side.RUNTIME
@@ -312,47 +319,77 @@ class PathBlock(Record):
     offset: U32
     total: U32
     block_crc32: U32
-    data: Annotated[bytes, Rest(BLOCK_BYTES)]
+    """Over the path's bytes, not their coding: it is kept with them, and what a decoder makes is held against it."""
+    data: Annotated[bytes, Rest(BLOCK_DATA_MAX)]
 
     def check(self) -> None:
-        """Refuse a block that does not lie where its index says, and one whose bytes have changed."""
-        if not self.total <= PATH_BYTES_MAX:
-            raise RecordError(f"PathBlock.total is {self.total}, must be at most {PATH_BYTES_MAX}")
+        """Refuse a block that does not lie where its index says. What it holds is looked at when it is decoded."""
+        least = HEADER_BYTES + 2 * POSE_BYTES
+        if not least <= self.total <= PATH_BYTES_MAX or (self.total - HEADER_BYTES) % POSE_BYTES:
+            raise RecordError(
+                f"PathBlock.total is {self.total}, must be {HEADER_BYTES} and {POSE_BYTES} for each of 2..{POSES_MAX} poses"
+            )
         if self.count != -(-self.total // BLOCK_BYTES) or not self.index < self.count:
             raise RecordError(f"PathBlock {self.index} of {self.count} does not fit {self.total} bytes")
-        wanted = (self.index * BLOCK_BYTES, min(BLOCK_BYTES, self.total - self.index * BLOCK_BYTES))
-        if (self.offset, len(self.data)) != wanted:
-            raise RecordError(f"PathBlock {self.index}: offset and length must be {wanted}")
-        if self.block_crc32 != zlib.crc32(self.data):
-            raise RecordError(f"PathBlock {self.index}: CRC-32 does not match its data")
+        if self.offset != self.index * BLOCK_BYTES:
+            raise RecordError(f"PathBlock {self.index}: offset must be {self.index * BLOCK_BYTES}")
+
+    def decoded(self) -> bytes:
+        """The path's bytes, at most BLOCK_BYTES.
+
+        Raises:
+            RecordError: `data` is not the coding of that many poses, or not of those with this CRC-32.
+        """
+        header, coded = self.data[: self._header_bytes], self.data[self._header_bytes :]
+        size = min(BLOCK_BYTES, self.total - self.offset) - self._header_bytes
+        try:
+            poses = decode(coded, size // POSE_BYTES)
+        except RecordError as error:
+            raise RecordError(f"PathBlock {self.index}: {error}") from None
+        found = header + poses.astype("<i4", copy=False).tobytes()
+        if self.block_crc32 != zlib.crc32(found):
+            raise RecordError(f"PathBlock {self.index}: CRC-32 does not match its poses")
+        return found
+
+    @property
+    def _header_bytes(self) -> int:
+        return HEADER_BYTES if self.index == 0 else 0
+
+
+def path_block(path_bytes: bytes, index: int) -> PathBlock:
+    """One block of a path's canonical bytes, coded."""
+    total, offset = len(path_bytes), index * BLOCK_BYTES
+    part = path_bytes[offset : offset + BLOCK_BYTES]
+    header = HEADER_BYTES if index == 0 else 0
+    poses = np.frombuffer(part, dtype="<i4", offset=header).reshape(-1, POSE_BYTES // 4)
+    data = part[:header] + encode(poses)
+    return PathBlock(index, -(-total // BLOCK_BYTES), offset, total, zlib.crc32(part), data)
 
 
 def split(path_bytes: bytes) -> list[PathBlock]:
     """The blocks of a path's canonical bytes, in the order in which they are sent."""
-    total = len(path_bytes)
-    count = -(-total // BLOCK_BYTES)
-    chunks = [path_bytes[at : at + BLOCK_BYTES] for at in range(0, total, BLOCK_BYTES)]
-    return [
-        PathBlock(index, count, index * BLOCK_BYTES, total, zlib.crc32(chunk), chunk)
-        for index, chunk in enumerate(chunks)
-    ]
+    return [path_block(path_bytes, index) for index in range(-(-len(path_bytes) // BLOCK_BYTES))]
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """The blocks received so far, in order; a value, never changed."""
+    """The path's bytes received so far, block by block, in order; a value, never changed."""
 
     blocks: tuple[bytes, ...] = ()
     crc32s: tuple[int, ...] = ()
     total: int = 0
 
     def add(self, block: PathBlock) -> "Assembly":
-        """This assembly and one block more. Raises RecordError unless it is the next one of the same path."""
+        """This assembly and one block more, decoded.
+
+        Raises:
+            RecordError: it is not the next one of the same path, or not what a sound path is coded as.
+        """
         if block.index != len(self.blocks):
             raise RecordError(f"PathBlock {block.index} came where {len(self.blocks)} was due")
         if self.blocks and block.total != self.total:
             raise RecordError(f"PathBlock {block.index} is of {block.total} bytes, the path of {self.total}")
-        return Assembly((*self.blocks, block.data), (*self.crc32s, block.block_crc32), block.total)
+        return Assembly((*self.blocks, block.decoded()), (*self.crc32s, block.block_crc32), block.total)
 
     @property
     def complete(self) -> bool:

@@ -68,6 +68,7 @@ from cutgate.protocol.path import (
     PathBlock,
     PathCodes,
     block_of_pose,
+    path_block,
     split,
 )
 from cutgate.protocol.wire import Channel, Record, RecordError, Side, digest
@@ -125,6 +126,7 @@ __all__ = [
     "joints_to_memory",
     "opens",
     "pack",
+    "path_block",
     "session_digest",
     "session_tag",
     "split",

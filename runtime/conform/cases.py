@@ -25,6 +25,7 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.link import Accepted
 from cutgate.protocol.records import Channel, Permit, Start
 from cutgate.protocol.states import EPOCHS, ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.runtime.conform import codings
 from cutgate.runtime.conform.bench import REGISTERED_US, Bench
 from cutgate.runtime.conform.failures import DeviationError, InconclusiveError
 from cutgate.runtime.conform.heard import Stop, shown
@@ -350,16 +351,22 @@ def corrupted_record(bench: Bench) -> str:
     return _not_stored(bench, since)
 
 
-def corrupted_block(bench: Bench) -> str:
-    """The record is sound, the block in it is not: its own CRC-32 belongs to other data."""
-    bench.open()
-    block = records.split(bench.sample().path.body())[0]
-    changed = bytes([block.data[-1] ^ 1])
-    object.__setattr__(block, "data", block.data[:-1] + changed)  # past the check that forbids it
-    payload = records.pack(block, bench.endpoint.session, bench.endpoint.number(Channel.BULK))
-    since = len(bench.heard)
-    bench.say_bytes(Channel.BULK, payload)
-    return _not_stored(bench, since)
+def block_not_stored(make: Callable[[records.Path], records.PathBlock]) -> Run:
+    """A case in which a sound record brings a block that must not be taken."""
+
+    def run(bench: Bench) -> str:
+        bench.open()
+        block = make(bench.sample().path)
+        since = len(bench.heard)
+        bench.say(block)
+        return _not_stored(bench, since)
+
+    return run
+
+
+def coded(coder: codings.Coder) -> Run:
+    """A case in which the only block of a path is coded so."""
+    return block_not_stored(lambda path: codings.block(path, coder))
 
 
 def second_block_first(bench: Bench) -> str:

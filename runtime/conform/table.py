@@ -11,6 +11,7 @@ from cutgate.protocol import records
 from cutgate.protocol.records import Permit, Start
 from cutgate.protocol.states import EPOCHS, Refusal
 from cutgate.runtime.conform import cases as c
+from cutgate.runtime.conform import codings
 from cutgate.runtime.conform.bench import PERMIT_RECORDS, Bench
 from cutgate.runtime.conform.cases import Case
 from cutgate.runtime.conform.sample import LONG, other_elbow, other_tool, outside_limits
@@ -112,7 +113,19 @@ def _paths(approved: tuple[bytes, bytes, bytes] | None) -> tuple[Case, ...]:
         Case("path: wrong elbow", "Promised, and not", "the same poses for the other elbow", "PathStored WRONG_ELBOW", c.path_refused(Refusal.WRONG_ELBOW, lambda b: (other_elbow(b.sample()), 0))),
         Case("path: other tool", "The path", "made for a tool 1 mm longer", "PathStored TOOL_LENGTH", c.path_refused(Refusal.TOOL_LENGTH, lambda b: (other_tool(b.sample()), 0))),
         Case("path: corrupted record", blocks, "a block with a bit turned", "never stored", c.corrupted_record),
-        Case("path: corrupted block", blocks, "a sound record whose block fails its own CRC-32", "never stored", c.corrupted_block),
+        Case("path: corrupted block", blocks, "a sound record whose poses are not those of the block's CRC-32", "never stored", c.block_not_stored(codings.corrupted)),
+        *(
+            Case(f"path: {name}", "Coded poses", sent, "never stored", c.coded(coder))
+            for name, sent, coder in (
+                ("coding cut short", "the coded poses without their last byte", codings.cut_short),
+                ("a byte behind the coding", "the coded poses and a byte of zeros", codings.a_byte_behind),
+                ("a pose too many", "coded poses, one more than the block's place has", codings.a_pose_more),
+                ("a pose too few", "coded poses, one less than the block's place has", codings.a_pose_less),
+                ("more bits than needed", "every difference in 32 bits", codings.in_32_bits),
+                ("higher order than needed", "what does not change as differences of order 2", codings.of_a_higher_order),
+                ("prefix without an end", "zeros where a prefix must end", codings.endless_prefix),
+            )
+        ),
         Case("path: second block first", blocks, "block 1 without block 0", "never stored", c.second_block_first),
     )  # fmt: skip
 

@@ -138,7 +138,6 @@ class Session:
         self._checkpoint_deadline_s = checkpoint_deadline_s
         self._clock = clock
         self._random = random
-        self._blocks = records.split(state.job.path)
         self._segments = PathHeader.of(state.job.path).count - 1
         self._cycle = Cycle(port, clock)
         self._pauses = Pauses(state.job.timing)
@@ -452,7 +451,7 @@ class Session:
             case Send(record=record):
                 return Send(self._send(record))
             case SendBlock(index=index):
-                self._send(self._blocks[index])
+                self._send(records.path_block(self.state.job.path, index))
             case SendWithdraw():
                 self._send(self._withdraw(effect))
             case SeekWitness(log=log):

@@ -332,8 +332,9 @@ def test_every_pose_of_every_block_is_read_as_the_record_says():
 @pytest.mark.parametrize("block", [0, 1, 3])
 def test_a_flipped_bit_stops_the_arm_before_its_block_is_executed(block):
     path = pocket(poses=777)
-    blocks = [bytearray(part.data) for part in split(path.body())]
-    stored = StoredPath(PathHeader.of(path.body()), blocks, [part.block_crc32 for part in split(path.body())])
+    parts = split(path.body())
+    blocks = [bytearray(part.decoded()) for part in parts]
+    stored = StoredPath(PathHeader.of(path.body()), blocks, [part.block_crc32 for part in parts])
     if block == 0:
         blocks[0][100] ^= 1
         with pytest.raises(BlockError, match="block 0 of 4"):

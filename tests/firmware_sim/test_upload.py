@@ -81,12 +81,32 @@ def test_a_block_out_of_its_order_is_refused():
 
 
 def test_a_whole_that_is_no_path_is_refused():
-    (block,) = records.split(PATH.body())
-    data = b"\xff" * len(block.data)
-    (bad,) = records.split(data)
-    with pytest.raises(records.RecordError):
+    (bad,) = records.split(b"\xff" * len(PATH.body()))
+    with pytest.raises(records.RecordError, match="PathHeader"):
         Upload().add(bad)
     assert PathChecked(b"", Refusal.PATH_MALFORMED, 0, None) == MALFORMED
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda block: {"data": block.data + b"\0"}, "are followed by others"),
+        (lambda block: {"data": block.data[:-1]}, "PathBlock 0: coded poses end inside component 4"),
+        (
+            lambda block: {"block_crc32": block.block_crc32 ^ 1},
+            "PathBlock 0: CRC-32 does not match its poses",
+        ),
+    ],
+    ids=["longer", "shorter", "of other poses"],
+)
+def test_a_block_that_is_not_the_coding_of_its_poses_is_refused_and_kept_nowhere(change, why):
+    first, second, *_ = records.split(LONG.body())
+    one = Upload()
+    with pytest.raises(records.RecordError, match=why):
+        one.add(replace(first, **change(first)))
+    with pytest.raises(records.RecordError, match="PathBlock 1 came where 0 was due"):
+        one.add(second)
+    assert len(sent(one, LONG)) == len(LONG)
 
 
 def test_what_was_begun_before_everything_was_void_is_not_completed_after_it():

@@ -456,7 +456,7 @@ def test_with_fd_bulk_frames_alone_leave_as_fd_also_after_the_timing_was_agreed(
     assert [(can_id, len(data)) for can_id, data in with_fd.outgoing()] == [(0x600, 8), (0x640, 64)]
 
 
-BLOCKS = records.split(bytes(range(256)) * 40)
+BLOCKS = records.split(bytes(range(256)) * 40)  # 510 poses of no path
 
 
 @pytest.mark.parametrize("fd", [False, True], ids=["classic", "FD"])

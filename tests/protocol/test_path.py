@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cutgate.protocol import path as paths
+from cutgate.protocol.coding import encode
 from cutgate.protocol.path import (
     BLOCK_BYTES,
+    BLOCK_DATA_MAX,
     HEADER_BYTES,
     PATH_BYTES_MAX,
     POSE_BYTES,
@@ -27,6 +29,7 @@ from cutgate.protocol.path import (
     block_of_pose,
     decode_axes,
     encode_axes,
+    path_block,
     split,
 )
 from cutgate.protocol.wire import RecordError, digest
@@ -210,19 +213,75 @@ def test_block_out_of_order_or_of_another_path_is_refused():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"total": PATH_BYTES_MAX + 1}, "at most"),
-        ({"total": 0, "count": 0, "index": 0}, "does not fit"),
-        ({"count": 12}, "does not fit"),
-        ({"index": 11, "offset": 44000}, "does not fit"),
-        ({"offset": 1}, "offset and length"),
-        ({"data": b"x"}, "offset and length"),
-        ({"block_crc32": 0}, "CRC-32"),
+        (
+            {"total": PATH_BYTES_MAX + POSE_BYTES},
+            "PathBlock.total is 20971580, must be 40 and 20 for each of 2..",
+        ),
+        ({"total": 40041}, "PathBlock.total is 40041"),
+        ({"total": 60, "count": 1, "index": 0, "offset": 0}, "PathBlock.total is 60"),
+        ({"total": 0, "count": 0, "index": 0}, "PathBlock.total is 0"),
+        ({"count": 12}, "PathBlock 3 of 12 does not fit 40040 bytes"),
+        ({"index": 11, "offset": 44000}, "PathBlock 11 of 11 does not fit"),
+        ({"offset": 1}, "PathBlock 3: offset must be 12000"),
     ],
 )
 def test_block_that_does_not_lie_where_it_says_is_refused(change: dict[str, object], why: str):
     block = split(long_path(2000).body())[3]
     with pytest.raises(RecordError, match=why):
         replace(block, **change)
+
+
+@pytest.mark.parametrize("index", [0, 3, 10])
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda block: {"data": block.data + b"\0"}, "are followed by others"),
+        (lambda block: {"data": block.data[:-1]}, "coded poses (end|have [0-9]+ prefixes)"),
+        (lambda block: {"data": block.data[:1]}, "coded poses end inside component 0"),
+        (lambda block: {"block_crc32": block.block_crc32 ^ 1}, "CRC-32 does not match its poses"),
+    ],
+    ids=["longer", "shorter", "nearly nothing", "of other poses"],
+)
+def test_block_that_is_not_the_coding_of_its_poses_is_refused(index: int, change, why: str):
+    block = split(long_path(2000).body())[index]
+    with pytest.raises(RecordError, match=f"^PathBlock {index}: .*{why}"):
+        replace(block, **change(block)).decoded()
+
+
+@pytest.mark.parametrize(
+    ("poses", "index", "said"), [(2, 0, 3), (400, 0, 2), (400, 2, 403), (400, 1, 399), (2000, 10, 2198)]
+)
+def test_block_of_another_number_of_poses_is_refused(poses: int, index: int, said: int):
+    """How many it holds follows from its place, and nothing else says it."""
+    block, total = split(long_path(poses).body())[index], HEADER_BYTES + POSE_BYTES * said
+    elsewhere = replace(block, total=total, count=-(-total // BLOCK_BYTES))
+    if said == 399:  # the same number of poses in this block
+        assert elsewhere.decoded() == block.decoded()
+    else:
+        with pytest.raises(RecordError, match=f"^PathBlock {index}: coded poses"):
+            elsewhere.decoded()
+
+
+def test_a_block_is_sent_as_its_header_and_its_coded_poses():
+    path = quantised()
+    (block,) = split(path.body())
+    assert (block.index, block.count, block.offset, block.total) == (0, 1, 0, 80)
+    assert block.data == path.body()[:40] + encode(path.poses)
+    assert block.block_crc32 == zlib.crc32(path.body())
+    assert block.decoded() == path.body()
+    assert split(long_path(2000).body())[4] == path_block(long_path(2000).body(), 4)
+
+
+def test_poses_of_noise_fit_their_blocks():
+    poses = np.random.default_rng(1).integers(-(2**31), 2**31, (398, 5), dtype="<i4")
+    body = replace_count(quantised().body()[:HEADER_BYTES], 398) + poses.tobytes()
+    first, second = split(body)
+    assert (len(first.data), len(second.data)) == (BLOCK_DATA_MAX, BLOCK_DATA_MAX) == (4006, 4006)
+    assert Assembly().add(first).add(second).data == body
+
+
+def replace_count(header: bytes, poses: int) -> bytes:
+    return header[:36] + struct.pack("<I", poses)
 
 
 def test_the_header_alone_says_what_the_path_says_and_looks_at_no_pose():
@@ -281,8 +340,10 @@ def test_what_lies_on_a_bound_of_the_header_is_within_it():
 
 def test_the_largest_path_has_its_last_block():
     total = 40 + 20 * 1_048_576
-    last = PathBlock(5242, 5243, 5242 * 4000, total, zlib.crc32(bytes(3560)), bytes(3560))
-    assert last.total == total
+    last = PathBlock(
+        5242, 5243, 5242 * 4000, total, zlib.crc32(bytes(3560)), encode(np.zeros((178, 5), "<i4"))
+    )
+    assert last.decoded() == bytes(3560)
     assert PathBlock.TYPE == 0x20
 
 

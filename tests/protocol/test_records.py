@@ -3,14 +3,14 @@
 import contextlib
 import struct
 import zlib
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cutgate.protocol import wire
-from cutgate.protocol.path import BLOCK_BYTES, PathBlock
+from cutgate.protocol.path import BLOCK_BYTES, BLOCK_DATA_MAX, PathBlock
 from cutgate.protocol.records import (
     ENVELOPE_BYTES_MAX,
     PROTOCOL_VERSION,
@@ -143,8 +143,10 @@ def test_every_record_kind_is_listed():
 
 
 def test_largest_block_fits_one_transfer():
-    block = PathBlock(0, 2, 0, 2 * BLOCK_BYTES, zlib.crc32(bytes(BLOCK_BYTES)), bytes(BLOCK_BYTES))
+    block = PathBlock(0, 2, 0, 2 * BLOCK_BYTES, 0, bytes(BLOCK_DATA_MAX))
     assert len(pack(block, 1, 1)) <= ENVELOPE_BYTES_MAX
+    with pytest.raises(RecordError, match=r"PathBlock\.data must be 1\.\.4006 bytes"):
+        replace(block, data=bytes(BLOCK_DATA_MAX + 1))
 
 
 def test_acknowledge_names_its_cause():

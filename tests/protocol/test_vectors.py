@@ -57,7 +57,7 @@ def test_generator_reproduces_the_files():
 
 @pytest.mark.parametrize("name", [name.removesuffix(".json") for name in generate.files()])
 def test_every_file_says_its_format_and_the_protocol_that_it_belongs_to(name: str):
-    assert (load(name)["format_version"], load(name)["protocol_version"]) == (3, PROTOCOL_VERSION)
+    assert (load(name)["format_version"], load(name)["protocol_version"]) == (4, PROTOCOL_VERSION)
 
 
 def test_every_file_of_vectors_is_generated():

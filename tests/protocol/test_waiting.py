@@ -39,7 +39,7 @@ CUT, INHIBIT = RuntimeHeartbeat(RuntimeCode.CUT, 0), RuntimeHeartbeat(RuntimeCod
 STOP = RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP)
 CUTTING = ControllerHeartbeat(ControllerState.CUTTING, 0, StopCause.NONE, True, True, True)
 FAULT = ControllerFault(FaultCode.STOPPED, StopCause.EMERGENCY_STOP)
-BLOCKS = records.split(bytes(range(256)) * 12)
+BLOCKS = records.split(bytes(40) + bytes(range(250)) * 12)
 STANDS = (0.0, 0.1, 200.0, 0.2, 0.3)
 STEP_RAD = 0.01
 """So far every joint has gone from one turn to the next, the slide in mm."""

@@ -16,7 +16,7 @@ pytestmark = [
     pytest.mark.skipif(not has_socketcan(), reason="the kernel has no vcan0"),
 ]
 
-PATH = bytes(range(256)) * 80
+PATH = bytes(range(256)) * 80  # 1022 poses of no path
 WAIT_S = 20.0
 
 

@@ -11,14 +11,17 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 from bits import CLASSIC_BIT_S, DATA_BIT_S, FULL_S, WORST_BITS, Sent
 from measure import RUNS, machine, seconds
+from numpy.typing import NDArray
 from pages import Rows, document, show
 from paths import EXAMPLES, prepared
 from reaction import controller_cutting, controller_idle, runtime_cutting
 from turns import longest_turns
 
 from cutgate.protocol import records
+from cutgate.protocol.coding import decode, encode
 from cutgate.protocol.endpoint import Endpoint, RecordReceived
 from cutgate.protocol.frames import IDS, TRANSFER_IDS, RuntimeHeartbeat, decode_frame, joint_frames
 from cutgate.protocol.link import Accepted, Link
@@ -39,10 +42,27 @@ HEARTBEAT_S, TIMEOUT_S = 0.02, 0.1
 # ---------------------------------------------------------------- bytes and bus time
 
 
+@dataclass
+class Uploaded:
+    """A path as it crosses the bus: every frame of both sides, the bytes that are stored, and those that say them."""
+
+    frames: list[Sent]
+    poses: int
+    stored: int
+    coded: int
+    blocks: int
+
+    @property
+    def seconds(self) -> float:
+        """On a bus that does nothing else."""
+        return sum(frame.seconds for frame in self.frames)
+
+
 @cache
-def upload(*, fd: bool) -> tuple[list[Sent], int, int]:
-    """Every frame of both sides while the example's path is sent block by block; its bytes, and its poses."""
-    path = prepared("second")[0].path
+def upload(registration: str = "second", name: str = "hip-stem", *, fd: bool) -> Uploaded:
+    """A shipped path, sent block by block."""
+    path = prepared(registration, name)[0].path
+    blocks = split(path.body())
     sides = {
         side: Endpoint(side, KEY, heartbeat_s=0.02, timeout_s=0.1, transfer_timeout_s=1.0, fd=fd)
         for side in Side
@@ -50,7 +70,7 @@ def upload(*, fd: bool) -> tuple[list[Sent], int, int]:
     for endpoint in sides.values():
         endpoint.use_session(DIGEST)
     frames: list[Sent] = []
-    for block in split(path.body()):
+    for block in blocks:
         sides[Side.RUNTIME].send_record(block, 0.0)
         stored = False
         while moved := [(side, frame) for side in Side for frame in sides[side].outgoing()]:
@@ -61,14 +81,16 @@ def upload(*, fd: bool) -> tuple[list[Sent], int, int]:
                 if any(isinstance(item, RecordReceived) for item in items) and not stored:
                     stored = True
                     sides[Side.CONTROLLER].send_record(records.BlockStored(block.index), 0.0)
-    return frames, len(path.body()), len(path)
+    coded = sum(len(block.data) for block in blocks)
+    return Uploaded(frames, len(path), len(path.body()), coded, len(blocks))
 
 
 def pose_and_upload() -> Rows:
     """The hip stem's path as it is uploaded, flow control and answers included, on a bus that does nothing else.
 
-    The limit of the bit rate is the path alone at the data rate: no identifier, check or stuff bit. ISO-TP cannot come
-    nearer to it than with full frames alone, 7 or 63 bytes of a record in each, without stuff bits (last row).
+    A limit of the bit rate is bytes alone at the data rate: no identifier, check or stuff bit; once of the path as it is
+    stored, 20 bytes a pose, once as it is coded. ISO-TP cannot come nearer to the latter than with full frames alone, 7 or
+    63 bytes of a record in each, without stuff bits (last row).
     """
     columns = [_upload_column(fd=fd) for fd in (False, True)]
     yield ("2000 poses", "classic, 1 Mbit/s", "FD, 1 and 5 Mbit/s")
@@ -79,26 +101,35 @@ UPLOAD = (
     "frames",
     "of them flow control",
     "bytes of the path",
+    "bytes of it, coded",
+    "bytes a pose, coded",
     "bytes of data on the bus",
     "bytes a pose, of data on the bus",
     "bits a pose",
     "bus time a pose",
     "upload",
-    "limit of the bit rate",
-    "upload / limit",
-    "full frames without stuff bits / limit",
+    "limit of the path",
+    "upload / limit of the path",
+    "limit of the coded path",
+    "upload / limit of the coded path",
+    "full frames without stuff bits / limit of the coded path",
 )
 
 
 def _upload_column(*, fd: bool) -> tuple[str, ...]:
-    frames, size, poses = upload(fd=fd)
-    took, carried = sum(frame.seconds for frame in frames), sum(len(frame.data) for frame in frames)
-    limit = size * 8 * (DATA_BIT_S if fd else CLASSIC_BIT_S)
-    lowest = size / (63 if fd else 7) * FULL_S[fd]
+    sent = upload(fd=fd)
+    frames, took, poses = sent.frames, sent.seconds, sent.poses
+    carried = sum(len(frame.data) for frame in frames)
+    limit, coded_limit = (
+        size * 8 * (DATA_BIT_S if fd else CLASSIC_BIT_S) for size in (sent.stored, sent.coded)
+    )
+    lowest = sent.coded / (63 if fd else 7) * FULL_S[fd]
     return (
         str(len(frames)),
         str(sum(frame.data[0] >> 4 == 3 for frame in frames)),
-        str(size),
+        str(sent.stored),
+        str(sent.coded),
+        f"{sent.coded / poses:.2f}",
         str(carried),
         f"{carried / poses:.2f}",
         f"{sum(frame.bits for frame in frames) / poses:.1f}",
@@ -106,8 +137,41 @@ def _upload_column(*, fd: bool) -> tuple[str, ...]:
         f"{took:.3f} s",
         f"{limit:.3f} s",
         f"{took / limit:.2f}",
-        f"{lowest / limit:.2f}",
+        f"{coded_limit:.3f} s",
+        f"{took / coded_limit:.2f}",
+        f"{lowest / coded_limit:.2f}",
     )
+
+
+def coded_paths() -> Rows:
+    """Each shipped path: what is stored, how it is coded, and what its upload takes of a bus that does nothing else.
+
+    To the limit: upload, of the path as it is stored, 20 bytes a pose, at the data rate.
+    """
+    yield (
+        "path",
+        "poses",
+        "blocks",
+        "bytes a pose, coded",
+        "classic",
+        "to the limit",
+        "FD",
+        "to the limit, FD",
+    )
+    for registration, name in (("second", "hip-stem"), ("femoral", "femoral"), ("tibial", "tibial")):
+        sent = upload(registration, name, fd=False)
+        yield (
+            name,
+            str(sent.poses),
+            str(sent.blocks),
+            f"{sent.coded / sent.poses:.2f}",
+            *_took(sent, CLASSIC_BIT_S),
+            *_took(upload(registration, name, fd=True), DATA_BIT_S),
+        )
+
+
+def _took(sent: Uploaded, bit_s: float) -> tuple[str, str]:
+    return (f"{sent.seconds:.3f} s", f"{sent.seconds / (sent.stored * 8 * bit_s):.2f}")
 
 
 @dataclass
@@ -291,7 +355,20 @@ WORKS: dict[str, tuple[Callable[[], object], int]] = {
     "sign a permit": (lambda: [CODES.sign(_permit(), 1) for _ in range(100)], 100),
     "verify a permit": (lambda: [CODES.authentic(_signed(), 1) for _ in range(100)], 100),
     "read a path of 2000 poses": (lambda: records.Path.parse(prepared_bytes()), 1),
+    "code a block of 200 poses": (lambda: [encode(_poses()) for _ in range(100)], 100),
+    "decode and check a block of 200 poses": (lambda: [decode(encode_once(), 200) for _ in range(100)], 100),
 }
+
+
+@cache
+def _poses() -> NDArray[np.int32]:
+    return prepared("second")[0].path.poses[198:398]
+
+
+@cache
+def encode_once() -> bytes:
+    """Of these poses, the second block of the example's path."""
+    return encode(_poses())
 
 
 @cache
@@ -302,6 +379,7 @@ def prepared_bytes() -> bytes:
 
 SECTIONS: dict[str, Callable[[], Rows]] = {
     "A pose and an upload": pose_and_upload,
+    "Coded paths": coded_paths,
     "A session": session_bytes,
     "Cyclic load": cyclic_load,
     "The controller's reaction, no cut running": controller_idle,

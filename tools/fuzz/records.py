@@ -4,7 +4,10 @@ import struct
 import zlib
 from collections.abc import Iterator
 
+import numpy as np
+
 from cutgate.protocol.codes import PresharedKey
+from cutgate.protocol.coding import decode, encode, written
 from cutgate.protocol.conversation import Open, OtherVersion, SignedRecord
 from cutgate.protocol.records import (
     PROTOCOL_VERSION,
@@ -106,11 +109,11 @@ def _assembly(data: bytes) -> None:
         which, place, change = data[at : at + 3].ljust(3, b"\0")
         body = bytearray(BLOCKS[which % len(BLOCKS)].body())
         if which & 128:
-            body[place % 24] ^= change or 1
+            body[place % 80] ^= change or 1
         block = attempt(RecordError, PathBlock.parse, bytes(body))
         after = block and attempt(RecordError, assembly.add, block)
         if block and after:
-            taken += block.data
+            taken += block.decoded()
             assembly = after
         expect(len(taken) <= assembly.total, "no more is stored than was announced")
         whole = attempt(RecordError, lambda kept=assembly: kept.data)
@@ -118,7 +121,19 @@ def _assembly(data: bytes) -> None:
         expect(whole is None or whole == taken, "what is complete is what came")
 
 
-PARSERS = (_envelope, _body, _path, _assembly)
+def _coding(data: bytes) -> None:
+    """As the coded poses of a block, and as poses to be coded; the first byte says how many the block holds."""
+    count = 1 + data[0] % 200 if data else 1
+    poses = attempt(RecordError, decode, data[1:], count)
+    if poses is not None:
+        expect(poses.shape == (count, 5), "so many poses as the place has")
+        expect(encode(poses) == data[1:], "coded poses have one form")
+    filled = (data * (1 + 20 * count // max(len(data), 1)))[: 20 * count].ljust(20 * count, b"\0")
+    poses = np.frombuffer(filled, dtype="<i4").reshape(-1, 5)
+    expect(bool((decode(encode(poses), count) == poses).all()), "what is sent is read as what it was")
+
+
+PARSERS = (_envelope, _body, _path, _assembly, _coding)
 KINDS: tuple[type[Record], ...] = tuple(RECORDS.values())
 PATH = inputs().path
 LONGER = PATH[:36] + struct.pack("<I", 450) + (PATH[40:] * 75)
@@ -147,6 +162,15 @@ def _seeds() -> Iterator[bytes]:
     yield bytes([PARSERS.index(_path)]) + LONGER
     for order in ((0, 1, 2), (3, 4, 5), (0, 4, 2), (0, 0, 1), (128, 1, 2)):
         yield bytes([PARSERS.index(_assembly)]) + b"".join(bytes([which, 17, 3]) for which in order)
+
+    for block in BLOCKS:
+        coded = block.data[40:] if block.index == 0 else block.data
+        poses = len(block.decoded()) // 20 - (2 if block.index == 0 else 0)
+        yield bytes([PARSERS.index(_coding), poses - 1]) + coded
+    for poses in (1, 2, 9):
+        raw = np.arange(5 * poses, dtype=np.int32).reshape(-1, 5) ** 3
+        yield bytes([PARSERS.index(_coding), poses - 1]) + encode(raw)
+        yield bytes([PARSERS.index(_coding), poses - 1]) + written(raw, [(7, 33)] * 5)
 
 
 FAMILY = Family(check, tuple(_seeds()))

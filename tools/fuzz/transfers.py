@@ -14,7 +14,7 @@ from tools.fuzz.harness import Family, expect
 
 OP_BYTES = 9
 """What happens, and eight bytes for it."""
-BLOCK = split(bytes(range(256)) * 4)[0]
+BLOCK = split(bytes(range(250)) * 4)[0]
 OPEN_TIMING = {"heartbeat_s": 0.02, "timeout_s": 0.1}
 
 

@@ -72,8 +72,9 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol/states.py": ("tests/protocol/test_states.py",),
     "protocol/wire.py": ("tests/protocol/test_wire.py",),
     "protocol/records.py": ("tests/protocol/test_records.py", "tests/protocol/test_vectors.py"),
-    # What decides of a path: its bytes, approach and retract.
+    # What decides of a path: its bytes, their coding, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),
+    "protocol/coding.py": ("tests/protocol/test_coding.py",),
     "runtime/verification/approach/decision.py": ("tests/runtime/verification/approach/test_decision.py",),
     "runtime/verification/approach/straight_line.py": (
         "tests/runtime/verification/approach/test_straight_line.py",

@@ -18,8 +18,9 @@ from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.ciphers.modes import ECB
 
 HERE = Path(__file__).parent
-FORMAT_VERSION = 3
-"""Of the vector files: 1 had no versions and no opening.json, 2 none of codes in Open and Opened, and no tags.json."""
+FORMAT_VERSION = 4
+"""Of the vector files: 1 had no versions and no opening.json, 2 none of codes in Open and Opened, and no tags.json; 3 had
+blocks of a path as its bytes, and no coding.json."""
 PROTOCOL_VERSION = 4
 POSES = 250
 TAGS = (0x00000001, 0xDEADBEEF, 0xFFFFFFFF)
@@ -378,6 +379,126 @@ def unfolded(u: int, v: int) -> list[str]:
     return [(part / length + 0.0).hex() for part in (xf, yf, zf)]
 
 
+def differences(values: list[int], order: int) -> list[int]:
+    """Of each value but the first, as numbers of 32 bits: 2 d, or -2 d - 1 where d, signed, is less than 0."""
+    numbers = []
+    for at in range(1, len(values)):
+        most = min(at, order)
+        signs = [(-1) ** j * math.comb(most, j) for j in range(most + 1)]
+        d = sum(sign * values[at - j] for j, sign in enumerate(signs)) % 2**32
+        numbers.append(2 * d if d < 2**31 else 2 * (2**32 - d) - 1)
+    return numbers
+
+
+def numbers_in_bits(numbers: list[int], parameter: int) -> str:
+    """As a text of 0 and 1 in the order in which they are sent, each number's least significant bit first."""
+
+    def bits(value: int, width: int) -> str:
+        return "".join(str(value >> at & 1) for at in range(width))
+
+    if parameter <= 32:
+        return "".join(bits(number, parameter) for number in numbers)
+    known = parameter - 33
+    zeros = [max(number.bit_length() - known, 0) for number in numbers]
+    rest = [
+        bits(number, number.bit_length() - 1 if zero else known)
+        for number, zero in zip(numbers, zeros, strict=True)
+    ]
+    return "".join("0" * zero + "1" for zero in zeros) + "".join(rest)
+
+
+def coded_component(values: list[int], choice: tuple[int, int] | None) -> str:
+    """Every order and parameter is tried, unless one is told."""
+    found = []
+    orders, parameters = ([part] for part in choice) if choice else (range(1, 9), range(64))
+    for order in orders:
+        numbers = differences(values, order)
+        sizes = [number.bit_length() for number in numbers]
+        for parameter in parameters:
+            if parameter < min(max(sizes, default=0), 33):
+                continue  # the longest does not fit
+            known = parameter - 33
+            cost = sum(
+                parameter if parameter <= 32 else known + 1 if b <= known else 2 * b - known for b in sizes
+            )
+            found.append((cost, order, parameter, numbers))
+    _, order, parameter, numbers = min(found)
+    head = order - 1 | parameter << 3 | values[0] % 2**32 << 9
+    return "".join(str(head >> at & 1) for at in range(41)) + numbers_in_bits(numbers, parameter)
+
+
+def coded_poses(poses: bytes, choice: dict[int, tuple[int, int]] | None = None, behind: str = "") -> bytes:
+    """The poses of a block as they are sent; some components otherwise than with the fewest bits, bits behind them."""
+    values = [list(component) for component in zip(*struct.iter_unpack("<5i", poses), strict=True)]
+    bits = "".join(coded_component(one, (choice or {}).get(at)) for at, one in enumerate(values)) + behind
+    return int(bits[::-1], 2).to_bytes(-(-len(bits) // 8), "little")
+
+
+def coding() -> dict[str, object]:
+    """Blocks of poses and their bytes, and bytes that are refused for so many poses, each for one reason."""
+
+    def packed(*components: list[int]) -> bytes:
+        return b"".join(struct.pack("<5i", *pose) for pose in zip(*components, strict=True))
+
+    low, high, steps = -(2**31), 2**31 - 1, range(40)
+    still = [[400_000 + at] * 40 for at in range(5)]
+    wave = [[round(1e6 * math.comb(7, j % 8) * (-1) ** j) for j in steps] for _ in range(5)]
+    pieces = {
+        "one pose": packed([1], [-1], [0], [low], [high]),
+        "two poses": packed([0, 1], [0, -1], [low, high], [high, low], [7, 7]),
+        "nothing moves": packed(*still),
+        "each component of another degree": packed(*([at**degree for at in steps] for degree in range(1, 6))),
+        "degrees 6 to 8 and more": packed(
+            *([(at - 20) ** degree % 2**31 for at in steps] for degree in (6, 7, 8, 9, 12))
+        ),
+        "from end to end": packed(
+            *([low if (at >> shift) % 2 else high for at in steps] for shift in range(5))
+        ),
+        "a jump in each": packed(
+            *([at * 3 + (10**7 if at > 5 * c else 0) for at in steps] for c in range(5))
+        ),
+        "large waves": packed(*wave),
+        "no order in it": patterned(4000, 3)[:4000],
+        "200 poses of noise": b"".join(
+            hashlib.sha256(struct.pack("<H", at)).digest()[:20] for at in range(200)
+        ),
+    }
+    line = packed(*([1000 * c + (at * at if at % 3 else at) for at in range(9)] for c in range(5)))
+    bits = len(coded_poses(line)) * 8
+    alone = packed(
+        *([7] for _ in range(5))
+    )  # of one pose there is nothing behind the fifth component's first value
+    refused = {
+        "a byte less": (9, coded_poses(line)[:-1]),
+        "a byte more": (9, coded_poses(line) + b"\0"),
+        "a bit set behind them": (9, coded_poses(line, behind="0" * (bits % 8) + "1")),
+        "a pose more than the place has": (8, coded_poses(line)),
+        "a pose less than the place has": (10, coded_poses(line)),
+        "none": (2, b""),
+        "a higher order with as many bits": (40, coded_poses(packed(*still), {4: (2, 0)})),
+        "the lowest order where another needs fewer bits": (9, coded_poses(line, {0: (1, 32)})),
+        "more bits than the longest number has": (40, coded_poses(packed(*still), {0: (1, 1)})),
+        "prefixes where fixed bits need no more": (
+            2,
+            coded_poses(packed(*([0, 0] for _ in range(5))), {1: (1, 33)}),
+        ),
+        "a prefix of more zeros than a number has bits": (
+            2,
+            coded_poses(alone, {4: (1, 33)}, behind="0" * 33 + "1" + "0" * 32),
+        ),
+        "a prefix without an end": (2, coded_poses(alone, {4: (1, 33)}, behind="0" * 20)),
+    }
+    return {
+        "coded": [
+            {"what": what, "poses": poses.hex(), "data": coded_poses(poses).hex()}
+            for what, poses in pieces.items()
+        ],
+        "refused": [
+            {"what": what, "poses": count, "data": data.hex()} for what, (count, data) in refused.items()
+        ],
+    }
+
+
 def path() -> dict[str, object]:
     """A path whose axis turns from exactly +z to exactly -z through every octant, and its blocks."""
     tips, axes = [], []
@@ -414,7 +535,8 @@ def path() -> dict[str, object]:
                 0x20,
                 7,
                 100 + at,
-                struct.pack("<HHIII", at, len(blocks), 4000 * at, len(body), zlib.crc32(block)) + block,
+                struct.pack("<HHIII", at, len(blocks), 4000 * at, len(body), zlib.crc32(block))
+                + (block[:40] + coded_poses(block[40:]) if at == 0 else coded_poses(block)),
             )
             for at, block in enumerate(blocks)
         ],
@@ -430,6 +552,7 @@ def files() -> dict[str, str]:
         "signed": signed(),
         "tags": tags(),
         "parameters": parameters(),
+        "coding": coding(),
         "path": path(),
     }
     return {f"{name}.json": json.dumps(versions | value, indent=1) + "\n" for name, value in made.items()}

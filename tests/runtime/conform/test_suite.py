@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,18 @@ import pytest
 from cutgate.firmware_sim import loop, rules, table
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.state import Controller, FaultArisen, PathChecked, StopReceived
-from cutgate.protocol import link
+from cutgate.protocol import link, records
+from cutgate.protocol import path as path_module
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.frames import DATA_IDS, Frame, Joint4, Joints01, Joints23
 from cutgate.protocol.link import Link, Violation
+from cutgate.protocol.path import HEADER_BYTES, POSE_BYTES
 from cutgate.protocol.records import Limits
 from cutgate.protocol.states import WITHDRAWING, ControllerState, Refusal, StopCause
 from cutgate.runtime.conform import sample
 from cutgate.runtime.conform.suite import CaseVerdict
 from cutgate.runtime.conform.table import cases
+from tests.protocol.plain_coding import Bits, component
 from tests.runtime.conform.rig import Rig, by_name, failing
 
 SLOW = (
@@ -182,6 +186,50 @@ def test_a_controller_without_one_check_of_paths_fails_exactly_that_case(
 
     monkeypatch.setattr(loop, "step", lax)
     assert judged(rig, "path", "permit: right") == {fails}
+
+
+def lax_decoder(data: bytes, count: int, *, looks_behind: bool) -> np.ndarray:
+    """Takes any order and parameter that gives the poses."""
+    bits = Bits(data)
+    try:
+        poses = np.array([component(bits, count) for _ in range(5)], dtype=np.int32).T
+    except EOFError:
+        raise records.RecordError("too short") from None
+    if looks_behind and len(data) > -(-bits.at // 8):
+        raise records.RecordError("too long")
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("looks_behind", "fails"),
+    [
+        (True, {"path: more bits than needed", "path: higher order than needed"}),
+        (
+            False,
+            {
+                "path: more bits than needed",
+                "path: higher order than needed",
+                "path: a byte behind the coding",
+            },
+        ),
+    ],
+)
+def test_a_controller_that_takes_poses_in_other_forms_fails_exactly_those_cases(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, looks_behind: bool, fails: set[str]
+) -> None:
+    monkeypatch.setattr(path_module, "decode", partial(lax_decoder, looks_behind=looks_behind))
+    assert judged(rig, "path") == fails
+
+
+def test_a_controller_that_does_not_look_at_the_crc_of_its_poses_fails_that_case(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lax(block: records.PathBlock) -> bytes:
+        poses = path_module.decode(block.data[HEADER_BYTES:], (block.total - HEADER_BYTES) // POSE_BYTES)
+        return block.data[:HEADER_BYTES] + poses.tobytes()
+
+    monkeypatch.setattr(records.PathBlock, "decoded", lax)
+    assert judged(rig, "path: corrupted") == {"path: corrupted block"}
 
 
 @pytest.mark.parametrize(

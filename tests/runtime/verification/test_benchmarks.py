@@ -98,18 +98,29 @@ def test_no_upload_is_nearer_to_the_bit_rate_than_full_frames_can_be(script):
     classic, fd = ({name: row[column] for name, *row in rows} for column in (0, 1))
     assert classic["bytes of the path"] == fd["bytes of the path"] == str(40 + 20 * 2000)
     for mode in (classic, fd):
-        lowest, found = (
-            float(mode[name]) for name in ("full frames without stuff bits / limit", "upload / limit")
+        names = (
+            "full frames without stuff bits / limit of the coded path",
+            "upload / limit of the coded path",
         )
-        assert 1.0 < lowest < found < 1.25 * lowest
+        lowest, found = (float(mode[name]) for name in names)
+        assert 1.0 < lowest < found < 1.35 * lowest
+
+
+def test_every_shipped_path_is_coded_in_no_more_than_nine_bytes_a_pose(script):
+    head, *rows = script("wire").coded_paths()
+    assert len(rows) == 3
+    for row in rows:
+        shown = dict(zip(head, row, strict=True))
+        assert float(shown["bytes a pose, coded"]) <= 9.0
+        assert int(shown["blocks"]) == -(-(40 + 20 * int(shown["poses"])) // 4000)
 
 
 def test_a_session_on_the_wire_is_counted_to_its_end(script):
     _, *rows = script("wire").session_bytes()
     counted = {name: row for name, *row in rows}
     assert int(counted["RuntimeStop"][0]) == 1
-    assert int(counted["bulk records of the runtime"][0]) > 5000
-    assert int(counted["bulk records of the runtime"][4]) < 1000
+    assert int(counted["bulk records of the runtime"][0]) > 1900
+    assert int(counted["bulk records of the runtime"][4]) < 400
 
 
 @pytest.mark.processes

@@ -133,7 +133,7 @@ def decode(data: bytes, count: int) -> NDArray[np.int32]:
     numbers = np.where(zeros > 0, rest | _ONE << width, rest).astype(np.uint32)
     values[:, 1:] = numbers >> _ONE_32 ^ -(numbers & _ONE_32)
     for component, (order, _) in enumerate(choice):
-        for begin in reversed(range(order + 1)):  # differences of each order are the sums of those of the next
+        for begin in reversed(range(order + 1)):  # of each order, by adding up those of the next
             differences = values[component, begin:]
             np.add.accumulate(differences, out=differences)
     if choice != _fewest(_bit_lengths(_numbers(values))):

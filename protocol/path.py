@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cutgate.protocol.arrays import Bools, Floats
-from cutgate.protocol.coding import coded_bytes_max, decode, encode
+from cutgate.protocol.coding import COMPONENTS, coded_bytes_max, decode, encode
 from cutgate.protocol.parameters import UNIT, counts_nearest
 from cutgate.protocol.wire import (
     I16,
@@ -325,7 +325,7 @@ class PathBlock(Record):
     def check(self) -> None:
         """Refuse a block that does not lie where its index says. What it holds is looked at when it is decoded."""
         least = HEADER_BYTES + 2 * POSE_BYTES
-        if not least <= self.total <= PATH_BYTES_MAX or (self.total - HEADER_BYTES) % POSE_BYTES:
+        if not least <= self.total <= PATH_BYTES_MAX or self.total % POSE_BYTES:  # a header is as long as two
             raise RecordError(
                 f"PathBlock.total is {self.total}, must be {HEADER_BYTES} and {POSE_BYTES} for each of 2..{POSES_MAX} poses"
             )
@@ -346,7 +346,7 @@ class PathBlock(Record):
             poses = decode(coded, size // POSE_BYTES)
         except RecordError as error:
             raise RecordError(f"PathBlock {self.index}: {error}") from None
-        found = header + poses.astype("<i4", copy=False).tobytes()
+        found = header + poses.astype("<i4").tobytes()
         if self.block_crc32 != zlib.crc32(found):
             raise RecordError(f"PathBlock {self.index}: CRC-32 does not match its poses")
         return found
@@ -361,8 +361,8 @@ def path_block(path_bytes: bytes, index: int) -> PathBlock:
     total, offset = len(path_bytes), index * BLOCK_BYTES
     part = path_bytes[offset : offset + BLOCK_BYTES]
     header = HEADER_BYTES if index == 0 else 0
-    poses = np.frombuffer(part, dtype="<i4", offset=header).reshape(-1, POSE_BYTES // 4)
-    data = part[:header] + encode(poses)
+    poses = np.frombuffer(part[header:], dtype="<i4")
+    data = part[:header] + encode(poses.reshape(len(poses) // COMPONENTS, COMPONENTS))
     return PathBlock(index, -(-total // BLOCK_BYTES), offset, total, zlib.crc32(part), data)
 
 

@@ -70,7 +70,7 @@ def _withdrawn(data: bytes) -> None:
     _written(withdrawn.WITHDRAWN, data)
     listed = attempt(InputError, withdrawn.load, PLACE)
     if listed is not None:
-        expect(all(len(entry.file) == 32 for entry in listed), "an entry has a SHA-256")
+        expect(all(len(entry.registration) == 32 for entry in listed), "an entry has a SHA-256")
         added = withdrawn.Withdrawal(bytes(32), "a.mcap", bytes(32), datetime(2026, 1, 1, tzinfo=UTC))
         withdrawn.add(PLACE, [added])
         expect(withdrawn.load(PLACE) == (*listed, added), "what is withdrawn stays withdrawn")

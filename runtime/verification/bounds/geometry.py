@@ -113,17 +113,19 @@ def canonical_arm(problem: Problem) -> Geometry:
     side = 1.0 if problem.arm.elbow == "right" else -1.0
     signs = joint_signs(side)
     calibration = problem.calibration
-    ends = np.stack((problem.lower, problem.upper)) + calibration.joint_offset
-    lower, upper = np.minimum(*(ends * signs)), np.maximum(*(ends * signs))
-    inverted = problem.lower > problem.upper  # stays empty instead of being mended by the sorting
-    lower, upper = np.where(inverted, np.inf, lower), np.where(inverted, -np.inf, upper)
+    lower, upper = problem.lower.tolist(), problem.upper.tolist()
+    for j, (sign, offset) in enumerate(zip(signs.tolist(), calibration.joint_offset.tolist(), strict=True)):
+        if lower[j] > upper[j]:  # stays empty instead of being mended by the sorting
+            lower[j], upper[j] = math.inf, -math.inf
+        else:
+            lower[j], upper[j] = sorted(((lower[j] + offset) * sign, (upper[j] + offset) * sign))
     workspace = PlanarWorkspace(
         a0=problem.arm.upper_mm + calibration.upper_link_error_mm,
         a1=problem.arm.forearm_mm + calibration.forearm_link_error_mm,
-        q0_lo=float(lower[0]),
-        q0_hi=float(upper[0]),
-        q1_lo=max(float(lower[1]), 0.0),
-        q1_hi=min(float(upper[1]), math.pi),
+        q0_lo=lower[0],
+        q0_hi=upper[0],
+        q1_lo=max(lower[1], 0.0),
+        q1_hi=min(upper[1], math.pi),
     )
     tilt = calibration.slide_tilt * (1.0, side)
     stretch = math.sqrt(1.0 + float(tilt @ tilt))
@@ -131,8 +133,8 @@ def canonical_arm(problem: Problem) -> Geometry:
     largest = workspace.a0 + workspace.a1 + problem.tool_length_mm + float(np.abs(problem.tips_mm).max())
     return Geometry(
         side=side,
-        lower=lower,
-        upper=upper,
+        lower=np.array(lower),
+        upper=np.array(upper),
         offset=calibration.joint_offset * signs,
         tilt=tilt,
         stretch=stretch,

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
-from tests.runtime.verification import judge
+from tests.runtime.verification import decided, judge
 from tests.runtime.verification.cases import axis, problem, wrist_path
 
 SEGMENTS = int(os.environ.get("CUTGATE_SEGMENTS", "1000000"))
 SEED = int(os.environ.get("CUTGATE_SEED", "20260201"))
 SHARE = 1000
 MILLION = 1_000_000
+DECISIONS = 10_000
 MOST_MEMORY_MIB = 1024.0
 
 pytestmark = pytest.mark.long
@@ -55,6 +56,28 @@ def test_random_segments_against_dense_sampling_on_all_cores():
     assert whole.segments == SEGMENTS
     assert whole.wrong == []
     assert peak < MOST_MEMORY_MIB
+
+
+def _decided(number):
+    """Compare one share of the answers alone with whole verdicts, in a process of its own."""
+    return decided.share([SEED, 1, number], DECISIONS // 50, 0.1)
+
+
+def test_the_answer_alone_is_that_of_the_whole_verification():
+    whole = decided.Compared()
+    with multiprocessing.get_context("spawn").Pool(maxtasksperchild=5) as pool:
+        for found in pool.imap_unordered(_decided, range(50)):
+            whole.add(found)
+            for wrong in found.wrong:
+                print(*wrong, sep=": ", flush=True)
+    print(
+        f"seed {SEED}: {whole.problems} problems, {whole.admitted} admitted, {whole.alone} by one look alone, "
+        f"{whole.sampled} of those held against dense samples, {len(whole.wrong)} differ",
+        flush=True,
+    )
+    assert whole.problems == DECISIONS
+    assert whole.wrong == []
+    assert whole.sampled > DECISIONS / 250
 
 
 def _million_poses(conversation):

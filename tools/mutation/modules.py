@@ -75,10 +75,6 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # What decides of a path: its bytes, their coding, approach and retract.
     "protocol/path.py": ("tests/protocol/test_path.py",),
     "protocol/coding.py": ("tests/protocol/test_coding.py",),
-    "runtime/verification/decide.py": (
-        "tests/runtime/verification/test_decide.py",
-        "tests/runtime/verification/placing/test_tolerated.py",
-    ),
     "runtime/verification/approach/decision.py": ("tests/runtime/verification/approach/test_decision.py",),
     "runtime/verification/approach/straight_line.py": (
         "tests/runtime/verification/approach/test_straight_line.py",

@@ -291,8 +291,8 @@ class _Verification:
             return self._held_roll(values, asked)
         reach, proven = (_range(bounds, ROLL_MIN) for bounds in (first.attained, first.certified))
         start = float(self.chain.points.roll[0])
-        if not all(map(math.isfinite, (*proven, *reach, start))):
-            return None
+        if not all(map(math.isfinite, (*proven, *reach, start, *g.lower[3:4], *g.upper[3:4]))):
+            return None  # of limits the wrong way round as well
         self.windings.append(winding(self.geometry, 3, start, reach))
         options = candidates(g, 3, start, reach, asked, proven)
         chosen = choose(options, g.wrist_rad, self._worst_ratio(values, leave_out=()))

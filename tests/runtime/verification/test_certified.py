@@ -97,6 +97,17 @@ def test_a_unwrapped_limit_counts_only_within_half_a_turn():
     assert near.boundaries["right"].clearance > 5
 
 
+@pytest.mark.parametrize("joint", range(5))
+def test_limits_the_wrong_way_round_are_refused_in_words(joint):
+    """No file gives them; a program may."""
+    stroke = problem([[500, 50, 120], [520, 60, 110]], axis([0.5, 0.5], [0.0, 0.1]))
+    lower, upper = stroke.lower.copy(), stroke.upper.copy()
+    lower[joint], upper[joint] = upper[joint], lower[joint]
+    verdict = certified.verify(replace(stroke, lower=lower, upper=upper))
+    assert not verdict.admissible
+    assert verdict.reasons
+
+
 def test_the_turn_of_the_shoulder_is_chosen_and_reported():
     tips, axes = wrist_path([[500.0, 0.0, 0.0], [520.0, 10.0, 0.0]], LEVEL)
     verdict = certified.verify(problem(tips, axes, **limits(q0=(200, 700), q1=(10, 150))))

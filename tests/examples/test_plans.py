@@ -43,7 +43,7 @@ def placed(name, shift_mm=(0.0, 0.0, 0.0)):
     moved = np.array(registration.value.R_T_CT) + np.pad(np.reshape(shift_mm, (3, 1)), ((0, 1), (3, 0)))
     rows = tuple(tuple(row) for row in moved.tolist())
     registration = replace(registration, value=registration.value.model_copy(update={"R_T_CT": rows}))
-    ready = prepare(load_plan(name), registration, ROBOT, now=datetime.now(UTC))
+    ready = prepare(load_plan(name), registration, ROBOT, now=datetime.now(UTC), clock_skew_s=0.0)
     assert ready.ct_link == "linked"
     bodies = (limits_record(ROBOT).body(), calibration_record(ROBOT).body(), tool_record(ROBOT).body())
     return problem_from_records(ready.path.body(), *bodies, ROBOT, any_branch=True)
@@ -113,7 +113,13 @@ def test_the_bone_elsewhere_makes_it_inadmissible(name, shift_mm, boundary):
 
 def test_femur_and_tibia_of_the_knee_are_not_mistaken_for_each_other():
     with pytest.raises(InputError, match=r"example-knee-tibia-ct.*example-knee-femur-ct"):
-        prepare(load_plan("femoral"), load_registration("registration-tibial"), ROBOT, now=datetime.now(UTC))
+        prepare(
+            load_plan("femoral"),
+            load_registration("registration-tibial"),
+            ROBOT,
+            now=datetime.now(UTC),
+            clock_skew_s=0.0,
+        )
 
 
 def outside_femur(places):

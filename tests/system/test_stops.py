@@ -226,15 +226,17 @@ def test_what_was_withdrawn_is_the_place_and_everything_taken_before(rig):
     sim.signal(signal.SIGINT)
     assert sim.exit() == 0
     written = json.loads((rig.folder / "registration.json").read_text())
-    for text in (
-        json.dumps(written) + "\n",
-        json.dumps(written, indent=2),
-        json.dumps({**written, "id": "b"}),
+    log = rig.logs()[0].name
+    itself = f"this registration was withdrawn in {log}"
+    for text, said in (
+        (json.dumps(written) + "\n", itself),
+        (json.dumps(written, indent=2), itself),
+        (json.dumps({**written, "id": "b"}), f"the same place was withdrawn in {log}, under whatever name"),
     ):
         (rig.folder / "spelled.json").write_text(text)
         sim = rig.sim()
         again = rig.run(registration="spelled.json")
-        again.line(f"the same place was withdrawn in {rig.logs()[0].name}, under whatever name")
+        again.line(said)
         assert again.exit() == 1
         assert "state PERMITTED" not in sim.told
         sim.signal(signal.SIGINT)

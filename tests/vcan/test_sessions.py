@@ -1,6 +1,7 @@
 """Whole sessions on real SocketCAN, every part a process of its own, started as a user starts it."""
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -94,7 +95,8 @@ def test_an_interface_that_fails_in_mid_cut_stops_both_sides(tmp_path, own_inter
         assert sim.exit() == 2
         assert state_of(sim) == "INHIBITED (BUS_FAILED)"
         assert rig.log().of("/audit/decision")[-1]["first_out"] == "BUS_FAILED"
-        assert "the bus failed: Error receiving: Network is down" in run.told
+        # who notices first, who reads or who writes, is the kernel's affair, and so is the word for it
+        assert re.search(r"the bus failed: .*(Network is down|No such device)", run.told), run.told
         assert_sound(rig.logs()[-1], capsys)
 
 

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
+CLOCK_SKEW_MAX_S: Final = 3600
+"""So far apart, at most, are the clocks of who registers and of the runtime (`clock_skew_s`)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Constant:

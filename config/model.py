@@ -20,7 +20,12 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from cutgate.config.constants import CONSTANTS, EARLIER_TIMEOUT_HEARTBEATS, TIMEOUT_HEARTBEATS
+from cutgate.config.constants import (
+    CLOCK_SKEW_MAX_S,
+    CONSTANTS,
+    EARLIER_TIMEOUT_HEARTBEATS,
+    TIMEOUT_HEARTBEATS,
+)
 from cutgate.protocol.parameters import LENGTH_MM_MAX, ROTATION_DEG_MAX, SLIDE_MM_MAX, SLIDE_TILT_MRAD_MAX
 
 FOLD_DEG: Final = 180.0
@@ -331,7 +336,7 @@ class Site(Strictly):
     key_file: Text | None = None
     registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None
     registration_max_residual_mm: Annotated[Real, Field(gt=0, le=100)] | None = None
-    clock_skew_s: Annotated[Real, Field(ge=0, le=3600)] = 60.0
+    clock_skew_s: Annotated[Real, Field(ge=0, le=CLOCK_SKEW_MAX_S)] = 60.0
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""

@@ -6,11 +6,13 @@ reason at once. Comparisons ask "inside?": anything unknown or undefined does no
 
 import math
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
+from cutgate.config.constants import CLOCK_SKEW_MAX_S
 from cutgate.protocol import records
 from cutgate.protocol.differences import Parameters, differences
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
+from cutgate.protocol.times import BEGINNING
 from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import WITNESS, DeviceCycle, Interlock
@@ -309,9 +311,8 @@ def _against_registration(state: Interlock) -> str:
 
 
 SECOND_US = 1_000_000
-AHEAD_MAX_US = 3600 * SECOND_US
+AHEAD_MAX_US = CLOCK_SKEW_MAX_S * SECOND_US
 """No barrier is told further ahead: the largest ``clock_skew_s``."""
-_BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def utc(time_us: int) -> str:
@@ -321,7 +322,7 @@ def utc(time_us: int) -> str:
         time_us: since 1970, UTC.
     """
     try:
-        return f"{_BEGINNING + timedelta(microseconds=time_us):%Y-%m-%d %H:%M:%S %Z}"
+        return f"{BEGINNING + timedelta(microseconds=time_us):%Y-%m-%d %H:%M:%S %Z}"
     except OverflowError:  # the controller may say anything
         return f"{time_us} us since 1970"
 

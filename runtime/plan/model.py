@@ -19,6 +19,7 @@ from cutgate.config.constants import CONSTANTS
 from cutgate.config.model import Real, Strictly, Text, broken
 from cutgate.config.refusal import InputError, shown
 from cutgate.protocol.arrays import Floats
+from cutgate.protocol.times import since_1970_us
 
 COORDINATE_MM: Final = 10_000.0
 TRANSLATION_MM: Final = 100_000.0
@@ -75,9 +76,6 @@ def _list_to_tuple(value: object) -> object:
 
 Row = Annotated[tuple[Real, Real, Real, Real], BeforeValidator(_list_to_tuple)]
 Transform = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(_list_to_tuple), AfterValidator(_rigid)]
-
-
-BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def _utc(text: str) -> str:
@@ -149,7 +147,7 @@ class Registration(Strictly):
         binary64 with -0 as 0, each text UTF-8 behind its length, u16; no ct_id is one of length 0. Little endian.
         """
         numbers = np.append(self.matrix[:3].ravel(), self.residual_rms_mm) + 0.0
-        created_us = (self.created - BEGINNING) // timedelta(microseconds=1)
+        created_us = since_1970_us(self.created)
         texts = [text.encode() for text in (self.id, self.ct_id or "")]
         content = b"".join(
             (

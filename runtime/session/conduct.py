@@ -8,6 +8,7 @@ from cutgate.config.terminal import typed
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
+from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit.log import AuditLog, Paths
 from cutgate.runtime.interlock.state import Interlock, OperatorCommand
 from cutgate.runtime.session.check import Check
@@ -17,7 +18,7 @@ from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.view import View
 from cutgate.runtime.session.withdrawal import list_withdrawal, of_session
-from cutgate.runtime.session.withdrawn import Withdrawal, barrier, since_1970_us
+from cutgate.runtime.session.withdrawn import Withdrawal, barrier
 from cutgate.runtime.session.witness import WitnessSearch
 from cutgate.runtime.session.worker import Worker
 

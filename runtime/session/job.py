@@ -9,13 +9,13 @@ from cutgate.config.load import BYTES_PER_MB, Loaded, load_robot, load_site
 from cutgate.config.model import Robot, Site
 from cutgate.config.records import calibration_record, limits_record, timing_record, tool_record
 from cutgate.protocol import records
+from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_digest
 from cutgate.runtime.interlock.state import Deadlines, Job
 from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
-from cutgate.runtime.session.withdrawn import since_1970_us
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.plausibility import Placed
@@ -115,9 +115,8 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
     problem = problem_from_records(path.body(), limits, calibration, tool, robot, any_branch=True)
     path = _on_branch(path, problem, asked)
     registration = files.registration
-    age_s = (
-        max(0.0, (now - registration.created).total_seconds()) if registration else 0.0
-    )  # of a clock ahead: now
+    # one that lies ahead was made by a clock that does: it is of now
+    age_s = max(0.0, (now - registration.created).total_seconds()) if registration else 0.0
     return Job(
         limits=limits,
         calibration=calibration,

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from cutgate.config.load import InputError
+from cutgate.protocol.times import BEGINNING
 from cutgate.runtime.audit.directory import WITHDRAWN, Listed, extend_list, withdrawn_list
 from cutgate.runtime.plan.model import Registration
 
@@ -29,7 +30,6 @@ YEAR_MAX: Final = 2999
 """Nobody withdraws later; and no sum of times is too large."""
 _TIME: Final = "%Y-%m-%dT%H:%M:%S.%fZ"
 _SECOND: Final = timedelta(seconds=1)
-_BEGINNING: Final = datetime(1970, 1, 1, tzinfo=UTC)
 NO_REGISTRATION: Final = bytes(32)
 """Stands in a line for no registration in particular: the bone moved before the session, as the controller tells."""
 
@@ -153,7 +153,7 @@ def of_motion(log: str, barrier_us: int, skew_s: float) -> Withdrawal:
         barrier_us: what the controller was told (``barrier``), since 1970, UTC.
         skew_s: what it was told beyond the time itself.
     """
-    told = _BEGINNING + timedelta(microseconds=barrier_us)
+    told = BEGINNING + timedelta(microseconds=barrier_us)
     return Withdrawal(NO_REGISTRATION, log, None, told - timedelta(seconds=skew_s))
 
 
@@ -179,15 +179,6 @@ def barrier(
         seen.append(registration.created)
     learned = now - timedelta(seconds=motion_age_s or 0)
     return max((learned, *seen)) + timedelta(seconds=skew_s)
-
-
-def since_1970_us(at: datetime) -> int:
-    """As the protocol counts time: whole microseconds since 1970, UTC.
-
-    Args:
-        at: aware.
-    """
-    return (at - _BEGINNING) // timedelta(microseconds=1)
 
 
 def refusal(

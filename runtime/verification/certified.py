@@ -291,7 +291,7 @@ class _Verification:
             return self._held_roll(values, asked)
         reach, proven = (_range(bounds, ROLL_MIN) for bounds in (first.attained, first.certified))
         start = float(self.chain.points.roll[0])
-        if not all(map(math.isfinite, (*proven, *reach, start, *g.lower[3:4], *g.upper[3:4]))):
+        if not all(map(math.isfinite, (*proven, *reach, start, float(g.lower[3]), float(g.upper[3])))):
             return None  # of limits the wrong way round as well
         self.windings.append(winding(self.geometry, 3, start, reach))
         options = candidates(g, 3, start, reach, asked, proven)

@@ -76,7 +76,7 @@ SAG: Final = math.pi**2 / 32.0
 """An axis that turns by du leaves its chord by at most this times |du|^2."""
 
 
-class Error(NamedTuple):
+class Displacement(NamedTuple):
     """How far the bone may stand from where it is taken to stand: turned about a vertical, then moved.
 
     Attributes:
@@ -90,7 +90,7 @@ class Error(NamedTuple):
     pivot_mm: tuple[float, float] = (0.0, 0.0)
 
 
-EXACT: Final = Error(0.0)
+EXACT: Final = Displacement(0.0)
 
 
 class Decided(NamedTuple):
@@ -143,12 +143,12 @@ class Around:
         known = arm is not None and _branch(arm, problem) is not None
         self._looks = list(_looks(arm, problem)) if arm is not None and known else None
 
-    def holds(self, error: Error) -> bool:
+    def holds(self, error: Displacement) -> bool:
         """Whether it is proved; False where it is not, whatever is true."""
         return self._looks is not None and all(_holds(look, error) for look in self._looks)
 
 
-def _holds(look: _Look, error: Error) -> bool:
+def _holds(look: _Look, error: Displacement) -> bool:
     with np.errstate(all="ignore"):
         return bool(look.keeps(_Whole, error)) or bool(look.keeps(_Each, error).all())
 
@@ -500,7 +500,7 @@ class _Look:
         segments[2] += segments[0]
         return cls(arm, problem, tips, poses, segments)
 
-    def keeps(self, over: Over, error: Error = EXACT) -> Any:
+    def keeps(self, over: Over, error: Displacement = EXACT) -> Any:
         """Whether everything is kept as far from a pose as the path is from its nearer one: of all poses, or each, (m + 1,)."""
         g, worst = self.arm.geometry, over.worst(self)
         sag_mm = g.stretch * g.tool_mm * SAG * worst.turn2
@@ -530,7 +530,7 @@ class _Look:
             & self._rates_keep(over.motion(self), farthest, sines)
         )
 
-    def _moved(self, over: Over, error: Error) -> Any:
+    def _moved(self, over: Over, error: Displacement) -> Any:
         """How far the bone's error moves a wrist centre in slide coordinates, at most, mm."""
         g = self.arm.geometry
         if error.yaw_rad == 0.0:

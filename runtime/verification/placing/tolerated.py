@@ -13,7 +13,7 @@ import numpy as np
 
 from cutgate.protocol.arrays import Vector
 from cutgate.runtime.kinematics.pose import slerp, turn_angles
-from cutgate.runtime.verification.decide import Around, Error
+from cutgate.runtime.verification.decide import Around, Displacement
 from cutgate.runtime.verification.placing.guidance import pivot_of
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.verdict import Verdict
@@ -33,8 +33,11 @@ YAW_MAX_DEG: Final = 90.0
 FIRST_TURN: Final = 100
 """... and in so many steps first."""
 
-QUANTISED_MM: Final = 0.001
-"""A path is quantised anew where the bone stands otherwise: each tip moves by less, and each axis as good as not."""
+LONGEST_POSES: Final = 100_000
+"""Of a longer path nothing is said: the time that it takes is bounded."""
+
+QUANTISED_MM, QUANTISED_RAD = 0.001, 1e-8
+"""A path is quantised anew where the bone stands otherwise: no tip and no axis moves by more. It is a tolerance of the path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +74,15 @@ def tolerated(problem: Problem, verdict: Verdict) -> Tolerated | None:
         verdict: the certified method's answer to it.
 
     Returns:
-        None where the path is not admitted, and where one look proves nothing: shoulder or roll may turn by a
-        revolution, or the path comes too near to a boundary.
+        None where the path is not admitted or longer than `LONGEST_POSES`, and where one look proves nothing: shoulder
+        or roll may turn by a revolution, or the path comes too near to a boundary.
     """
-    if not verdict.admissible or verdict.method != "certified":
+    if not verdict.admissible or verdict.method != "certified" or len(problem.tips_mm) > LONGEST_POSES:
         return None
-    around, pivot = Around(_refined(problem)), pivot_of(problem)
+    around, pivot = Around(_refined(_quantised(problem))), pivot_of(problem)
 
     def holds(ball_mm: float, yaw_deg: float) -> bool:
-        return around.holds(Error(ball_mm + QUANTISED_MM, math.radians(yaw_deg), pivot[:2]))
+        return around.holds(Displacement(ball_mm, math.radians(yaw_deg), pivot[:2]))
 
     if not holds(0.0, 0.0):
         return None
@@ -87,11 +90,8 @@ def tolerated(problem: Problem, verdict: Verdict) -> Tolerated | None:
     ball = _largest(lambda steps: holds(steps * STEP_MM, 0.0), room, first=room) * STEP_MM
     widest = round(YAW_MAX_DEG / STEP_DEG)
     yaw = _largest(lambda steps: holds(0.0, steps * STEP_DEG), widest, first=FIRST_TURN) * STEP_DEG
-    part = (
-        _largest(lambda steps: holds(steps / PARTS * ball, steps / PARTS * yaw), PARTS, first=PARTS // 2)
-        / PARTS
-    )
-    both = (_down(part * ball, STEP_MM), _down(part * yaw, STEP_DEG))
+    parts = _largest(lambda n: holds(n / PARTS * ball, n / PARTS * yaw), PARTS, first=PARTS // 2)
+    both = (_down(parts / PARTS * ball, STEP_MM), _down(parts / PARTS * yaw, STEP_DEG))
     return Tolerated(round(ball, 2), round(yaw, 2), *both, pivot)
 
 
@@ -123,7 +123,18 @@ def _largest(holds: Callable[[int], bool], most: int, *, first: int) -> int:
 
 def _down(value: float, step: float) -> float:
     """To whole steps, never up."""
-    return round(math.floor(value / step + 1e-9) * step, 2)
+    return round(math.floor(value / step) * step, 2)
+
+
+def _quantised(problem: Problem) -> Problem:
+    """The same path, with what quantising it anew may do to it as a further tolerance."""
+    kept = problem.deadband
+    wider = replace(
+        kept,
+        path_tolerance_mm=kept.path_tolerance_mm + QUANTISED_MM,
+        path_tolerance_rad=kept.path_tolerance_rad + QUANTISED_RAD,
+    )
+    return replace(problem, deadband=wider)
 
 
 def _refined(problem: Problem) -> Problem:

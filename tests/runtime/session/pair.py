@@ -35,6 +35,7 @@ from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.port import Port
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import StopCause
+from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Committer, Job, LogFailed, LogFiles
@@ -61,7 +62,7 @@ from cutgate.runtime.session.job import VERIFIER, InputFiles, make_job, read_fil
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
 from cutgate.runtime.session.messages import Answer, Bound, Claim, Request, framed
-from cutgate.runtime.session.withdrawn import Withdrawal, barrier, since_1970_us
+from cutgate.runtime.session.withdrawn import Withdrawal, barrier
 from cutgate.runtime.session.witness import WitnessSearch
 from cutgate.runtime.session.worker import Line, Worker
 from cutgate.runtime.verification import certified

@@ -10,6 +10,7 @@ from hashlib import sha256
 import pytest
 
 from cutgate.config.load import SETTINGS_LIMIT, InputError
+from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import WITHDRAWN
 from cutgate.runtime.audit.inspect import Status, read_log
@@ -32,7 +33,7 @@ DATA = PLACED.model_dump_json(by_alias=True).encode()
 MINUTE_NS = 60_000_000_000
 OTHER = registration(R_T_CT=ELSEWHERE)
 OURS = Withdrawal(FILE, "ours.mcap", PLACED.place, datetime(2026, 11, 28, tzinfo=UTC))
-MOVED_US = withdrawn.since_1970_us(OURS.known)
+MOVED_US = since_1970_us(OURS.known)
 MOVED = altered(READY, "opened.withdrawal_due", 1)
 
 

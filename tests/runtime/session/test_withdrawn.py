@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.load import InputError
+from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.session import withdrawn
@@ -290,25 +291,23 @@ def test_no_barrier_is_before_a_time_that_this_side_has_seen():
 
 @given(TIMES)
 def test_times_are_told_to_the_controller_in_whole_microseconds(at):
-    told = withdrawn.since_1970_us(at)
+    told = since_1970_us(at)
     assert datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=told) == at
     assert withdrawn.of_motion("a.mcap", told, 0.0).known == at
 
 
 def test_what_the_barrier_lets_pass_the_list_lets_pass_as_well():
-    told = withdrawn.since_1970_us(withdrawn.barrier(KNOWN, 0, None, (), SKEW_S))
+    told = since_1970_us(withdrawn.barrier(KNOWN, 0, None, (), SKEW_S))
     entry = withdrawn.of_motion("a.mcap", told, SKEW_S)
     assert entry == Withdrawal(withdrawn.NO_REGISTRATION, "a.mcap", None, KNOWN)
     for seconds in (59.0, 60.0, 60.000_001, 61.0):
         said = later(seconds)
-        assert (refusal([entry], {FILE}, said, SKEW_S) == "") is (
-            withdrawn.since_1970_us(said.created) > told
-        )
+        assert (refusal([entry], {FILE}, said, SKEW_S) == "") is (since_1970_us(said.created) > told)
 
 
 @pytest.mark.parametrize("year", [1970, withdrawn.YEAR_MAX])
 def test_a_line_for_no_registration_in_particular_is_read_again(tmp_path, year):
     at = datetime(year, 12, 31, 23, 59, 59, tzinfo=UTC)
-    entry = withdrawn.of_motion("a.mcap", withdrawn.since_1970_us(at), 0.0)
+    entry = withdrawn.of_motion("a.mcap", since_1970_us(at), 0.0)
     withdrawn.add(tmp_path, [entry])
     assert load(tmp_path) == (entry,)

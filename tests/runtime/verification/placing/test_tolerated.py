@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.runtime.verification import certified, stocco
-from cutgate.runtime.verification.decide import Around, Error
+from cutgate.runtime.verification.decide import Around, Displacement
 from cutgate.runtime.verification.placing import tolerated as module
 from cutgate.runtime.verification.placing.guidance import moved
 from cutgate.runtime.verification.placing.tolerated import tolerated
@@ -102,7 +102,7 @@ def test_long_segments_are_cut_so_that_one_look_proves_something():
     line = problem([[500.0, -60.0, 120.0], [500.0, 60.0, 120.0]], axis([0.5, 0.5], [0.0, 0.0]))
     fine = replace(line, tips_mm=np.linspace(*line.tips_mm, 241), axes=np.repeat(line.axes[:1], 241, axis=0))
     assert found(line).ball_mm == pytest.approx(found(fine).ball_mm, abs=3.0)
-    assert not Around(line).holds(Error(found(line).ball_mm))
+    assert not Around(line).holds(Displacement(found(line).ball_mm))
 
 
 def test_a_path_of_too_many_pieces_is_taken_as_it_is(monkeypatch):
@@ -134,6 +134,14 @@ def test_where_nothing_is_admitted_or_proved_nothing_is_said():
     assert tolerated(tight, verdict) is None
 
 
+def test_of_a_path_too_long_to_look_at_so_often_nothing_is_said(monkeypatch):
+    verdict = certified.verify(WEAVING)
+    monkeypatch.setattr(module, "LONGEST_POSES", len(WEAVING.tips_mm))
+    assert tolerated(WEAVING, verdict) is not None
+    monkeypatch.setattr(module, "LONGEST_POSES", len(WEAVING.tips_mm) - 1)
+    assert tolerated(WEAVING, verdict) is None
+
+
 @given(edge=st.integers(0, 400), most=st.integers(0, 300), first=st.integers(-5, 500))
 def test_the_largest_is_found_wherever_it_is_looked_for_first(edge, most, first):
     asked = []
@@ -151,12 +159,12 @@ def test_the_largest_is_found_wherever_it_is_looked_for_first(edge, most, first)
 def test_what_is_proved_of_an_error_is_proved_of_a_smaller_one(ball, yaw, more):
     around = Around(CASES["narrow"])
     pivot = (550.0, 0.0)
-    if around.holds(Error(ball + more, yaw * 1.1, pivot)):
-        assert around.holds(Error(ball, yaw, pivot))
+    if around.holds(Displacement(ball + more, yaw * 1.1, pivot)):
+        assert around.holds(Displacement(ball, yaw, pivot))
 
 
 def test_an_arm_without_a_wrist_or_with_nan_proves_nothing():
     for changes in ({"tool_length_mm": 0.0}, {"feed_mm_s": math.nan}, {"arm": Arm(math.nan, 450.0, "right")}):
-        assert not Around(replace(WEAVING, **changes)).holds(Error(0.0))
+        assert not Around(replace(WEAVING, **changes)).holds(Displacement(0.0))
     outside = replace(WEAVING, tips_mm=WEAVING.tips_mm + np.array((900.0, 0, 0)))
-    assert not Around(outside).holds(Error(0.0))
+    assert not Around(outside).holds(Displacement(0.0))

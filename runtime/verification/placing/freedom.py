@@ -51,6 +51,9 @@ FIRST = 24
 BUILD, BUILD_POINT, BUILD_BLOCK = 6000, 6, 100
 """Work of setting up, whole, for each point and for each block of the path."""
 
+DIFFERENCE_MM = 1e-4
+"""Shifts this far apart tell how a margin changes."""
+
 TURNS_MAX = 8
 """So many turns of the shoulder are looked at one by one; where more are possible, none is excluded by its sides."""
 
@@ -162,9 +165,8 @@ class Placing:
             )
             out[open_] = margin[open_] < -(radii[open_] + self.pad_mm)
         for joint in self._followed:
-            for rows in (self.sample[:FIRST], self.sample):
-                open_ = np.flatnonzero(~out)
-                out[open_] = self._turns_exclude(joint, shifts[open_], radii[open_] + self.pad_mm, rows)
+            open_ = np.flatnonzero(~out)
+            out[open_] = self._turns_exclude(joint, shifts[open_], radii[open_] + self.pad_mm, self.sample)
         return out, margin
 
     def nearest_sides(self, shifts: Floats) -> tuple[Floats, Ints]:
@@ -179,6 +181,13 @@ class Placing:
         bounding = 2 if self.geometry.workspace.full_revolution else 4
         nearest = np.argmin(side_distances(points, self.geometry.workspace)[:, :bounding], axis=1)
         return margins[np.arange(len(shifts)), worst] + self.keep_mm, nearest
+
+    def least_room(self, shift: Floats) -> tuple[float, Floats]:
+        """The sample's smallest margin of the arm after a shift (2,), mm, and how it changes with the shift, (2,)."""
+        near = shift + np.array(((0.0, 0.0), (DIFFERENCE_MM, 0.0), (0.0, DIFFERENCE_MM)))
+        margins = self.arm_margins(near, self.sample)
+        least, x, y = margins[:, np.argmin(margins[0])]
+        return float(least), np.array((x - least, y - least)) / DIFFERENCE_MM
 
     def promising(self, shifts: Floats) -> Bools:
         """Whether the points of the sample keep their deadbands and the reserve after shifts (k, 2)."""

@@ -26,11 +26,20 @@ TOLERANCE_MM = 0.05
 FINEST_MM = 0.01
 """A disc of this radius that can neither be excluded nor used stays open."""
 
-SQUARES = 12
-"""The domain is first cut into so many squares a side."""
+SQUARES = 6
+"""The domain is first cut into so many squares a side, which are divided unseen."""
+
+FINER, FEW = 4, 1024
+"""They are divided in so many a side where that makes few of them, else in two."""
 
 BATCH = 128
 """Squares divided at once."""
+
+ROUNDING_MM = 1e-9
+"""A place on a line counts as allowed by it."""
+
+STEPS, STEP_BEYOND_MM = 8, 0.005
+"""The search begins with at most so many Newton steps, each aimed this far beyond what is to be kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,21 +114,41 @@ class _Search:
         self.best: Floats | None = None
         self.length = math.inf
         self.given_up = math.inf
-        self.squares = self._first()
 
     def run(self, *, any_will_do: bool) -> Placement:
         """Divide until nothing can improve the best, or the work is spent: the squares left then stay open."""
+        shortest = min(max(0.0, self.placing.lift_mm[0]), self.placing.lift_mm[1])  # no shift of the tips
+        with suppress(EffortSpentError):
+            self._approach(-shortest * self.placing.geometry.tilt, 0 if any_will_do else STEPS)
+        self.near = self.best is not None
+        self.squares = self._first()
         with suppress(EffortSpentError):
             self._divide(any_will_do=any_will_do)
         least = float(self.squares.least.min(initial=math.inf))
         least = min(self.given_up, least, max(self.length - TOLERANCE_MM, 0.0))
         return Placement(None if self.best is None else self._translation(self.best), least)
 
+    def _approach(self, start: Floats, steps: int) -> None:
+        """Try the start, else what Newton steps from it lead to: a short best spares most squares. Proves nothing.
+
+        Each step draws the line up to which the point with least room lets the shift go, to first order, and
+        takes the place nearest to the start that all lines allow.
+        """
+        self._try(start[None, :])
+        shift, lines = start, np.empty((0, 3))
+        for _ in range(steps if self.best is None else 0):
+            margin, gradient = self.placing.least_room(shift)
+            line = np.append(gradient, gradient @ (shift - start) - margin + STEP_BEYOND_MM)
+            nearest = _nearest(line, lines)
+            if margin >= 0.0 or nearest is None:  # it is the roll that objects, or the lines leave no place
+                return
+            shift, lines = start + nearest, np.vstack((lines, line))
+            self._try(shift[None, :])
+            if self.best is not None:
+                return
+
     def _divide(self, *, any_will_do: bool) -> None:
         """Divide the square with the shortest translation first. A square leaves the open ones when it is decided."""
-        shortest = min(max(0.0, self.placing.lift_mm[0]), self.placing.lift_mm[1])  # no shift of the tips
-        self._try(-shortest * self.placing.geometry.tilt[None, :])
-        self.squares = self._look(self.squares)
         while len(self.squares) and not (any_will_do and self.best is not None):
             squares = self.squares = self.squares.take(self.squares.least < self.length - TOLERANCE_MM)
             order = np.argsort(squares.least, kind="stable")
@@ -127,8 +156,10 @@ class _Search:
             self.squares = rest.joined(self._look(self._divided(near)))
 
     def _first(self) -> _Squares:
-        """Squares that cover the domain; none if it is empty."""
+        """Squares that cover the domain as far as translations are shorter than the best; none if it is empty."""
         low, high = self.placing.domain
+        away = self.length * (1.0 + np.abs(self.placing.geometry.tilt))
+        low, high = np.maximum(low, -away), np.minimum(high, away)
         if not (low <= high).all():
             nothing = np.empty(0)
             return _Squares(np.empty((0, 2)), nothing, nothing)
@@ -138,10 +169,13 @@ class _Search:
         return self._bounded(centre, np.full(len(centre), half), np.zeros(len(centre)))
 
     def _divided(self, squares: _Squares) -> _Squares:
-        """Four of each."""
-        quarter = squares.half[:, None, None] / 2.0 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
-        centre = (squares.centre[:, None, :] + quarter).reshape(-1, 2)
-        return self._bounded(centre, np.repeat(squares.half / 2.0, 4), np.repeat(squares.least, 4))
+        """Finer where few are left and the best is a good one, so that their centres are not wanted as better ones."""
+        parts = FINER if self.near and FINER**2 * len(squares) <= FEW else 2
+        ticks = (2.0 * np.arange(parts) + 1.0) / parts - 1.0
+        off = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
+        centre = (squares.centre[:, None, :] + squares.half[:, None, None] * off).reshape(-1, 2)
+        half, least = np.repeat(squares.half / parts, len(off)), np.repeat(squares.least, len(off))
+        return self._bounded(centre, half, least)
 
     def _bounded(self, centre: Floats, half: Floats, inherited: Floats) -> _Squares:
         least = np.maximum(inherited, self._length(centre) - math.sqrt(2.0) * half)
@@ -192,3 +226,16 @@ class _Search:
     def _translation(self, shift: Floats) -> Floats:
         lift = self._lift(shift[None, :])[0]
         return np.append(shift + lift * self.placing.geometry.tilt, lift)
+
+
+def _nearest(line: Floats, others: Floats) -> Floats | None:
+    """The place nearest to the origin on a line ``(n, b)``, of those with ``n p >= b`` for the others (k, 3)."""
+    n, b = line[:2], line[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        foot = n * b / (n @ n)
+        along = np.array((-n[1], n[0]))
+        crossings = foot + ((others[:, 2] - others[:, :2] @ foot) / (others[:, :2] @ along))[:, None] * along
+    places = np.vstack((foot, crossings))
+    allowed = (places @ others[:, :2].T >= others[:, 2] - ROUNDING_MM).all(axis=1)
+    places = places[allowed & np.isfinite(places).all(axis=1)]
+    return places[np.argmin((places * places).sum(axis=1))] if len(places) else None

@@ -37,6 +37,6 @@ def signed_sides(distances: Floats, inside: Bools, *, full_revolution: bool) -> 
 
 def signed_distance(points: Floats, workspace: PlanarWorkspace) -> Floats:
     """D(x, W): signed distance to the nearest boundary, mm. Shape (n, 2) -> (n,)."""
-    distances = side_distances(points, workspace)[:, : 2 if workspace.full_revolution else 4]
-    nearest: Floats = distances.min(axis=1)
+    bounding = workspace.arcs[: 2 if workspace.full_revolution else 4]
+    nearest: Floats = np.minimum.reduce([distance_to_arc(points, arc) for arc in bounding])
     return np.where(workspace.inside(points), nearest, -nearest)

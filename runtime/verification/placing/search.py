@@ -3,7 +3,8 @@
 The length of the translation that belongs to a shift ``p`` is the distance of the origin from the straight
 segment ``(p + h tilt, h)`` over the lifts h that the slide allows, hence 1-Lipschitz in p. Squares of shifts
 are worked off by the least length in them; one is dropped when it is proved that no shift in it fits, or
-that none is shorter than the best found. Nothing left proves that no translation fits. All work is counted
+that none is shorter than the best found. Nothing left proves that no translation fits. A few Newton steps come
+first: a best that is near the shortest from the start leaves little to be divided. All work is counted
 (`Effort` of the placing); where that is spent, what has been seen until then proves as much as it can.
 """
 
@@ -26,11 +27,11 @@ TOLERANCE_MM = 0.05
 FINEST_MM = 0.01
 """A disc of this radius that can neither be excluded nor used stays open."""
 
-SQUARES = 6
-"""The domain is first cut into so many squares a side, which are divided unseen."""
+SQUARES, SQUARES_NEAR = 6, 2
+"""So many squares a side are divided first: of the domain, or of the little that is left where the best is near."""
 
 FINER, FEW = 4, 1024
-"""They are divided in so many a side where that makes few of them, else in two."""
+"""Where the best is near, squares are divided into so many a side if that makes no more than few; else into two."""
 
 BATCH = 128
 """Squares divided at once."""
@@ -39,7 +40,7 @@ ROUNDING_MM = 1e-9
 """A place on a line counts as allowed by it."""
 
 STEPS, STEP_BEYOND_MM = 8, 0.005
-"""The search begins with at most so many Newton steps, each aimed this far beyond what is to be kept."""
+"""At most so many Newton steps come first, each aimed this far beyond what is to be kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,10 @@ def smallest_translation(
 
 
 class _Search:
-    """One run: the open squares, the best shift so far, and the least length among those given up."""
+    """One run: the open squares, the best shift so far, and the least length among those given up.
+
+    ``near`` says that the best was found by the steps, hence is about as short as can be.
+    """
 
     def __init__(self, placing: Placing, finest_mm: float) -> None:
         self.placing = placing
@@ -114,6 +118,7 @@ class _Search:
         self.best: Floats | None = None
         self.length = math.inf
         self.given_up = math.inf
+        self.near = False
 
     def run(self, *, any_will_do: bool) -> Placement:
         """Divide until nothing can improve the best, or the work is spent: the squares left then stay open."""
@@ -129,14 +134,16 @@ class _Search:
         return Placement(None if self.best is None else self._translation(self.best), least)
 
     def _approach(self, start: Floats, steps: int) -> None:
-        """Try the start, else what Newton steps from it lead to: a short best spares most squares. Proves nothing.
+        """Try the start, then what Newton steps from it lead to; nothing is proved by it.
 
         Each step draws the line up to which the point with least room lets the shift go, to first order, and
         takes the place nearest to the start that all lines allow.
         """
         self._try(start[None, :])
         shift, lines = start, np.empty((0, 3))
-        for _ in range(steps if self.best is None else 0):
+        for _ in range(steps):
+            if self.best is not None:
+                return
             margin, gradient = self.placing.least_room(shift)
             line = np.append(gradient, gradient @ (shift - start) - margin + STEP_BEYOND_MM)
             nearest = _nearest(line, lines)
@@ -144,8 +151,6 @@ class _Search:
                 return
             shift, lines = start + nearest, np.vstack((lines, line))
             self._try(shift[None, :])
-            if self.best is not None:
-                return
 
     def _divide(self, *, any_will_do: bool) -> None:
         """Divide the square with the shortest translation first. A square leaves the open ones when it is decided."""
@@ -163,13 +168,14 @@ class _Search:
         if not (low <= high).all():
             nothing = np.empty(0)
             return _Squares(np.empty((0, 2)), nothing, nothing)
-        half = max(float((high - low).max()) / (2.0 * SQUARES), self.finest_mm)
+        side = SQUARES_NEAR if self.near else SQUARES
+        half = max(float((high - low).max()) / (2.0 * side), self.finest_mm)
         ticks = [np.arange(a + half, b + 2.0 * half, 2.0 * half) for a, b in zip(low, high, strict=True)]
         centre = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
         return self._bounded(centre, np.full(len(centre), half), np.zeros(len(centre)))
 
     def _divided(self, squares: _Squares) -> _Squares:
-        """Finer where few are left and the best is a good one, so that their centres are not wanted as better ones."""
+        """Finer at once where the best is near and they are few: nothing is looked for between, and calls are spared."""
         parts = FINER if self.near and FINER**2 * len(squares) <= FEW else 2
         ticks = (2.0 * np.arange(parts) + 1.0) / parts - 1.0
         off = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)

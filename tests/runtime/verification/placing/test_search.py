@@ -141,6 +141,118 @@ def test_the_first_squares_cover_the_whole_domain(monkeypatch, size):
         assert (np.abs(squares.centre - point).max(axis=1) <= squares.half + 1e-9).any()
 
 
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("length", [0.0, 0.02, 7.0, 150.0, 5000.0])
+def test_the_first_squares_cover_every_shift_by_a_shorter_translation_than_the_best(length, near):
+    """On a leaning slide, where a shift may be longer than its translation."""
+    placing = Placing(CASES["too high on a leaning slide"], Reserve())
+    run = search._Search(placing, FINEST_MM)
+    run.length, run.near = length, near
+    squares, (low, high) = run._first(), placing.domain
+    translations = np.random.default_rng(2).normal(size=(2000, 3))
+    translations *= length / np.linalg.norm(translations, axis=1)[:, None]
+    for shift in translations[:, :2] - translations[:, 2:] * placing.geometry.tilt:
+        if ((low <= shift) & (shift <= high)).all():
+            assert (np.abs(squares.centre - shift).max(axis=1) <= squares.half + 1e-9).any()
+
+
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 3, 64, 65, 200])
+def test_divided_squares_cover_what_they_divide_and_nothing_else(count, near):
+    rng = np.random.default_rng(count)
+    run = search._Search(Placing(strokes(600.0, 0.0), Reserve()), FINEST_MM)
+    run.near = near
+    half, least = rng.uniform(0.1, 9.0, count), rng.uniform(0.0, 100.0, count)
+    squares = search._Squares(rng.normal(0.0, 100.0, (count, 2)), half, least)
+    parts = run._divided(squares)
+    each = len(parts) // max(count, 1)
+    assert each == (0 if count == 0 else 16 if near and count <= 64 else 4)
+    of = np.repeat(np.arange(count), each)
+    assert (
+        np.abs(parts.centre - squares.centre[of]).max(axis=1, initial=0.0) <= half[of] - parts.half + 1e-9
+    ).all()
+    np.testing.assert_allclose(parts.half, half[of] / math.sqrt(max(each, 1)))
+    assert (parts.least >= least[of]).all()
+    for corner in rng.uniform(-1.0, 1.0, (20, 2)):
+        inside = squares.centre + corner * half[:, None]
+        away = np.abs(parts.centre[None] - inside[:, None]).max(axis=2)
+        assert (away <= parts.half + 1e-9).any(axis=1).all()
+
+
+# -- the steps that come first ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_nearest_place_on_a_line_is_that_of_a_dense_look_along_it(seed):
+    rng = np.random.default_rng(seed)
+    line, others = rng.normal(size=3), rng.normal(size=(int(rng.integers(0, 7)), 3))
+    found = search._nearest(line, others)
+    foot = line[:2] * line[2] / (line[:2] @ line[:2])
+    along = np.array((-line[1], line[0])) / np.hypot(*line[:2])
+    places = foot + np.linspace(-30.0, 30.0, 200_001)[:, None] * along
+    allowed = places[(places @ others[:, :2].T >= others[:, 2]).all(axis=1)]
+    if found is None:
+        assert len(allowed) == 0
+        return
+    assert found @ line[:2] == pytest.approx(line[2], abs=1e-9)
+    assert (others[:, :2] @ found >= others[:, 2] - 1e-6).all()
+    if len(allowed):
+        assert np.hypot(*found) <= np.hypot(*allowed.T).min() + 1e-9
+
+
+def test_a_line_without_a_direction_has_no_nearest_place():
+    assert search._nearest(np.array((0.0, 0.0, 1.0)), np.empty((0, 3))) is None
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_least_room_is_that_of_the_worst_point_and_changes_as_it_says(name):
+    placing = Placing(CASES[name], RESERVE)
+    for shift in np.random.default_rng(3).normal(0.0, 100.0, (20, 2)):
+        margins = placing.arm_margins(shift[None, :], placing.sample)[0]
+        worst = [np.argmin(margins)]
+        least, gradient = placing.least_room(shift)
+        assert least == pytest.approx(margins.min(), abs=1e-9)
+        assert np.hypot(*gradient) <= 1.0 + 1e-6
+        step = np.array((0.6, -0.8)) * 1e-5
+        ahead, behind = placing.arm_margins(shift + np.array((step, -step)), placing.sample[worst])[:, 0]
+        assert (ahead - behind) / 2e-5 == pytest.approx(gradient @ (0.6, -0.8), abs=1e-3)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_steps_lead_to_about_the_shortest_or_give_up_and_what_is_found_is_as_short(name):
+    """They give up where the roll objects, and where the arm does so from far away and on several sides."""
+    run = search._Search(Placing(CASES[name], RESERVE), FINEST_MM)
+    found = run.run(any_will_do=False)
+    assert run.near is (name not in {"roll", "left elbow"})
+    assert np.linalg.norm(found.translation_mm) <= found.at_least_mm + TOLERANCE_MM + FINEST_MM
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_with_and_without_the_steps_neither_search_refutes_the_other(monkeypatch, seed):
+    path, _ = displaced(seed)
+    found, translation = searched(path)
+    monkeypatch.setattr(search, "STEPS", 0)
+    plain, other = searched(path)
+    assert found.at_least_mm <= np.linalg.norm(other)
+    assert plain.at_least_mm <= np.linalg.norm(translation)
+    assert np.linalg.norm(translation) <= np.linalg.norm(other) + TOLERANCE_MM + FINEST_MM
+
+
+def test_where_any_will_do_no_steps_are_taken(monkeypatch):
+    monkeypatch.setattr(Placing, "least_room", None)
+    assert searched(CASES["in the hole"], any_will_do=True)[1] is not None
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_search_that_is_cut_short_in_its_steps_still_proves_no_more_than_is_true(name):
+    built = Placing(CASES[name], RESERVE).effort.spent
+    whole, _ = searched(CASES[name])
+    for work in range(0, 12_000, 400):
+        found, translation = searched(CASES[name], effort=Effort(built + work))
+        assert found.at_least_mm <= whole.at_least_mm + TOLERANCE_MM
+        assert translation is None or np.linalg.norm(translation) >= whole.at_least_mm
+
+
 def test_no_disc_is_excluded_by_the_winding_of_a_shift_that_passes_the_column_on_the_other_side():
     """The roll fits only if the path passes the column on its left; the disc's centre passes on its right."""
     x = np.linspace(-400.0, 400.0, 81)

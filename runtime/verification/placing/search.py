@@ -39,7 +39,7 @@ BATCH = 128
 ROUNDING_MM = 1e-9
 """A place on a line counts as allowed by it."""
 
-STEPS, STEP_BEYOND_MM = 8, 0.005
+STEPS, AIM_MM = 8, 0.005
 """At most so many Newton steps come first, each aimed this far beyond what is to be kept."""
 
 
@@ -145,7 +145,7 @@ class _Search:
             if self.best is not None:
                 return
             margin, gradient = self.placing.least_room(shift)
-            line = np.append(gradient, gradient @ (shift - start) - margin + STEP_BEYOND_MM)
+            line = np.append(gradient, gradient @ (shift - start) - margin + AIM_MM)
             nearest = _nearest(line, lines)
             if margin >= 0.0 or nearest is None:  # it is the roll that objects, or the lines leave no place
                 return

@@ -165,8 +165,8 @@ class Placing:
             )
             out[open_] = margin[open_] < -(radii[open_] + self.pad_mm)
         for joint in self._followed:
-            many = FIRST * np.count_nonzero(~out) > CALL  # the first pass over few costs more than it spares
-            for rows in (self.sample[:FIRST], self.sample)[not many :]:
+            many = FIRST * np.count_nonzero(~out) > CALL  # a first pass over few costs more than it spares
+            for rows in (self.sample[:FIRST], self.sample) if many else (self.sample,):
                 open_ = np.flatnonzero(~out)
                 out[open_] = self._turns_exclude(joint, shifts[open_], radii[open_] + self.pad_mm, rows)
         return out, margin

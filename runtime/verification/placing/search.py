@@ -109,7 +109,7 @@ def smallest_translation(
 class _Search:
     """One run: the open squares, the best shift so far, and the least length among those given up.
 
-    ``near`` says that the best was found by the steps, hence is about as short as can be.
+    ``near`` says that the best was found by the steps: mostly about as short as can be, and if not, squares tell.
     """
 
     def __init__(self, placing: Placing, finest_mm: float) -> None:

@@ -149,7 +149,8 @@ def test_the_first_squares_cover_every_shift_by_a_shorter_translation_than_the_b
     run = search._Search(placing, FINEST_MM)
     run.length, run.near = length, near
     squares, (low, high) = run._first(), placing.domain
-    translations = np.random.default_rng(2).normal(size=(2000, 3))
+    farthest = [(*side, -float(side @ placing.geometry.tilt)) for side in np.vstack((np.eye(2), -np.eye(2)))]
+    translations = np.vstack((farthest, np.random.default_rng(2).normal(size=(2000, 3))))
     translations *= length / np.linalg.norm(translations, axis=1)[:, None]
     for shift in translations[:, :2] - translations[:, 2:] * placing.geometry.tilt:
         if ((low <= shift) & (shift <= high)).all():

@@ -16,7 +16,7 @@ from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot, Site
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.reach_files import files_for, save
-from cutgate.runtime.commands.reach_picture import height, signed
+from cutgate.runtime.commands.reach_picture import between, height, signed
 from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
@@ -24,7 +24,7 @@ from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.reach import Position
-from cutgate.runtime.verification.placing.survey import Work, survey
+from cutgate.runtime.verification.placing.survey import Work, crew, positions, squares
 from cutgate.runtime.verification.recorded import off_line_problem
 from cutgate.runtime.verification.report.document import document_text
 
@@ -139,15 +139,18 @@ def reach_command(
         bound = f"{len(grid)} positions, at most {POSITIONS_MAX}: take longer steps or fewer turns and lifts"
         raise typer.BadParameter(bound, param_hint="--step-mm")
     files = files_for(out, json=json)
-    with _progress(len(grid), f"judging {len(grid)} positions of the bone") as done:
-        positions = survey(work, grid, cores or os.cpu_count() or 1, done)
-    document = reach.reach_document(problem, grid, positions, _made_for(prepared, arm.value), begun)
+    with crew(work, cores or os.cpu_count() or 1) as workers:
+        with _progress(len(grid), f"judging what lies about {len(grid)} positions of the bone") as done:
+            cells = squares(work, workers, grid, done)
+        with _progress(len(grid), f"judging {len(grid)} positions of the bone") as done:
+            found = positions(work, workers, grid, cells, done)
+    document = reach.reach_document(problem, grid, found, _made_for(prepared, arm.value), begun)
     with working("drawing the map"):
-        save(files, problem, document, positions)
+        save(files, problem, document, found)
     if json:
         echo(document_text(document))
     else:
-        _summary(document, positions, files)
+        _summary(document, found.positions, files)
 
 
 def _summary(document: dict[str, Any], positions: list[Position], files: dict[str, Path]) -> None:
@@ -163,9 +166,10 @@ def _summary(document: dict[str, Any], positions: list[Position], files: dict[st
             f"Where the bone stands now it is inadmissible; guidance moves it: {yaw}x {x}  y {y}  lift {z} mm."
         )
     console.print(
-        f"{counts['admissible']} of {counts['positions']} positions are admissible, each by the certified method; "
+        f"{counts['admissible']} of {counts['positions']} positions are admissible, each of them proved; "
         f"{counts['excluded_by_a_pose']} are excluded by one pose alone."
     )
+    console.print(between(document))
     here = next((p for p in positions if not (p.x_mm or p.y_mm or p.yaw_deg or p.lift_mm)), None)
     if here is not None:
         verdict = "admissible" if here.admissible else "inadmissible"

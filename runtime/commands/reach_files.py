@@ -13,7 +13,7 @@ from cutgate.config.load import InputError
 from cutgate.runtime.commands.reach_page import page
 from cutgate.runtime.commands.reach_picture import picture
 from cutgate.runtime.verification.placing import reach
-from cutgate.runtime.verification.placing.reach import Position
+from cutgate.runtime.verification.placing.reach import Position, Surveyed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.report.document import document_text
 
@@ -78,15 +78,13 @@ def table(positions: list[Position]) -> str:
     return text.getvalue()
 
 
-def save(
-    files: dict[str, Path], problem: Problem, document: dict[str, Any], positions: list[Position]
-) -> None:
+def save(files: dict[str, Path], problem: Problem, document: dict[str, Any], found: Surveyed) -> None:
     """Writes the files asked for."""
     arcs = list(reach.outline(problem))
     makers: dict[str, Callable[[], bytes]] = {
-        ".png": lambda: picture(document, positions, arcs),
-        ".html": lambda: page(document, positions, arcs).encode(),
-        ".csv": lambda: table(positions).encode(),
+        ".png": lambda: picture(document, found, arcs),
+        ".html": lambda: page(document, found, arcs).encode(),
+        ".csv": lambda: table(found.positions).encode(),
         ".json": (document_text(document) + "\n").encode,
     }
     for kind, path in files.items():

@@ -33,13 +33,25 @@
 
   function read(k) {
     const code = map.codes[layer][k];
-    const limit = map.limits[Math.floor(code / 3)];
+    const limit = map.limits[Math.floor(code / 4)];
     const clearance = map.clearances[layer][k];
     const value = clearance === null ? null : clearance / 100;
     const ratio = value === null ? null : limit.rate ? (value ? limit.bound / value : null) : value / limit.bound;
-    return { admissible: code % 3 === 2, checked: code % 3 !== 0, limit, value, ratio };
+    return { admissible: code % 4 > 1, how: code % 4, limit, value, ratio };
   }
-  const admissible = (k) => map.codes[layer][k] % 3 === 2;
+  const admissible = (k) => map.codes[layer][k] % 4 > 1;
+
+  // Squares of a kind, each [x, y, side]: the corner with the least x and y, from that of the map.
+  function squares(which) {
+    const [levels, columnsOf, rowsOf] = map[which][layer].map((steps) => {
+      let sum = 0;
+      return steps.map((by) => (sum += by));
+    });
+    return levels.map((level, n) => {
+      const side = (map.first_steps * step) / 2 ** level;
+      return [columnsOf[n] * side, rowsOf[n] * side, side];
+    });
+  }
   function best(better) {
     let found = null;
     for (let k = 0; k < rows * columns; k += 1) if (admissible(k) && (found === null || better(k, found))) found = k;
@@ -115,8 +127,7 @@
     pen.beginPath();
     pen.rect(edge.left, edge.top, width, height);
     pen.clip();
-    cells(X, Y, s);
-    rim(X, Y);
+    cells(X, Y);
     letters(X, Y, s, [x0, x1, y0, y1]);
     pen.strokeStyle = colour("--ink");
     pen.lineWidth = 1.6;
@@ -157,43 +168,72 @@
     pen.restore();
   }
 
-  function cells(X, Y, s) {
-    const tints = map.kinds.map((_, k) => parts(colour(`--k${k}`)));
-    const plain = document.createElement("canvas");
-    [plain.width, plain.height] = [columns, rows];
-    const one = plain.getContext("2d");
+  const tintsNow = () => map.kinds.map((_, k) => parts(colour(`--k${k}`)));
+  const tint = (found, tints) => (found.admissible ? shade(found.ratio ?? map.top) : tints[found.limit.kind]);
+
+  // Positions, one square of the step each, as a picture that is stretched; of admissible squares alone, or of all.
+  function plain(tints, proved) {
+    const out = document.createElement("canvas");
+    [out.width, out.height] = [columns, rows];
+    const one = out.getContext("2d");
     const image = one.createImageData(columns, rows);
     for (let k = 0; k < rows * columns; k += 1) {
-      const found = read(k);
-      const rgb = found.admissible ? shade(found.ratio ?? map.top) : tints[found.limit.kind];
+      if (proved && map.cells[layer][k] !== "a") continue;
       const to = 4 * ((rows - 1 - Math.floor(k / columns)) * columns + (k % columns));
-      image.data.set([...rgb, 255], to);
+      image.data.set([...tint(read(k), tints), 255], to);
     }
     one.putImageData(image, 0, 0);
-    pen.imageSmoothingEnabled = false;
-    const half = step / 2;
-    pen.drawImage(plain, X(map.x[0] + px - half), Y(map.y[rows - 1] + py + half), columns * step * s, rows * step * s);
+    return out;
   }
 
-  // The line between admissible and inadmissible cells.
-  function rim(X, Y) {
-    const half = step / 2;
+  // What is proved of squares, the line about all that is admissible, and hatched what is not decided.
+  function cells(X, Y) {
+    const tints = tintsNow();
+    const [left, low] = [map.x[0] + px - step / 2, map.y[0] + py - step / 2];
+    const fine = canvas.width / view.size[0];
+    const whole = (v) => Math.round(v * fine) / fine;
+    const box = ([x, y, side]) => {
+      const [u, v] = [whole(X(left + x)), whole(Y(low + y + side))];
+      return [u, v, whole(X(left + x + side)) - u, whole(Y(low + y)) - v];
+    };
+    const all = [whole(X(left)), whole(Y(low + rows * step))];
+    all.push(whole(X(left + columns * step)) - all[0], whole(Y(low)) - all[1]);
+    pen.imageSmoothingEnabled = false;
+    pen.drawImage(plain(tints, false), ...all);
+    const smaller = squares("squares").map((one, n) => [box(one), read(rows * columns + n)]);
+    const fill = (good) => {
+      for (const [place, found] of smaller) {
+        if (found.admissible !== good) continue;
+        pen.fillStyle = `rgb(${tint(found, tints).join(" ")})`;
+        pen.fillRect(...place);
+      }
+    };
+    fill(false);
+    const unknown = squares("unknown").map(box);
+    pen.fillStyle = colour("--page");
+    for (const place of unknown) pen.fillRect(...place);
     pen.beginPath();
-    for (let k = 0; k < rows * columns; k += 1) {
-      if (!admissible(k)) continue;
-      const [x, y] = moveOf(k).map((v, c) => v + map.pivot[c]);
-      const j = k % columns;
-      const out = [j === 0 || !admissible(k - 1), j === columns - 1 || !admissible(k + 1), k < columns || !admissible(k - columns), k >= (rows - 1) * columns || !admissible(k + columns)];
-      const lines = [[-1, -1, -1, 1], [1, -1, 1, 1], [-1, -1, 1, -1], [-1, 1, 1, 1]];
-      lines.forEach(([a, b, c, d], n) => {
-        if (!out[n]) return;
-        pen.moveTo(X(x + a * half), Y(y + b * half));
-        pen.lineTo(X(x + c * half), Y(y + d * half));
-      });
+    for (const place of unknown) pen.rect(...place);
+    pen.save();
+    pen.clip();
+    pen.beginPath();
+    for (let u = all[0] - all[3]; unknown.length && u < all[0] + all[2]; u += 4) {
+      pen.moveTo(u, all[1] + all[3]);
+      pen.lineTo(u + all[3], all[1]);
     }
     pen.strokeStyle = colour("--ink");
-    pen.lineWidth = 1.5;
+    pen.lineWidth = 0.7;
     pen.stroke();
+    pen.restore();
+    pen.beginPath();
+    for (const [place, found] of smaller) if (found.admissible) pen.rect(...place);
+    for (let k = 0; k < rows * columns; k += 1) {
+      if (map.cells[layer][k] === "a") pen.rect(...box([(k % columns) * step, Math.floor(k / columns) * step, step]));
+    }
+    pen.lineWidth = 3;
+    pen.stroke();
+    pen.drawImage(plain(tints, true), ...all);
+    fill(true);
   }
 
   function letters(X, Y, s, [x0, x1, y0, y1]) {
@@ -205,7 +245,7 @@
     for (let y = y0 + gap / 2; y < y1; y += gap) {
       for (let x = x0 + gap / 2; x < x1; x += gap) {
         const k = cellAt(x - px, y - py);
-        if (k === null || admissible(k)) continue;
+        if (k === null || map.cells[layer][k] !== "i") continue;
         const [mx, my] = moveOf(k);
         pen.fillText(map.kinds[read(k).limit.kind], X(mx + px), Y(my + py));
       }
@@ -265,6 +305,19 @@
 
   // ---- words
 
+  // What is proved of the square about a position.
+  function around(k) {
+    const every = { a: "admissible everywhere", i: "inadmissible everywhere", u: "not decided" }[map.cells[layer][k]];
+    const size = `${step} mm about it: `;
+    if (every) return size + every;
+    const [i, j] = [Math.floor(k / columns) * step, (k % columns) * step];
+    const within = ([x, y]) => x >= j && x < j + step && y >= i && y < i + step;
+    const area = (found) => found.reduce((sum, [, , side]) => sum + (100 * side * side) / (step * step), 0);
+    const good = area(squares("squares").filter((one, n) => within(one) && admissible(rows * columns + n)));
+    const open = area(squares("unknown").filter(within));
+    return `${size}admissible in ${good.toFixed(0)} %, inadmissible in ${(100 - good - open).toFixed(0)} %, not decided in ${open.toFixed(0)} %`;
+  }
+
   function tell() {
     const k = shown;
     at("seen").hidden = k === null;
@@ -273,15 +326,16 @@
     const found = read(k);
     const value = found.value === null ? "undefined" : `${found.value.toFixed(2)} ${found.limit.unit}`;
     at("verdict").textContent = found.admissible ? "admissible" : "inadmissible";
-    at("how").textContent = found.checked ? "by the certified method" : "one pose excludes it";
+    at("how").textContent = ["one pose excludes it", "by the certified method", "by the certified method", "proved"][found.how];
     at("limit").textContent = `${found.limit.name}: ${found.limit.words}`;
-    at("clearance").textContent = `${value}, ${found.limit.bound} ${found.limit.unit} ${found.limit.rate ? "allowed" : "required"}`;
+    at("around").textContent = around(k);
+    at("clearance").textContent = `${found.how === 3 ? "at least " : ""}${value}, ${found.limit.bound} ${found.limit.unit} ${found.limit.rate ? "allowed" : "required"}`;
     at("move").textContent = `yaw ${signed(yawOf(layer))}\u00b0, then x ${signed(x)}, y ${signed(y)}, lift ${signed(liftOf(layer))} mm`;
     at("point").textContent = `x ${(x + px).toFixed(1)}, y ${(y + py).toFixed(1)}, z ${(pz + liftOf(layer)).toFixed(1)} mm`;
   }
 
   function update() {
-    const good = map.codes[layer].reduce((sum, code) => sum + (code % 3 === 2), 0);
+    const good = map.codes[layer].slice(0, rows * columns).reduce((sum, code) => sum + (code % 4 > 1), 0);
     const lift = liftOf(layer);
     at("lift").textContent = `lift ${signed(lift)} mm`;
     at("heading").textContent = `${titleOf(layer)}: ${good} of ${rows * columns} places admissible`;

@@ -16,18 +16,21 @@ from typing import Any, Final
 import numpy as np
 
 from cutgate.config.screen import printable
+from cutgate.protocol.arrays import Ints
 from cutgate.runtime.commands.reach_picture import (
     KINDS,
     RATIO_MAX,
     Arcs,
     Layer,
+    between,
     height,
     kind_of,
     layers,
     ratio_top,
     signed,
 )
-from cutgate.runtime.verification.placing.reach import RATES, Position
+from cutgate.runtime.verification.placing.cells import State
+from cutgate.runtime.verification.placing.reach import CELLS, RATES, Position, Surveyed
 
 CIVIDIS: Final = (
     "#00224e", "#083370", "#35456c", "#4f576c", "#666970", "#7d7c78",
@@ -47,15 +50,15 @@ _SIGNS: Final = (
 _MOVE: Final = ("M0-9 7 0 0 9-7 0Z", "the move that guidance chooses")
 
 
-def page(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) -> str:
+def page(document: dict[str, Any], found: Surveyed, arcs: Arcs) -> str:
     """The map as HTML.
 
     Args:
         document: ``cutgate.reach/1``.
-        positions: all of them.
+        found: all of it.
         arcs: the workspace of the wrist centre.
     """
-    drawn = layers(document, positions)
+    drawn = layers(document, found)
     first = max(range(len(drawn)), key=lambda k: _interest(drawn[k], document["guidance"]))
     folder = files("cutgate.runtime.commands")
     script = (folder / "reach_page.js").read_text(encoding="utf-8")
@@ -109,17 +112,19 @@ def _words(document: dict[str, Any]) -> str:
     counts, registration = document["counts"], document["registration"]
     placed = f"Registration {registration}" if registration else "No registration (identity)"
     return (
-        f"<p>{html.escape(placed)}. {counts['admissible']} of {counts['positions']} positions are admissible, each by "
-        f"the certified method. Each cell of {document['grid']['step_mm']:g} mm is a new registration: turn the bone by "
-        "the yaw about the vertical through the cross, then move it, lift included. A moved bone needs a new "
-        "registration, which is verified anew.</p>\n"
+        f"<p>{html.escape(placed)}. {counts['admissible']} of {counts['positions']} positions are admissible, each "
+        f"of them proved. {html.escape(between(document))} Each position, every {document['grid']['step_mm']:g} mm, is a new "
+        "registration: turn the bone by the yaw about the vertical through the cross, then move it, lift included. A moved "
+        "bone needs a new registration, which is verified anew.</p>\n"
     )
 
 
 def _body(document: dict[str, Any], drawn: Sequence[Layer], shown: Layer) -> str:
     """Map, controls, reading and legend; the script fills them."""
     top = ratio_top(drawn)
-    found = {kind_of(p.limiting) for layer in drawn for p in layer.positions if not p.admissible}
+    found = {
+        kind_of(p.limiting) for layer in drawn for p in (*layer.positions, *layer.middles) if not p.admissible
+    }
     signs = (*_SIGNS, _MOVE) if document["guidance"] else _SIGNS
     legend = "".join(
         f'<li><svg viewBox="-10 -10 20 20" aria-hidden="true"><path d="{path}" fill="#fff" stroke="#000" '
@@ -135,6 +140,8 @@ def _body(document: dict[str, Any], drawn: Sequence[Layer], shown: Layer) -> str
         for k, (name, kind) in enumerate(KINDS.items())
         if name in found
     )
+    if any((layer.squares.states == State.UNKNOWN).any() for layer in drawn):
+        legend += '<li><span class="swatch undecided"></span>not decided: here and there may be either</li>'
     reading = "".join(
         f'<dt>{name}</dt><dd id="{key}"></dd>'
         for key, name in (
@@ -142,6 +149,7 @@ def _body(document: dict[str, Any], drawn: Sequence[Layer], shown: Layer) -> str
             ("how", "Judged"),
             ("limit", "Limit"),
             ("clearance", "Clearance"),
+            ("around", "Around it"),
             ("move", "Move"),
             ("point", "Place"),
         )
@@ -195,10 +203,27 @@ def _hundredths(p: Position) -> int:
     return math.ceil(value) if p.limiting.startswith(RATES) else math.floor(value)
 
 
+_CHECKED: Final = {
+    ("pose", False): 0,
+    ("certified", False): 1,
+    ("certified", True): 2,
+    ("proved", True): 3,
+}
+_INITIALS: Final = {cell: cell[0] for cell in CELLS.values()}
+
+
+def _steps(where: Ints) -> list[list[int]]:
+    """Levels, columns and rows, each as what it is more than the one before: that deflates well."""
+    steps: list[list[int]] = np.diff(where, axis=0, prepend=0).T.tolist()
+    return steps
+
+
 def _data(document: dict[str, Any], drawn: Sequence[Layer], first: int, arcs: Arcs) -> str:
-    """All that the script draws, deflated, base64: ``codes`` are limit, excluded, refused or admissible in one."""
+    """All that the script draws, deflated, base64: ``codes`` are limit, and how it was judged, in one."""
     grid, kinds = document["grid"], list(KINDS)
-    limits = {(p.limiting, p.unit, p.bound): None for layer in drawn for p in layer.positions}
+    limits = {
+        (p.limiting, p.unit, p.bound): None for layer in drawn for p in (*layer.positions, *layer.middles)
+    }
     numbers = {limit: k for k, limit in enumerate(limits)}
     guidance = document["guidance"]
     data = {
@@ -228,15 +253,20 @@ def _data(document: dict[str, Any], drawn: Sequence[Layer], first: int, arcs: Ar
         "first": first,
         "codes": [
             [
-                3 * numbers[p.limiting, p.unit, p.bound]
-                + (2 if p.admissible else 1 if p.checked == "certified" else 0)
-                for p in layer.positions
+                4 * numbers[p.limiting, p.unit, p.bound] + _CHECKED[p.checked, p.admissible]
+                for p in (*layer.positions, *layer.middles)
             ]
             for layer in drawn
         ],
         "clearances": [
-            [None if p.clearance is None else _hundredths(p) for p in layer.positions] for layer in drawn
+            [None if p.clearance is None else _hundredths(p) for p in layer.positions]
+            + [None if p.clearance is None else 50 * (_hundredths(p) // 50) for p in layer.middles]
+            for layer in drawn
         ],
+        "cells": ["".join(_INITIALS[p.cell] for p in layer.positions) for layer in drawn],
+        "first_steps": drawn[0].squares.lattice.first,
+        "squares": [_steps(layer.squares.where[layer.squares.smaller]) for layer in drawn],
+        "unknown": [_steps(layer.squares.where[layer.squares.states == State.UNKNOWN]) for layer in drawn],
     }
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return base64.b64encode(zlib.compress(text.encode(), 9)).decode()

@@ -10,7 +10,8 @@ import numpy as np
 
 from cutgate.config.screen import printable
 from cutgate.protocol.arrays import Floats
-from cutgate.runtime.verification.placing.reach import RATES, Position
+from cutgate.runtime.verification.placing.cells import Squares, State
+from cutgate.runtime.verification.placing.reach import RATES, Position, Surveyed
 
 Arcs = Sequence[tuple[str, Floats]]
 
@@ -19,6 +20,8 @@ LETTERS: Final = 9
 """About so many letters across a panel say what limits, for readers who cannot tell the tints apart."""
 COLOUR_MAP: Final = "cividis"
 RATIO_MAX: Final = 20.0
+FINE_MAX: Final = 2048
+"""A panel is drawn in no more than about so many squares either way: there are no more dots on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,27 +57,47 @@ def kind_of(limiting: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """All displacements at one yaw and lift, rows of y and in them x."""
+    """All displacements at one yaw and lift, rows of y and in them x, and the squares that cover the map."""
 
     yaw_deg: float
     lift_mm: float
     positions: tuple[Position, ...]
     shape: tuple[int, int]
+    squares: Squares
+    middles: tuple[Position, ...]
 
     @property
     def ratio(self) -> Floats:
         """Clearance per deadband where admissible, else NaN."""
-        values = [p.ratio if p.admissible and p.ratio is not None else math.nan for p in self.positions]
-        return np.array(values, dtype=np.float64).reshape(self.shape)
+        return np.array([_ratio(p) for p in self.positions], dtype=np.float64).reshape(self.shape)
 
     @property
     def kind(self) -> Floats:
         """Number of the kind that limits where inadmissible, else NaN."""
-        order = list(KINDS)
-        values = [
-            math.nan if p.admissible else float(order.index(kind_of(p.limiting))) for p in self.positions
-        ]
-        return np.array(values, dtype=np.float64).reshape(self.shape)
+        return np.array([_kind(p) for p in self.positions], dtype=np.float64).reshape(self.shape)
+
+    def drawn(self) -> tuple[Floats, Floats]:
+        """Both as they are drawn, finer: of positions in squares of the step and larger, of the middles of smaller ones.
+
+        Where nothing is proved of a square both are NaN, whatever its position is.
+        """
+        squares, whole = self.squares, self.squares.lattice.whole
+        most = int(squares.where[:, 0].max(initial=whole))
+        fine = min(most - whole, max(0, int(math.log2(FINE_MAX / max(self.shape)))))
+        n = 1 << fine
+        out = [np.repeat(np.repeat(values, n, axis=0), n, axis=1) for values in (self.kind, self.ratio)]
+        unknown = squares.where[squares.states == State.UNKNOWN]
+        smaller = squares.where[squares.smaller]
+        nothing = [(math.nan, math.nan)] * len(unknown)
+        said = [(_kind(p), _ratio(p)) for p in self.middles]
+        for where, values in ((smaller, said), (unknown, nothing)):
+            for (level, i, j), pair in zip(where.tolist(), values, strict=True):
+                size = whole + fine - level
+                k = max(1, 1 << max(size, 0))
+                x, y = (v << size if size >= 0 else v >> -size for v in (i, j))
+                for raster, value in zip(out, pair, strict=True):
+                    raster[y : y + k, x : x + k] = value
+        return out[0], out[1]
 
     @property
     def title(self) -> str:
@@ -87,6 +110,14 @@ class Layer:
             self.yaw_deg,
             self.lift_mm,
         )
+
+
+def _ratio(p: Position) -> float:
+    return p.ratio if p.admissible and p.ratio is not None else math.nan
+
+
+def _kind(p: Position) -> float:
+    return math.nan if p.admissible else float(list(KINDS).index(kind_of(p.limiting)))
 
 
 def signed(value: float) -> str:
@@ -108,15 +139,31 @@ def height(document: dict[str, Any], lift_mm: float) -> str:
     return f"{done}, {CHOSEN_BY[document['lift_chosen_by']]}"
 
 
-def layers(document: dict[str, Any], positions: Sequence[Position]) -> list[Layer]:
-    """The positions, cut into layers in the order yaw, lift."""
+def between(document: dict[str, Any]) -> str:
+    """How much of the map is proved, in a sentence."""
+    area = {
+        name: sum(one[f"{name}_mm2"] for one in document["cells"])
+        for name in ("admissible", "inadmissible", "unknown")
+    }
+    whole = sum(area.values())
+    return (
+        f"Between the positions as well: {100.0 * area['admissible'] / whole:.1f} % of the map is proved admissible, "
+        f"{100.0 * area['inadmissible'] / whole:.1f} % is proved inadmissible, {100.0 * area['unknown'] / whole:.1f} % is not "
+        "decided."
+    )
+
+
+def layers(document: dict[str, Any], found: Surveyed) -> list[Layer]:
+    """The map, cut into layers in the order yaw, lift."""
     grid = document["grid"]
     shape = (len(grid["y_mm"]), len(grid["x_mm"]))
     size = shape[0] * shape[1]
     pairs = [(yaw, lift) for yaw in grid["yaw_deg"] for lift in grid["lift_mm"]]
     return [
-        Layer(yaw, lift, tuple(positions[k * size : (k + 1) * size]), shape)
-        for k, (yaw, lift) in enumerate(pairs)
+        Layer(yaw, lift, tuple(found.positions[k * size : (k + 1) * size]), shape, squares, tuple(middles))
+        for k, ((yaw, lift), squares, middles) in enumerate(
+            zip(pairs, found.squares, found.middles, strict=True)
+        )
     ]
 
 
@@ -138,18 +185,18 @@ def ratio_top(drawn: Sequence[Layer]) -> float:
     return min(max(math.ceil(best), 2.0), RATIO_MAX)
 
 
-def picture(document: dict[str, Any], positions: Sequence[Position], arcs: Arcs) -> bytes:
+def picture(document: dict[str, Any], found: Surveyed, arcs: Arcs) -> bytes:
     """The map as PNG: one panel for each yaw and lift, at most `PANELS_MAX`.
 
     Args:
         document: ``cutgate.reach/1``.
-        positions: all of them.
+        found: all of it.
         arcs: the workspace of the wrist centre.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second, here only
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    drawn = layers(document, positions)
+    drawn = layers(document, found)
     shown = drawn[:PANELS_MAX]
     columns = min(len(shown), 3 if len(shown) != 4 else 2)
     rows = math.ceil(len(shown) / columns)
@@ -189,8 +236,12 @@ def _panel(axis: Any, document: dict[str, Any], layer: Layer, arcs: Arcs, top: f
     grid, (px, py, _) = document["grid"], document["pivot_mm"]
     x, y = np.array(grid["x_mm"]) + px, np.array(grid["y_mm"]) + py
     tints = ListedColormap([kind.tint for kind in KINDS.values()])
-    axis.pcolormesh(x, y, layer.kind, cmap=tints, vmin=-0.5, vmax=len(KINDS) - 0.5, shading="nearest")
-    scale = axis.pcolormesh(x, y, layer.ratio, cmap=COLOUR_MAP, vmin=1.0, vmax=top, shading="nearest")
+    half = grid["step_mm"] / 2.0
+    kinds, ratios = layer.drawn()
+    drawn = {"origin": "lower", "extent": (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)}
+    drawn |= {"interpolation": "nearest"}
+    axis.imshow(kinds, cmap=tints, vmin=-0.5, vmax=len(KINDS) - 0.5, **drawn)
+    scale = axis.imshow(ratios, cmap=COLOUR_MAP, vmin=1.0, vmax=top, **drawn)
     for i, j, letter in letters(layer):
         axis.text(x[j], y[i], letter, ha="center", va="center", fontsize=7, color="#404040")
     for _, points in arcs:
@@ -204,9 +255,8 @@ def _panel(axis: Any, document: dict[str, Any], layer: Layer, arcs: Arcs, top: f
     good = sum(p.admissible for p in layer.positions)
     axis.set_title(f"{layer.title}: {good} of {len(layer.positions)} admissible", fontsize=10)
     axis.set_aspect("equal")
-    half = grid["step_mm"] / 2.0
-    drawn = np.concatenate([points for _, points in arcs])
-    low, high = np.minimum(drawn.min(axis=0), (x[0], y[0])), np.maximum(drawn.max(axis=0), (x[-1], y[-1]))
+    outline = np.concatenate([points for _, points in arcs])
+    low, high = np.minimum(outline.min(axis=0), (x[0], y[0])), np.maximum(outline.max(axis=0), (x[-1], y[-1]))
     axis.set_xlim(low[0] - half, high[0] + half)
     axis.set_ylim(low[1] - half, high[1] + half)
     return scale
@@ -234,12 +284,14 @@ def _legend(figure: Any, drawn: Sequence[Layer], document: dict[str, Any]) -> No
         for name, kind in KINDS.items()
         if name in found
     ]
+    if any((layer.squares.states == State.UNKNOWN).any() for layer in drawn):
+        handles.append(Patch(facecolor="white", edgecolor="#808080", label="not decided"))
     figure.legend(
         handles=handles,
         loc="outside lower center",
         ncols=3,
         fontsize=8,
-        title=f"Reference point: mean cutter tip, which is also the pivot of a turn. One cell: {step:g} mm. "
-        "Tints: inadmissible, and what limits.",
+        title=f"Reference point: mean cutter tip, which is also the pivot of a turn. Judged every {step:g} mm, "
+        "proved between. Tints: inadmissible, and what limits.",
         title_fontsize=8,
     )

@@ -83,11 +83,18 @@ class Displacement(NamedTuple):
         ball_mm: any translation up to this.
         yaw_rad: any turn up to this, either way.
         pivot_mm: of the turn, x and y.
+        level: whether only level translations are meant, which leave every height as it is.
     """
 
     ball_mm: float
     yaw_rad: float = 0.0
     pivot_mm: tuple[float, float] = (0.0, 0.0)
+    level: bool = False
+
+    @property
+    def rise_mm(self) -> float:
+        """How far a height may change."""
+        return 0.0 if self.level else self.ball_mm
 
 
 EXACT: Final = Displacement(0.0)
@@ -520,8 +527,8 @@ class _Look:
             & self._axis_keeps(worst)
             & (nearest >= self.arm.inner_mm)
             & (farthest <= self.arm.outer_mm)
-            & (worst.z[0] - sag_mm - error.ball_mm >= self.arm.slide_mm[0])
-            & (worst.z[1] + sag_mm + error.ball_mm <= self.arm.slide_mm[1])
+            & (worst.z[0] - sag_mm - error.rise_mm >= self.arm.slide_mm[0])
+            & (worst.z[1] + sag_mm + error.rise_mm <= self.arm.slide_mm[1])
             & over.sides(self, worst, self._side_bounds(over, reach_mm, farthest))
             & (math.pi / 4 * turn <= (math.pi - self.arm.roll_half) * level)  # `_roll_keeps`
             & self._roll_keeps(

@@ -79,7 +79,7 @@ def tolerated(problem: Problem, verdict: Verdict) -> Tolerated | None:
     """
     if not verdict.admissible or verdict.method != "certified" or len(problem.tips_mm) > LONGEST_POSES:
         return None
-    around, pivot = Around(_refined(_quantised(problem))), pivot_of(problem)
+    around, pivot = Around(as_looked_at(problem)), pivot_of(problem)
 
     def holds(ball_mm: float, yaw_deg: float) -> bool:
         return around.holds(Displacement(ball_mm, math.radians(yaw_deg), pivot[:2]))
@@ -97,6 +97,11 @@ def tolerated(problem: Problem, verdict: Verdict) -> Tolerated | None:
 
 PARTS: Final = 256
 """Both at once are looked for in so many parts of what each may be alone."""
+
+
+def as_looked_at(problem: Problem) -> Problem:
+    """The path as one look at each pose takes it wherever the bone stands: its long segments cut, re-quantising allowed for."""
+    return _refined(_quantised(problem))
 
 
 def _room_mm(verdict: Verdict) -> float:

@@ -49,12 +49,24 @@ class PositionPart(Part):
     yaw_deg: Annotated[Real, Field(ge=-180, le=180)]
     lift_mm: Real
     admissible: bool
-    checked: Literal["certified", "pose"]
+    checked: Literal["certified", "pose", "proved"]
     limiting: Limit
     unit: Literal["mm", "deg", "mm/s", "rad/s"]
     clearance: Real | None
     bound: Annotated[Real, Field(gt=0)]
     ratio: Real | None
+    cell: Literal["admissible", "inadmissible", "unknown", "parted"]
+
+
+class CellsPart(Part):
+    yaw_deg: Real
+    lift_mm: Real
+    admissible_mm2: Real
+    inadmissible_mm2: Real
+    unknown_mm2: Real
+    unknown_share: Real
+    admissible: list[Vector]
+    unknown: list[Vector]
 
 
 class GridPart(Part):
@@ -70,6 +82,7 @@ class CountsPart(Part):
     admissible: int
     certified: int
     excluded_by_a_pose: int
+    proved: int
 
 
 class MovePart(Part):
@@ -90,6 +103,7 @@ class ReachDocument(Part):
     guidance: MovePart | None
     grid: GridPart
     counts: CountsPart
+    cells: list[CellsPart]
     positions: list[PositionPart]
 
 
@@ -118,9 +132,9 @@ def mapped():
     """A map of two turns, made without files."""
     path = strokes(600.0, 0.0)
     grid = reach.grid_of(path, 250.0, (0.0, 45.0), (0.0,))
-    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    found = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p<script>", "robot": "r", "elbow": "right", "registration": None}
-    return reach.reach_document(path, grid, positions, made_for), positions, list(reach.outline(path))
+    return reach.reach_document(path, grid, found, made_for), found, list(reach.outline(path))
 
 
 def test_the_document_is_complete_and_every_position_of_the_grid_stands_in_it(cutgate):
@@ -129,7 +143,8 @@ def test_the_document_is_complete_and_every_position_of_the_grid_stands_in_it(cu
     assert code == 0
     grid, counts = found.grid, found.counts
     size = len(grid.x_mm) * len(grid.y_mm) * len(grid.yaw_deg) * len(grid.lift_mm)
-    assert len(found.positions) == size == counts.positions == counts.certified + counts.excluded_by_a_pose
+    assert len(found.positions) == size == counts.positions
+    assert size == counts.certified + counts.excluded_by_a_pose + counts.proved
     assert counts.admissible == sum(p.admissible for p in found.positions) > 0
     places = {(p.x_mm, p.y_mm, p.yaw_deg, p.lift_mm) for p in found.positions}
     assert len(places) == size
@@ -174,7 +189,7 @@ def test_the_csv_says_what_the_document_says(cutgate, tmp_path):
 
 def test_for_people_the_nearest_and_the_roomiest_place_are_said(cutgate, tmp_path):
     _, out, _ = cutgate("--out", tmp_path / "a.csv")
-    assert "positions are admissible, each by the certified method" in out
+    assert "positions are admissible, each of them proved" in out
     assert "Where the bone stands now it is" in out
     assert "Most room:" in out
     assert "Nearest:" in out
@@ -271,16 +286,17 @@ def data_of(text):
 
 
 def test_the_page_holds_every_position_with_its_limit_and_never_more_clearance_than_is_proved(mapped):
-    document, positions, _ = mapped
+    document, (positions, *_), _ = mapped
     data = data_of(page(*mapped))
-    codes = [code for layer in data["codes"] for code in layer]
-    clearances = [value for layer in data["clearances"] for value in layer]
+    size = len(data["x"]) * len(data["y"])
+    codes = [code for layer in data["codes"] for code in layer[:size]]
+    clearances = [value for layer in data["clearances"] for value in layer[:size]]
     assert len(data["codes"]) == 2
     assert len(codes) == len(clearances) == len(positions) == document["counts"]["positions"]
     for code, clearance, p in zip(codes, clearances, positions, strict=True):
-        limit = data["limits"][code // 3]
-        assert ("pose", "certified", "certified")[code % 3] == p.checked
-        assert (code % 3 == 2) is p.admissible
+        limit = data["limits"][code // 4]
+        assert ("pose", "certified", "certified", "proved")[code % 4] == p.checked
+        assert (code % 4 >= 2) is p.admissible
         assert (limit["name"], limit["unit"], limit["bound"]) == (p.limiting, p.unit, p.bound)
         assert 0.0 <= p.clearance - clearance / 100 < 0.0101
     at = [(x, y) for _ in data["codes"] for y in data["y"] for x in data["x"]]
@@ -288,24 +304,28 @@ def test_the_page_holds_every_position_with_its_limit_and_never_more_clearance_t
 
 
 def test_a_rate_is_never_shown_as_less_than_it_is_and_the_undefined_as_nothing(mapped):
-    document, positions, arcs = mapped
+    document, found, arcs = mapped
     odd = [
-        replace(positions[0], limiting="speed_q0", clearance=1.2301),
-        replace(positions[1], clearance=None, ratio=None),
-        *positions[2:],
+        replace(found.positions[0], limiting="speed_q0", clearance=1.2301),
+        replace(found.positions[1], clearance=None, ratio=None),
+        *found.positions[2:],
     ]
-    assert data_of(page(document, odd, arcs))["clearances"][0][:2] == [124, None]
+    assert data_of(page(document, found._replace(positions=odd), arcs))["clearances"][0][:2] == [124, None]
 
 
 def test_a_page_takes_few_bytes_a_position(mapped):
-    document, positions, arcs = mapped
+    document, found, arcs = mapped
     many = [
-        replace(p, clearance=(p.clearance or 0.0) * (1.0 + k / 100)) for k in range(40) for p in positions
+        replace(p, clearance=(p.clearance or 0.0) * (1.0 + k / 100))
+        for k in range(40)
+        for p in found.positions
     ]
     grid = document["grid"] | {"lift_mm": [float(k) for k in range(40)]}
     alone = len(page(*mapped))
-    assert alone < 40_000
-    assert len(page({**document, "grid": grid}, many, arcs)) - alone < 5 * len(many)
+    assert alone < 64_000
+    middles = sum(len(one) for one in found.middles)
+    more = reach.Surveyed(many, found.squares * 40, found.middles * 40)
+    assert len(page({**document, "grid": grid}, more, arcs)) - alone < 5 * (len(many) + 40 * middles)
 
 
 def test_the_scale_of_the_page_is_that_of_the_picture():
@@ -362,11 +382,11 @@ def test_the_picture_names_the_lift_in_heading_panels_and_axes(monkeypatch, lift
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     path = strokes(600.0, 0.0)
     grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), (0.0,), lifts)
-    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    found = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
     move = reach.GridStart(0.0, -30.0, "guidance", (10.0, 20.0, -30.0))
-    document = reach.reach_document(path, grid, positions, made_for, move)
-    picture(document, positions, list(reach.outline(path)))
+    document = reach.reach_document(path, grid, found, made_for, move)
+    picture(document, found, list(reach.outline(path)))
     (figure,) = figures
     assert ("lift -30 mm (bone lowered" in figure.get_suptitle()) is (len(lifts) == 1)
     panels = [axis for axis in figure.axes if axis.get_xlabel()]
@@ -385,11 +405,9 @@ def test_the_picture_is_the_same_for_the_same_map(mapped):
 def test_the_picture_of_many_turns_shows_the_first_ones():
     path = strokes(600.0, 0.0)
     grid = reach.Grid(100.0, (-100.0, 0.0), (0.0, 100.0), tuple(float(k) for k in range(13)), (0.0,))
-    positions = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
+    found = survey(Work(path, 10.0, 160.0), grid, 1, lambda _: None)
     made_for = {"plan": "p", "robot": "r", "elbow": "right", "registration": None}
-    assert picture(
-        reach.reach_document(path, grid, positions, made_for), positions, list(reach.outline(path))
-    )
+    assert picture(reach.reach_document(path, grid, found, made_for), found, list(reach.outline(path)))
 
 
 def test_on_a_terminal_a_bar_shows_how_far_it_is(monkeypatch):
@@ -409,10 +427,10 @@ def test_every_boundary_and_speed_has_its_kind_and_letter(mapped):
         == len({kind.tint for kind in KINDS.values()})
         == len(KINDS)
     )
-    document, positions, _ = mapped
-    lost = [replace(p, ratio=None, clearance=None) if not p.admissible else p for p in positions]
-    assert [one.kind.shape for one in layers(document, lost)] == [
-        one.kind.shape for one in layers(document, positions)
+    document, found, _ = mapped
+    lost = [replace(p, ratio=None, clearance=None) if not p.admissible else p for p in found.positions]
+    assert [one.kind.shape for one in layers(document, found._replace(positions=lost))] == [
+        one.kind.shape for one in layers(document, found)
     ]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cutgate.runtime.verification import certified
-from cutgate.runtime.verification.placing import reach
+from cutgate.runtime.verification.placing import cells, reach
 from cutgate.runtime.verification.placing.guidance import guide, pivot_of
 from cutgate.runtime.verification.placing.survey import Work, survey
 from cutgate.runtime.verification.problem import ArmCalibration
@@ -27,8 +27,14 @@ CASES = {
 }
 
 
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Squares are not parted so often here."""
+    monkeypatch.setattr(cells, "UNKNOWN_MAX", 0.25)
+
+
 def judged(path, grid):
-    return survey(Work(path, path.feed_mm_s, path.tool_length_mm), grid, 1, lambda _: None)
+    return survey(Work(path, path.feed_mm_s, path.tool_length_mm), grid, 1, lambda _: None).positions
 
 
 def at(path, position):
@@ -50,15 +56,26 @@ def test_every_mark_agrees_with_the_certified_method(name):
         assert p.admissible is verdict.admissible
         if p.checked == "pose":
             assert not p.admissible
-            assert verdict.boundaries[p.limiting].certified <= p.clearance + 0.01
+            # a roll beyond its limits is nearer to the one end or the other, by the turn that is looked at
+            names = ("roll_min", "roll_max") if p.limiting.startswith("roll") else (p.limiting,)
+            assert min(verdict.boundaries[name].certified for name in names) <= p.clearance + 0.01
         elif p.limiting.startswith("speed"):
             assert not verdict.speed[int(p.limiting[-1])].ok
         elif p.clearance is not None:
-            assert verdict.boundaries[p.limiting].certified == pytest.approx(p.clearance, abs=0.01)
+            least = verdict.boundaries[p.limiting].certified
+            if p.checked == "proved":
+                assert p.clearance - 0.01 <= least <= p.clearance + 0.3
+            else:
+                assert least == pytest.approx(p.clearance, abs=0.01)
             assert p.ratio == pytest.approx(p.clearance / p.bound)
             assert (p.ratio >= 1.0) or not p.admissible
     assert any(p.admissible for p in positions)
-    assert {p.checked for p in positions} == {"pose", "certified"}
+    kinds = {p.checked for p in positions}
+    assert (
+        kinds == {"pose", "certified"}
+        if name == "a shoulder of more than a turn"
+        else kinds >= {"pose", "proved"}
+    )
 
 
 def test_the_limiting_boundary_has_the_smallest_clearance_per_deadband():
@@ -66,9 +83,8 @@ def test_the_limiting_boundary_has_the_smallest_clearance_per_deadband():
     for p in judged(path, reach.grid_of(path, 250.0, (0.0,), (0.0,))):
         if p.admissible:
             verdict = at(path, p)
-            assert p.ratio == pytest.approx(
-                min(b.certified / b.deadband for b in verdict.boundaries.values()), rel=1e-3
-            )
+            least = min(b.certified / b.deadband for b in verdict.boundaries.values())
+            assert least - 0.05 <= p.ratio <= least + 0.005
 
 
 def test_joints_that_are_too_fast_are_named_where_every_boundary_is_kept():

@@ -12,6 +12,7 @@ from cutgate.runtime.verification.placing.cells import Lattice, Plane, State, ev
 from cutgate.runtime.verification.placing.guidance import moved, pivot_of
 from cutgate.runtime.verification.placing.room import Room
 from cutgate.runtime.verification.placing.survey import Work, crew, squares, survey
+from tests.runtime.verification.cases import axis, problem, wrist_path
 from tests.runtime.verification.placing.test_reach import CASES as STROKES
 from tests.runtime.verification.placing.test_tolerated import CASES as PATHS
 
@@ -174,3 +175,29 @@ def test_two_levels_of_work_are_told_to_the_caller():
     with crew(work_of(path), 1) as workers:
         squares(work_of(path), workers, grid, told.append)
     assert 0.9 * len(grid) < sum(told) <= len(grid)
+
+
+def test_a_disc_is_proved_up_to_the_nearest_limit_and_no_further():
+    """The room that is read off only says what is worth a proof: the proof itself takes the disc."""
+    plane = Plane(PATHS["narrow"], 0.0)
+    keep = plane.room.geometry.arm_mm
+    room = float(plane.room.kept(np.zeros((1, 2)), np.full(1, np.inf)).arm_mm.min()) - keep
+    assert plane.holds((0.0, 0.0, 0.0), room - 1.5)
+    assert not plane.holds((0.0, 0.0, 0.0), room + 0.5)
+
+
+def test_a_level_disc_needs_no_room_above():
+    path = PATHS["as it is"]
+    lift = Plane(path, 0.0).placing.lift_mm[1] - 0.2
+    plane = Plane(path, 0.0)
+    assert plane.holds((0.0, 0.0, lift), 5.0)
+    assert not plane.holds((0.0, 0.0, lift + 0.3), 0.0)
+
+
+def test_what_a_long_segment_nears_between_its_poses_is_counted():
+    """Past the column, nearest to it in the middle of the segment."""
+    past = problem(*wrist_path([[340.0, -60.0, 200.0], [340.0, 60.0, 200.0]], axis([0.6, 0.6], [0.3, 0.3])))
+    true = certified.verify(past).boundaries["inner"].clearance
+    kept = Room.of(past).kept(np.zeros((1, 2)), np.full(1, np.inf)).arm_mm[0, 0]
+    assert math.hypot(340.0, 60.0) - 340.0 > 5.0
+    assert true - 0.01 < kept <= true

@@ -24,7 +24,7 @@ from cutgate.runtime.plan.prepare import Prepared, prepare
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.reach import Position
-from cutgate.runtime.verification.placing.survey import Work, crew, positions, squares
+from cutgate.runtime.verification.placing.survey import Work, positions, squares, workers_for
 from cutgate.runtime.verification.recorded import off_line_problem
 from cutgate.runtime.verification.report.document import document_text
 
@@ -139,7 +139,7 @@ def reach_command(
         bound = f"{len(grid)} positions, at most {POSITIONS_MAX}: take longer steps or fewer turns and lifts"
         raise typer.BadParameter(bound, param_hint="--step-mm")
     files = files_for(out, json=json)
-    with crew(work, cores or os.cpu_count() or 1) as workers:
+    with workers_for(work, cores or os.cpu_count() or 1) as workers:
         with _progress(len(grid), f"judging what lies about {len(grid)} positions of the bone") as done:
             cells = squares(work, workers, grid, done)
         with _progress(len(grid), f"judging {len(grid)} positions of the bone") as done:

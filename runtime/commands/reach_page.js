@@ -171,14 +171,13 @@
   const tintsNow = () => map.kinds.map((_, k) => parts(colour(`--k${k}`)));
   const tint = (found, tints) => (found.admissible ? shade(found.ratio ?? map.top) : tints[found.limit.kind]);
 
-  // Positions, one square of the step each, as a picture that is stretched; of admissible squares alone, or of all.
-  function plain(tints, proved) {
+  // Positions, one square of the step each, as a picture that is stretched.
+  function plain(tints) {
     const out = document.createElement("canvas");
     [out.width, out.height] = [columns, rows];
     const one = out.getContext("2d");
     const image = one.createImageData(columns, rows);
     for (let k = 0; k < rows * columns; k += 1) {
-      if (proved && map.cells[layer][k] !== "a") continue;
       const to = 4 * ((rows - 1 - Math.floor(k / columns)) * columns + (k % columns));
       image.data.set([...tint(read(k), tints), 255], to);
     }
@@ -199,7 +198,7 @@
     const all = [whole(X(left)), whole(Y(low + rows * step))];
     all.push(whole(X(left + columns * step)) - all[0], whole(Y(low)) - all[1]);
     pen.imageSmoothingEnabled = false;
-    pen.drawImage(plain(tints, false), ...all);
+    pen.drawImage(plain(tints), ...all);
     const smaller = squares("squares").map((one, n) => [box(one), read(rows * columns + n)]);
     const fill = (good) => {
       for (const [place, found] of smaller) {
@@ -227,12 +226,17 @@
     pen.restore();
     pen.beginPath();
     for (const [place, found] of smaller) if (found.admissible) pen.rect(...place);
+    const large = [];
     for (let k = 0; k < rows * columns; k += 1) {
-      if (map.cells[layer][k] === "a") pen.rect(...box([(k % columns) * step, Math.floor(k / columns) * step, step]));
+      if (map.cells[layer][k] === "a") large.push([box([(k % columns) * step, Math.floor(k / columns) * step, step]), read(k)]);
     }
+    for (const [place] of large) pen.rect(...place);
     pen.lineWidth = 3;
     pen.stroke();
-    pen.drawImage(plain(tints, true), ...all);
+    for (const [place, found] of large) {
+      pen.fillStyle = `rgb(${tint(found, tints).join(" ")})`;
+      pen.fillRect(...place);
+    }
     fill(true);
   }
 

@@ -89,8 +89,8 @@ class Layer:
         unknown = squares.where[squares.states == State.UNKNOWN]
         smaller = squares.where[squares.smaller]
         nothing = [(math.nan, math.nan)] * len(unknown)
-        said = [(_kind(p), _ratio(p)) for p in self.middles]
-        for where, values in ((smaller, said), (unknown, nothing)):
+        pairs = [(_kind(p), _ratio(p)) for p in self.middles]
+        for where, values in ((smaller, pairs), (unknown, nothing)):
             for (level, i, j), pair in zip(where.tolist(), values, strict=True):
                 size = whole + fine - level
                 k = max(1, 1 << max(size, 0))
@@ -225,7 +225,7 @@ def picture(document: dict[str, Any], found: Surveyed, arcs: Arcs) -> bytes:
         title += f" (the first {len(shown)} of {len(drawn)} turns and lifts)"
     figure.suptitle(title, fontweight="bold", parse_math=False)
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
+    figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
     return out.getvalue()
 
 

@@ -63,7 +63,7 @@ PARTED: Final = -1
 """Of a position's square: one state here and another there."""
 
 
-class Plane:
+class PathAtYaw:
     """One path at one yaw, to be looked at at many displacements and lifts.
 
     Attributes:
@@ -286,7 +286,7 @@ class Squares:
         return whole_of, itself
 
 
-class Growing:
+class Quadtree:
     """The squares of one yaw and lift while they are parted: level by level, so that whoever judges them, they are the same.
 
     Attributes:
@@ -335,7 +335,7 @@ class Growing:
 
 def everywhere(yaw_deg: float, lift_mm: float, lattice: Lattice, state: State) -> Squares:
     """One state for the whole map."""
-    growing = Growing(yaw_deg, lift_mm, lattice)
+    growing = Quadtree(yaw_deg, lift_mm, lattice)
     growing.judged(np.full(len(growing.open), state, dtype=np.int64))
     return growing.done()
 

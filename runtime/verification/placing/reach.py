@@ -18,7 +18,7 @@ from cutgate.protocol.arrays import Bools, Floats, Ints, Vector
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry
 from cutgate.runtime.verification.decide import decide
-from cutgate.runtime.verification.placing.cells import PARTED, Plane, Squares, State, summary
+from cutgate.runtime.verification.placing.cells import PARTED, PathAtYaw, Squares, State, summary
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
 from cutgate.runtime.verification.placing.guidance import Quantise, guide, moved, pivot_of, unchanged_by_moves
 from cutgate.runtime.verification.placing.room import Room
@@ -56,7 +56,7 @@ class Grid:
 Cell = Literal["admissible", "inadmissible", "unknown", "parted"]
 
 _Place = tuple[float, float, float, float]
-_Said = tuple[Sequence[_Place], Sequence[Cell]]
+_Asked = tuple[Sequence[_Place], Sequence[Cell]]
 
 CELLS: Final[dict[int, Cell]] = {
     State.ADMISSIBLE: "admissible",
@@ -193,7 +193,7 @@ def unrecoverable(problem: Problem, verdict: Verdict) -> Boundary | None:
     return min((verdict.boundaries[name] for name in names), key=_ratio, default=None)
 
 
-class Judge:
+class PositionJudge:
     """What decides at positions of one yaw.
 
     A position in a square that is proved admissible is; others one pose may exclude, one look may prove admissible, and the
@@ -206,7 +206,7 @@ class Judge:
         quantise: what the wire does to poses.
     """
 
-    def __init__(self, problem: Problem, plane: Plane, verdict: Verdict, quantise: Quantise) -> None:
+    def __init__(self, problem: Problem, plane: PathAtYaw, verdict: Verdict, quantise: Quantise) -> None:
         self._problem, self._plane, self._verdict, self._quantise = problem, plane, verdict, quantise
         # nothing changes the tilt of the tool but how it is quantised
         self._tilts: list[Boundary] = [
@@ -253,9 +253,9 @@ class Judge:
         x, y, _, lift = where
         return decide(_placed(self._problem, self._quantise, yaw_deg, (x, y, lift))).admissible
 
-    def _by_the_sample(self, out: dict[int, Position], said: _Said, shifts: Floats, open_: Ints) -> None:
+    def _by_the_sample(self, out: dict[int, Position], asked: _Asked, shifts: Floats, open_: Ints) -> None:
         """Where one of a few poses excludes them, or the slide does."""
-        placing, g, (where, cells) = self._plane.placing, self._plane.placing.geometry, said
+        placing, g, (where, cells) = self._plane.placing, self._plane.placing.geometry, asked
         if len(open_) == 0:
             return
         lift_mm, (low, high) = where[0][3], placing.lift_mm
@@ -273,10 +273,10 @@ class Judge:
                 out[k] = Position(*at, False, "pose", name, "mm", least, placing.keep_mm, ratio, cells[k])
 
     def _by_a_pose(
-        self, room: Room, out: dict[int, Position], said: _Said, shifts: Floats, open_: Ints
+        self, room: Room, out: dict[int, Position], asked: _Asked, shifts: Floats, open_: Ints
     ) -> None:
         """Where one of all poses excludes them."""
-        (where, cells), g = said, room.geometry
+        (where, cells), g = asked, room.geometry
         found = room.attained(shifts[open_])
         arm, roll = room.violated(found, np.zeros(len(open_)))
         nearest = np.argmin(side_distances(found.place, g.workspace), axis=1).tolist()
@@ -293,10 +293,10 @@ class Judge:
             out[k] = Position(*at, False, "pose", name, unit, least, keep, least / keep, cells[k])
 
     def _read_off(
-        self, room: Room, out: dict[int, Position], said: _Said, shifts: Floats, rows: Ints
+        self, room: Room, out: dict[int, Position], asked: _Asked, shifts: Floats, rows: Ints
     ) -> None:
         """How much is kept at least where the path is proved admissible; of what is proved that is the deadband itself."""
-        (where, cells), g, plane = said, room.geometry, self._plane
+        (where, cells), g, plane = asked, room.geometry, self._plane
         low, high = plane.placing.lift_mm
         wire, lift_mm = room.wire_mm, where[0][3]
         slide = [("bottom", g.arm_mm + lift_mm - low - wire), ("top", g.arm_mm + high - lift_mm - wire)]

@@ -69,7 +69,7 @@ class Attained(NamedTuple):
     radius_mm: Floats
 
 
-class Kept(NamedTuple):
+class ClearanceBounds(NamedTuple):
     """What is kept along the path after k shifts, where it is admissible there: lower bounds.
 
     Attributes:
@@ -237,7 +237,7 @@ class Room:
 
     # ---- what is kept
 
-    def kept(self, shifts: Floats, ratio: Floats) -> Kept:
+    def kept(self, shifts: Floats, ratio: Floats) -> ClearanceBounds:
         """What is kept after shifts, shape (k, 2): the least per deadband as well as it is known, all else bounded.
 
         Args:
@@ -256,7 +256,7 @@ class Room:
         with np.errstate(invalid="ignore"):
             rows = np.flatnonzero(~((self._half - angle - slack) / g.wrist_rad >= ratio))
         angle[rows], upper[rows], _ = self._rolled(shifts[rows])
-        return Kept(self._all_along(distances), self._half - angle - slack, upper)
+        return ClearanceBounds(self._all_along(distances), self._half - angle - slack, upper)
 
     def _exact_sides(self, shifts: Floats, distances: Floats, below_mm: Floats) -> None:
         """Where a side seems the nearest of all, and what is known of it only bounds its distance: the distance itself."""

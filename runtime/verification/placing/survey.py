@@ -22,9 +22,9 @@ from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.cells import (
     SQUARE,
     WORK,
-    Growing,
     Lattice,
-    Plane,
+    PathAtYaw,
+    Quadtree,
     Squares,
     State,
     everywhere,
@@ -53,7 +53,7 @@ class Work:
     problem: Problem
     feed_mm_s: float
     tool_length_mm: float
-    _planes: dict[float, Plane] = field(default_factory=dict, repr=False)
+    _planes: dict[float, PathAtYaw] = field(default_factory=dict, repr=False)
     _verdict: Verdict | None = field(default=None, repr=False)
 
     def quantise(self, tips_mm: Floats, axes: Floats) -> tuple[Floats, Floats]:
@@ -67,12 +67,12 @@ class Work:
         )
         return path.tips_mm, path.axes
 
-    def plane(self, yaw_deg: float) -> Plane:
+    def plane(self, yaw_deg: float) -> PathAtYaw:
         """The path at a yaw; a few of them are kept."""
         if yaw_deg not in self._planes:
             if sum(len(plane) for plane in self._planes.values()) > KEPT_POSES:
                 self._planes.clear()
-            self._planes[yaw_deg] = Plane(self.problem, yaw_deg)
+            self._planes[yaw_deg] = PathAtYaw(self.problem, yaw_deg)
         return self._planes[yaw_deg]
 
     @property
@@ -90,7 +90,7 @@ class Work:
         self, yaw_deg: float, lift_mm: float, places_mm: Floats, proved: Bools, cells: list[Cell]
     ) -> list[Position]:
         """Positions, some of them proved admissible already."""
-        judge = reach.Judge(self.problem, self.plane(yaw_deg), self.verdict, self.quantise)
+        judge = reach.PositionJudge(self.problem, self.plane(yaw_deg), self.verdict, self.quantise)
         return judge.positions(yaw_deg, lift_mm, places_mm, proved, cells)
 
     def bare(self) -> Work:
@@ -107,11 +107,11 @@ def survey(work: Work, grid: Grid, cores: int, done: Callable[[int], None]) -> S
         cores: how many processes; with one, this one.
         done: told how many positions are judged since the last call.
     """
-    with crew(work, cores) as workers:
+    with workers_for(work, cores) as workers:
         return positions(work, workers, grid, squares(work, workers, grid, lambda _: None), done)
 
 
-def squares(work: Work, workers: Crew, grid: Grid, done: Callable[[int], None]) -> list[Squares]:
+def squares(work: Work, workers: Workers, grid: Grid, done: Callable[[int], None]) -> list[Squares]:
     """What is proved between the positions, for each yaw and lift.
 
     Args:
@@ -123,7 +123,7 @@ def squares(work: Work, workers: Crew, grid: Grid, done: Callable[[int], None]) 
     lattice = Lattice.over(grid.x_mm, grid.y_mm, grid.step_mm)
     if reach.unrecoverable(work.problem, work.verdict) is not None:
         return [everywhere(yaw, lift, lattice, State.INADMISSIBLE) for yaw, lift in grid.layers]
-    growing = [Growing(yaw, lift, lattice) for yaw, lift in grid.layers]
+    growing = [Quadtree(yaw, lift, lattice) for yaw, lift in grid.layers]
     left, each = WORK, SQUARE + len(work.plane(grid.yaw_deg[0]))
     while open_ := [one for one in growing if len(one.open)]:
         if each * sum(len(one.open) for one in open_) > left:  # a level is judged as a whole or not at all
@@ -148,7 +148,7 @@ def squares(work: Work, workers: Crew, grid: Grid, done: Callable[[int], None]) 
 
 
 def positions(
-    work: Work, workers: Crew, grid: Grid, squares_: list[Squares], done: Callable[[int], None]
+    work: Work, workers: Workers, grid: Grid, squares_: list[Squares], done: Callable[[int], None]
 ) -> Surveyed:
     """What decides at every position of the grid, and in the middle of each square smaller than the step.
 
@@ -172,14 +172,16 @@ def positions(
         cells, itself = one.of_positions()
         fine = one.smaller
         names: list[Cell] = [reach.CELLS[state] for state in one.states[fine].tolist()]
-        for lists, places, proved, said in (
+        for lists, places, proved, cells_of in (
             (judged, xy, itself.ravel(), [reach.CELLS[state] for state in cells.ravel().tolist()]),
             (middles, one.middles_mm[fine], one.states[fine] == State.ADMISSIBLE, names),
         ):
             lists.append([])
             for part, some in _parts(places, CHUNK_POSITIONS):
                 count = len(some) if lists is judged else 0
-                tasks.append((lists[-1], count, (one.yaw_deg, one.lift_mm, some, proved[part], said[part])))
+                tasks.append(
+                    (lists[-1], count, (one.yaw_deg, one.lift_mm, some, proved[part], cells_of[part]))
+                )
     found_of: list[list[Position]] = [[] for _ in tasks]
     for k, found in workers.each("judge", [arguments for *_, arguments in tasks]):
         found_of[k] = found
@@ -205,7 +207,7 @@ def _unrecoverable(b: Boundary, x: float, y: float, yaw: float, lift: float) -> 
     )
 
 
-class Crew:
+class Workers:
     """Those who work: processes, started when there is enough to do, or this one alone.
 
     Args:
@@ -251,9 +253,9 @@ class Crew:
 
 
 @contextmanager
-def crew(work: Work, cores: int) -> Iterator[Crew]:
+def workers_for(work: Work, cores: int) -> Iterator[Workers]:
     """Those who work, for as long as they are needed."""
-    workers = Crew(work, cores)
+    workers = Workers(work, cores)
     try:
         yield workers
     except BaseException:  # Ctrl-C or a failure

@@ -8,10 +8,10 @@ import pytest
 
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import cells, reach
-from cutgate.runtime.verification.placing.cells import Lattice, Plane, State, everywhere
+from cutgate.runtime.verification.placing.cells import Lattice, PathAtYaw, State, everywhere
 from cutgate.runtime.verification.placing.guidance import moved, pivot_of
 from cutgate.runtime.verification.placing.room import Room
-from cutgate.runtime.verification.placing.survey import Work, crew, squares, survey
+from cutgate.runtime.verification.placing.survey import Work, squares, survey, workers_for
 from tests.runtime.verification.cases import axis, problem, wrist_path
 from tests.runtime.verification.placing.test_reach import CASES as STROKES
 from tests.runtime.verification.placing.test_tolerated import CASES as PATHS
@@ -148,7 +148,7 @@ def test_what_is_unknown_and_stays_so_is_not_parted_for_ever():
 )
 def test_room_is_never_more_than_there_is_and_almost_all_of_it(name):
     path, rng = CASES[name], np.random.default_rng(3)
-    plane = Plane(path, 0.0)
+    plane = PathAtYaw(path, 0.0)
     g, seen = plane.room.geometry, 0
     for x, y in rng.uniform(-400.0, 400.0, (400, 2)):
         verdict = certified.verify(moved(path, 0.0, (0, 0, 0), (x, y, 0.0)))
@@ -172,14 +172,14 @@ def test_room_is_never_more_than_there_is_and_almost_all_of_it(name):
 def test_two_levels_of_work_are_told_to_the_caller():
     path, told = STROKES["right elbow"], []
     grid = reach.grid_of(path, 200.0, (0.0,), (0.0,))
-    with crew(work_of(path), 1) as workers:
+    with workers_for(work_of(path), 1) as workers:
         squares(work_of(path), workers, grid, told.append)
     assert 0.9 * len(grid) < sum(told) <= len(grid)
 
 
 def test_a_disc_is_proved_up_to_the_nearest_limit_and_no_further():
     """The room that is read off only says what is worth a proof: the proof itself takes the disc."""
-    plane = Plane(PATHS["narrow"], 0.0)
+    plane = PathAtYaw(PATHS["narrow"], 0.0)
     keep = plane.room.geometry.arm_mm
     room = float(plane.room.kept(np.zeros((1, 2)), np.full(1, np.inf)).arm_mm.min()) - keep
     assert plane.holds((0.0, 0.0, 0.0), room - 1.5)
@@ -188,8 +188,8 @@ def test_a_disc_is_proved_up_to_the_nearest_limit_and_no_further():
 
 def test_a_level_disc_needs_no_room_above():
     path = PATHS["as it is"]
-    lift = Plane(path, 0.0).placing.lift_mm[1] - 0.2
-    plane = Plane(path, 0.0)
+    lift = PathAtYaw(path, 0.0).placing.lift_mm[1] - 0.2
+    plane = PathAtYaw(path, 0.0)
     assert plane.holds((0.0, 0.0, lift), 5.0)
     assert not plane.holds((0.0, 0.0, lift + 0.3), 0.0)
 

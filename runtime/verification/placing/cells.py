@@ -23,7 +23,7 @@ from cutgate.runtime.verification.decide import Around, Displacement
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
 from cutgate.runtime.verification.placing.guidance import moved, pivot_of
 from cutgate.runtime.verification.placing.room import Room
-from cutgate.runtime.verification.placing.tolerated import as_looked_at
+from cutgate.runtime.verification.placing.tolerated import LONGEST_POSES, as_looked_at
 from cutgate.runtime.verification.problem import Problem
 
 UNKNOWN_MAX: Final = 0.05
@@ -36,7 +36,11 @@ SHRINKS, SHRINKS_MM = 0.8, 32.0
 """... or, where they are no larger than this, what is unknown keeps more than such a part of its area: it is no rim, ..."""
 
 WORK: Final = 300_000_000
-"""... or so many poses have been looked at, over the whole map: some ten seconds of one core, whatever the path."""
+"""... or so many poses have been looked at, over the whole map: some ten seconds of one core, whatever the path. On a map of
+many positions it may be more: ..."""
+
+PART: Final = 4
+"""... one look at the path for so many of them."""
 
 SQUARE: Final = 3000
 """Work of a square beside that of its poses."""
@@ -68,7 +72,7 @@ class PathAtYaw:
 
     Attributes:
         placing: what its poses ask of a shift; where there is no `room` the turns of shoulder and roll count as well.
-        room: the poses themselves, or None where turns of shoulder or roll are to be chosen.
+        room: the poses themselves, or None where turns of shoulder or roll are to be chosen, or there are too many.
     """
 
     def __init__(self, problem: Problem, yaw_deg: float) -> None:
@@ -76,7 +80,8 @@ class PathAtYaw:
         free = replace(turned, branch=None)
         self._looked_at = as_looked_at(free)
         self._uncut = replace(free, deadband=self._looked_at.deadband)
-        self.room = Room.of(replace(self._looked_at, deadband=problem.deadband))
+        usable = len(problem.tips_mm) <= LONGEST_POSES
+        self.room = Room.of(replace(self._looked_at, deadband=problem.deadband)) if usable else None
         self.placing = Placing(turned, Reserve(), roll=self.room is None)
 
     def __len__(self) -> int:

@@ -17,7 +17,6 @@ import numpy as np
 from cutgate.protocol.arrays import Bools, Floats, Ints, Vector
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry
-from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.placing.cells import PARTED, PathAtYaw, Squares, State, summary
 from cutgate.runtime.verification.placing.freedom import Placing, Reserve
 from cutgate.runtime.verification.placing.guidance import Quantise, guide, moved, pivot_of, unchanged_by_moves
@@ -238,7 +237,8 @@ class PositionJudge:
         if self._room is not None and len(open_):
             self._by_a_pose(self._room, out, (where, cells), shifts, open_)
             for k in open_.tolist():
-                if k not in out and self._decided(yaw_deg, where[k]):
+                x, y, _, _ = where[k]
+                if k not in out and self._plane.holds((x, y, lift_mm), 0.0):
                     admissible.append(k)
         if self._room is not None and admissible:
             self._read_off(self._room, out, (where, cells), shifts, np.array(sorted(admissible)))
@@ -247,11 +247,6 @@ class PositionJudge:
                 x, y, _, _ = where[k]
                 out[k] = judged(self._problem, self._quantise, yaw_deg, (x, y, lift_mm), cells[k])
         return [out[k] for k in range(len(where))]
-
-    def _decided(self, yaw_deg: float, where: tuple[float, float, float, float]) -> bool:
-        """Whether the quantised path is admissible there."""
-        x, y, _, lift = where
-        return decide(_placed(self._problem, self._quantise, yaw_deg, (x, y, lift))).admissible
 
     def _by_the_sample(self, out: dict[int, Position], asked: _Asked, shifts: Floats, open_: Ints) -> None:
         """Where one of a few poses excludes them, or the slide does."""
@@ -337,16 +332,11 @@ def judged(
     cell: Cell = "unknown",
 ) -> Position:
     """One position by the certified method, on the moved and re-quantised path."""
-    verdict = certified.verify(_placed(problem, quantise, yaw_deg, translation_mm))
-    x, y, lift = translation_mm
-    return _position((x, y, yaw_deg, lift), verdict, cell)
-
-
-def _placed(problem: Problem, quantise: Quantise, yaw_deg: float, translation_mm: Vector) -> Problem:
-    """The path as it would be sent."""
     path = moved(problem, yaw_deg, pivot_of(problem), translation_mm)
     tips, axes = quantise(path.tips_mm, path.axes)
-    return replace(path, tips_mm=tips, axes=axes, branch=None)
+    verdict = certified.verify(replace(path, tips_mm=tips, axes=axes, branch=None))
+    x, y, lift = translation_mm
+    return _position((x, y, yaw_deg, lift), verdict, cell)
 
 
 def _position(where: tuple[float, float, float, float], verdict: Verdict, cell: Cell = "unknown") -> Position:

@@ -20,6 +20,7 @@ from cutgate.protocol.arrays import Bools, Floats, Ints
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.cells import (
+    PART,
     SQUARE,
     WORK,
     Lattice,
@@ -124,7 +125,8 @@ def squares(work: Work, workers: Workers, grid: Grid, done: Callable[[int], None
     if reach.unrecoverable(work.problem, work.verdict) is not None:
         return [everywhere(yaw, lift, lattice, State.INADMISSIBLE) for yaw, lift in grid.layers]
     growing = [Quadtree(yaw, lift, lattice) for yaw, lift in grid.layers]
-    left, each = WORK, SQUARE + len(work.plane(grid.yaw_deg[0]))
+    each = SQUARE + len(work.plane(grid.yaw_deg[0]))
+    left = max(WORK, each * len(grid) // PART)
     while open_ := [one for one in growing if len(one.open)]:
         if each * sum(len(one.open) for one in open_) > left:  # a level is judged as a whole or not at all
             for one in open_:

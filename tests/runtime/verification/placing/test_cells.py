@@ -129,6 +129,7 @@ def test_a_slide_that_is_too_short_excludes_everything():
 def test_where_the_work_is_spent_the_rest_is_unknown_and_positions_are_judged_still(monkeypatch):
     path = STROKES["right elbow"]
     monkeypatch.setattr("cutgate.runtime.verification.placing.survey.WORK", 150_000)
+    monkeypatch.setattr("cutgate.runtime.verification.placing.survey.PART", 10**9)
     _, (positions, (found,), _) = surveyed(path, 0.0)
     assert found.unknown_share > cells.UNKNOWN_MAX
     assert any(p.admissible for p in positions)
@@ -201,3 +202,11 @@ def test_what_a_long_segment_nears_between_its_poses_is_counted():
     kept = Room.of(past).kept(np.zeros((1, 2)), np.full(1, np.inf)).arm_mm[0, 0]
     assert math.hypot(340.0, 60.0) - 340.0 > 5.0
     assert true - 0.01 < kept <= true
+
+
+def test_a_path_too_long_to_be_looked_at_so_often_is_judged_one_by_one(monkeypatch):
+    path = STROKES["right elbow"]
+    monkeypatch.setattr(cells, "LONGEST_POSES", len(path.tips_mm) - 1)
+    _, (positions, (found,), _) = surveyed(path, 0.0, step_mm=300.0)
+    assert set(found.states) <= {State.INADMISSIBLE, State.UNKNOWN}
+    assert {p.checked for p in positions} == {"certified", "pose"}

@@ -12,6 +12,7 @@ from cutgate.runtime.verification.placing.cells import Lattice, PathAtYaw, State
 from cutgate.runtime.verification.placing.guidance import moved, pivot_of
 from cutgate.runtime.verification.placing.room import Room
 from cutgate.runtime.verification.placing.survey import Work, squares, survey, workers_for
+from docs.make_pictures import hip_stem
 from tests.runtime.verification.cases import axis, problem, wrist_path
 from tests.runtime.verification.placing.test_reach import CASES as STROKES
 from tests.runtime.verification.placing.test_tolerated import CASES as PATHS
@@ -69,8 +70,9 @@ def test_every_place_in_a_square_is_what_the_square_is(monkeypatch):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", CASES)
-def test_every_place_of_many_in_a_square_is_what_the_square_is(name):
+@pytest.mark.parametrize("name", [*CASES, "hip stem"])
+def test_every_place_of_many_in_a_square_is_what_the_square_is(name, monkeypatch):
+    monkeypatch.setitem(CASES, "hip stem", hip_stem("second")[0])
     counts = tried((name,), TRIED_LONG)
     assert counts[State.INADMISSIBLE] >= TRIED_LONG
     assert counts[State.ADMISSIBLE] >= TRIED_LONG or Room.of(CASES[name]) is None

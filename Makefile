@@ -8,7 +8,7 @@ READY := $(VENV)/ready
 PIP := env -u PIP_TARGET -u PIP_PREFIX -u PIP_ROOT -u PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT=/dev/null PIP_USER=0 \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps
 
-.PHONY: test test-all coverage test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
+.PHONY: test test-all test-slow coverage test-long test-vcan fuzz c-sources bench demo pictures lint types imports check install lock wheel clean docs coverage-own mutation
 
 # In minutes: what needs the processor on every core, then what starts processes, each test on a bus of its own. Those
 # mostly wait: two more at a time than two cores would take otherwise.
@@ -18,20 +18,26 @@ AT_ONCE ?= 4
 # The tests start many interpreters: none of them needs to compile everything anew, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
-	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long"
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(COVER), and not no_cover)" $(if $(COVER),$(MEASURED))
+	$(if $(COVER),$(WHOLE))
+	$(if $(COVER),$(PYTEST) $(BY_FILE) --numprocesses auto -m "no_cover and not processes and not slow and not long")
 	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
+
+# With COVER=1 branch coverage is measured on what runs in one process; a report of nothing is not a whole one.
+STATEMENTS_MIN := 13000
+MEASURED := --cov --cov-report=term --cov-report=json:.coverage.json
+WHOLE = $(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 # All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,
 # a sample of mutants, larger worlds, the packages' index, the wheel, real SocketCAN.
-test-all: $(READY) coverage coverage-own
-	$(BIN)/python -m pytest -m "slow and not long" --ignore tests/vcan
-	$(MAKE) --no-print-directory test-vcan
+test-all: $(READY) coverage coverage-own test-slow test-vcan
 
-# Measured on what runs in one process; a report of nothing is not a whole one.
-STATEMENTS_MIN := 13000
 coverage: $(READY)
-	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" --cov --cov-report=term --cov-report=json:.coverage.json
-	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" $(MEASURED)
+	$(WHOLE)
+
+test-slow: $(READY)
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "slow and not long" --ignore tests/vcan
 
 # A million random segments against the dense reference on all cores, 2000 runs of fault injection over both loops, the large worlds of
 # the exploration (3.3 GB); CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.

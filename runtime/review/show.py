@@ -46,18 +46,22 @@ def stop_lines(stop: Mapping[str, Any]) -> list[RenderableType]:
     told.add_row("  what", Text(printable(f"{stop['text']} ({stop['cause']}, while {_phase(stop)})")))
     for label, text in _where(stop):
         told.add_row(f"  {label}", Text(text))
-    certain = "yes: the controller's last heartbeat says that it inhibits motion"
-    doubt = (
-        "NO: nobody has confirmed that the arm stands"
-        if stop["moving"]
-        else "not confirmed by the controller"
-    )
-    told.add_row("  at rest", Text(certain, GOOD) if stop["confirmed"] else Text(doubt, BAD))
+    told.add_row("  at rest", _at_rest(stop))
     steps = Table.grid(padding=(0, 1, 0, 0))
     for number, step in enumerate(stop["next"], 1):
         steps.add_row(f"  {number}.", Text(printable(step), BAD if step in SAFE else ""))
     reason = f": {printable(stop['reason'])}" if stop["reason"] else ""
     return [Text.assemble(("STOPPED", BAD), reason), told, Text("What to do next", "bold"), steps]
+
+
+def _at_rest(stop: Mapping[str, Any]) -> Text:
+    if stop["confirmed"]:
+        return Text("yes: the controller's last heartbeat says that it inhibits motion", GOOD)
+    if stop["moving"]:
+        return Text("NO: nobody has confirmed that the arm stands", BAD)
+    if stop["where"] is None:
+        return Text("no motion was started in this session; the controller has not confirmed the stop")
+    return Text("not confirmed by the controller", BAD)
 
 
 def _phase(stop: Mapping[str, Any]) -> str:

@@ -62,6 +62,12 @@ def test_a_stop_nobody_confirmed_says_first_how_to_make_sure_of_it():
     assert "emergency stop" not in " ".join(told()["next"])
 
 
+def test_a_stop_before_any_motion_says_that_none_was_started():
+    document = told(at_rest=False, phase=Phase.PERMITTED, progress=None, joints_u=None)
+    assert "no motion was started in this session" in shown(document)
+    assert "has confirmed that the arm stands" not in shown(document)
+
+
 @pytest.mark.parametrize(
     ("standing", "latched", "asks"),
     [

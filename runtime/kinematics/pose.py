@@ -39,17 +39,25 @@ def turn_about_vertical(angle_rad: float) -> Floats:
 
 def turn_angles(first: Floats, second: Floats) -> Floats:
     """Angle between unit vectors, rad, exact near 0 and near pi. Shapes (n, 3) -> (n,)."""
-    x, y, z = _cross(first, second)
-    out: Floats = np.arctan2(np.sqrt(x * x + y * y + z * z), np.einsum("ij,ij->i", first, second))
+    (ux, uy, uz), (vx, vy, vz) = np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    out: Floats = np.arctan2(np.sqrt(x * x + y * y + z * z), ux * vx + uy * vy + uz * vz)
     return out
 
 
-def _cross(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    return (
-        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-        a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-        a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-    )
+def dot(first: Floats, second: Floats) -> Floats:
+    """Inner products. Shapes (n, 3) -> (n,)."""
+    ux, uy, uz = np.ascontiguousarray(first.T)
+    vx, vy, vz = np.ascontiguousarray(second.T)
+    out: Floats = ux * vx + uy * vy + uz * vz
+    return out
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Euclidean lengths. Shape (n, 3) -> (n,)."""
+    x, y, z = np.ascontiguousarray(vectors.T)
+    out: Floats = np.sqrt(x * x + y * y + z * z)
+    return out
 
 
 def slerp(first: Floats, second: Floats, theta: Floats, s: Floats) -> Floats:

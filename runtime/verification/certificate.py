@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,9 +42,8 @@ import numpy as np
 from cutgate.protocol.arrays import Floats, Ints
 from cutgate.protocol.parameters import ROTATION_DEG_GOES
 from cutgate.runtime.kinematics.arm import turns
-from cutgate.runtime.verification.bounds.bisection import Aim, survey
+from cutgate.runtime.verification.bounds.bisection import survey
 from cutgate.runtime.verification.bounds.chain import BLOCK, Chain, build, cut
-from cutgate.runtime.verification.bounds.closed_form import Extremes, extremes
 from cutgate.runtime.verification.bounds.enclosures import (
     ACCELERATION,
     COLUMNS,
@@ -55,9 +55,11 @@ from cutgate.runtime.verification.bounds.enclosures import (
     Scope,
     lower_bounds,
 )
+from cutgate.runtime.verification.bounds.first_look import FirstLook, Looks, extremes_of
 from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Segments, canonical
+from cutgate.runtime.verification.bounds.look import TouchesError
+from cutgate.runtime.verification.bounds.minima import Aim, Minima
 from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, confined, goes
-from cutgate.runtime.verification.certified import FINE_MM, FINE_RAD, FINE_RATE
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.quantities import azimuth_defined, held_roll, rates, slide_and_pitch
@@ -147,14 +149,15 @@ def certify(problem: Problem, verdict: Verdict) -> Certificate | None:
     if not (verdict.admissible and verdict.branch):
         return None
     geometry, segments = canonical(problem)
-    chain = build(geometry, segments)
     branch = (verdict.branch.q0_turns, verdict.branch.roll_turns)
-    proof = _Proof(problem, geometry, chain, branch, extremes(geometry, segments, chain.poses))
-    found = survey(geometry, segments, chain, proof.scope, proof.aim)
-    pieces = cut(geometry, segments, found.cut_segment, found.cut_fraction)
-    proven = proof.named(proof.least(segments, pieces))
-    stated = {name: _stated(value, proof.needed(name)) for name, value in proven.items()}
-    return Certificate(*branch, len(problem.tips_mm), stated, found.cut_segment, found.cut_fraction)
+    found = _at_a_look(problem, geometry, segments, branch)
+    if found is not None and found.keeps:
+        return found.certificate(np.zeros(0, dtype=np.int64), np.zeros(0))
+    chain = build(geometry, segments)
+    proof = _Proof(problem, geometry, segments, chain, branch)
+    searched = survey(geometry, segments, chain, proof.scope, proof.aim)
+    pieces = cut(geometry, segments, searched.cut_segment, searched.cut_fraction)
+    return _Proven.of(proof, pieces).certificate(searched.cut_segment, searched.cut_fraction)
 
 
 def recheck(problem: Problem, certificate: Certificate) -> tuple[str, ...]:
@@ -176,18 +179,65 @@ def recheck(problem: Problem, certificate: Certificate) -> tuple[str, ...]:
     if problem.branch not in {None, branch}:
         return (f"the certificate is for the turns {branch}, the path for {problem.branch}",)
     geometry, segments = canonical(problem)
+    found = _at_a_look(problem, geometry, segments, branch)
+    if found is not None and not found.reasons(certificate.bounds):
+        return ()
     try:
         pieces = cut(geometry, segments, certificate.cut_segment, certificate.cut_fraction)
     except ValueError as error:
         return (str(error),)
-    proof = _Proof(problem, geometry, pieces, branch, extremes(geometry, segments, pieces.poses))
-    least = proof.least(segments, pieces)
-    proven = proof.named(least)
-    return (
-        *proof.unfit_start(pieces),
-        *proof.out_of_frame(least),
-        *_compared(proof, proven, certificate.bounds),
-    )
+    proof = _Proof(problem, geometry, segments, pieces, branch)
+    closely = _Proven.of(proof, pieces)
+    if found is not None:  # either holds
+        closely = _Proven(proof, np.maximum(closely.least, found.least))
+    return closely.reasons(certificate.bounds)
+
+
+def _at_a_look(
+    problem: Problem, geometry: Geometry, segments: Segments, branch: tuple[int, int]
+) -> _Proven | None:
+    """What one look at each segment proves; None where it is not enough to tell inside from outside."""
+    path = FirstLook.of(geometry, segments, accelerations=problem.acceleration is not None)
+    if path is None:
+        return None
+    proof = _Proof(problem, geometry, segments, path, branch)
+    with suppress(TouchesError):
+        return _Proven(proof, Looks(path, proof.scope, proof.aim, Minima(), None).whole)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Proven:
+    """A proof and what every interval keeps of each column, shape (COLUMNS,)."""
+
+    proof: _Proof
+    least: Floats
+
+    @classmethod
+    def of(cls, proof: _Proof, pieces: Chain) -> _Proven:
+        """By bounding each interval once."""
+        return cls(proof, proof.least(pieces))
+
+    @property
+    def keeps(self) -> bool:
+        """Whether it is all that is needed."""
+        kept = all(bound >= self.proof.needed(name) for name, bound in self.proof.named(self.least).items())
+        return kept and not self.proof.unfit_start() and not self.proof.out_of_frame(self.least)
+
+    def certificate(self, cut_segment: Ints, cut_fraction: Floats) -> Certificate:
+        """It as data."""
+        proof = self.proof
+        stated = {name: _stated(bound, proof.needed(name)) for name, bound in proof.named(self.least).items()}
+        return Certificate(*proof.turns, len(proof.problem.tips_mm), stated, cut_segment, cut_fraction)
+
+    def reasons(self, stated: dict[str, float]) -> tuple[str, ...]:
+        """Why it does not prove what is stated."""
+        proof = self.proof
+        return (
+            *proof.unfit_start(),
+            *proof.out_of_frame(self.least),
+            *_compared(proof, proof.named(self.least), stated),
+        )
 
 
 def _compared(proof: _Proof, proven: dict[str, float], stated: dict[str, float]) -> tuple[str, ...]:
@@ -225,28 +275,34 @@ class _Proof:
     """What has to be bounded for a path in a joint branch, and what the bounds must be; small is bad throughout."""
 
     def __init__(
-        self, problem: Problem, geometry: Geometry, chain: Chain, branch: tuple[int, int], limits: Extremes
+        self,
+        problem: Problem,
+        geometry: Geometry,
+        segments: Segments,
+        path: Chain | FirstLook,
+        branch: tuple[int, int],
     ) -> None:
         self.problem = problem
         self.geometry = geometry
-        self.limits = limits
+        self.segments = segments
+        self.path = path
+        self.limits = limits = extremes_of(geometry, segments, path)
         self.turns = branch
         self.held = held_roll(problem, limits)
         self.full = geometry.workspace.full_revolution
-        self.q0 = _candidate(geometry, 0, float(chain.points.shoulder[0]), branch[0])
-        self.roll = _candidate(geometry, 3, float(chain.points.roll[0]), branch[1])
+        self.q0 = _candidate(geometry, 0, path.start[0], branch[0])
+        self.roll = _candidate(geometry, 3, path.start[1], branch[1])
         self.target = self._target()
         self.scope = Scope(
             np.isfinite(self.target),
             reachable=not geometry.workspace.empty,
-            winding_known=chain.winding_known,
-            roll_defined=chain.winding_known and azimuth_defined(limits),
+            winding_known=path.winding_known,
+            roll_defined=path.winding_known and azimuth_defined(limits),
             shoulder_shift=self.q0.shift if self.full else None,
             alone=True,
         )
-        self.aim = Aim(
-            np.full(COLUMNS, NO_GAP), np.zeros(COLUMNS), np.zeros(COLUMNS), self.target, self._fine()
-        )
+        nothing = np.zeros(COLUMNS)  # fine: what a verdict admits is true and can be decided, however close
+        self.aim = Aim(np.full(COLUMNS, NO_GAP), nothing, nothing, self.target, nothing)
 
     def _target(self) -> Floats:
         """What each column must keep; infinite where it is not asked for."""
@@ -264,19 +320,12 @@ class _Proof:
             target[[ROLL_MIN, ROLL_MAX, SPEED + 3, ACCELERATION + 3]] = np.inf
         return target
 
-    def _fine(self) -> Floats:
-        fine = np.full(COLUMNS, FINE_MM)
-        fine[ROLL_MIN:SPEED] = FINE_RAD
-        for _, first, limits in rates(self.problem):
-            fine[first : first + 5] = FINE_RATE * limits
-        return fine
-
-    def least(self, segments: Segments, pieces: Chain) -> Floats:
+    def least(self, pieces: Chain) -> Floats:
         """Bound every column over these intervals, each looked at once; shape (COLUMNS,)."""
         out = np.full(COLUMNS, np.inf)
         for start in range(0, len(pieces), BLOCK):
             parts = pieces.intervals(start, min(start + BLOCK, len(pieces)), COLUMNS)
-            bounds, _, _ = lower_bounds(self.geometry, segments, self.scope, parts, self.target)
+            bounds, _, _ = lower_bounds(self.geometry, self.segments, self.scope, parts, self.target)
             out = np.minimum(out, bounds.min(axis=0))
         return out
 
@@ -308,12 +357,12 @@ class _Proof:
         }
         return -limited[name]
 
-    def unfit_start(self, pieces: Chain) -> tuple[str, ...]:
+    def unfit_start(self) -> tuple[str, ...]:
         """What no distance says: where the path starts. From there left and right keep the shoulder in its limits."""
         out = []
-        if not bool(pieces.points.inside[0]):
+        if not self.path.starts_inside:
             out.append("the path starts outside the planar workspace")
-        if not pieces.winding_known:
+        if not self.path.winding_known:
             out.append("the intervals leave open on which side of the column the wrist centre passes")
         if not self.q0.fits:
             out.append(f"the shoulder does not start within its limits in turn {self.turns[0]}")

@@ -36,9 +36,9 @@ import numpy as np
 
 from cutgate.protocol.arrays import Bools, Floats
 from cutgate.runtime.kinematics.arm import turns
-from cutgate.runtime.verification.bounds.bisection import Aim, Survey, survey
+from cutgate.runtime.kinematics.pose import lengths
+from cutgate.runtime.verification.bounds.bisection import Survey, survey
 from cutgate.runtime.verification.bounds.chain import Chain, build
-from cutgate.runtime.verification.bounds.closed_form import Extremes, extremes
 from cutgate.runtime.verification.bounds.enclosures import (
     ACCELERATION,
     COLUMNS,
@@ -52,7 +52,10 @@ from cutgate.runtime.verification.bounds.enclosures import (
     SPEED,
     Scope,
 )
+from cutgate.runtime.verification.bounds.first_look import FirstLook, extremes_of
 from cutgate.runtime.verification.bounds.geometry import MIRRORED, Geometry, Segments, canonical
+from cutgate.runtime.verification.bounds.look import TouchesError
+from cutgate.runtime.verification.bounds.minima import Aim
 from cutgate.runtime.verification.branch import GOES_RAD, Candidate, candidates, choose, confined, winding
 from cutgate.runtime.verification.defects import defects
 from cutgate.runtime.verification.effort import Effort
@@ -120,9 +123,12 @@ def verify(problem: Problem, effort: Effort | None = None) -> Verdict:
     if effort is not None:
         effort.spend(POSES + POSE * len(problem.tips_mm))
     geometry, segments = canonical(problem)
-    chain = build(geometry, segments, effort)
-    limits = extremes(geometry, segments, chain.poses)
-    return _Verification(problem, geometry, segments, chain, limits, effort).verdict()
+    path: Chain | FirstLook | None = None
+    if not problem.closely:
+        path = FirstLook.of(geometry, segments, accelerations=problem.acceleration is not None)
+    if path is None:
+        path = build(geometry, segments, effort)
+    return _Verification(problem, geometry, segments, path, effort).verdict()
 
 
 class _Verification:
@@ -133,24 +139,21 @@ class _Verification:
         problem: Problem,
         geometry: Geometry,
         segments: Segments,
-        chain: Chain,
-        limits: Extremes,
+        path: Chain | FirstLook,
         effort: Effort | None,
     ) -> None:
         self.problem = problem
         self.effort = effort
         self.geometry = geometry
         self.segments = segments
-        self.chain = chain
-        self.limits = limits
+        self.path = path
+        self.limits = limits = extremes_of(geometry, segments, path)
         self.evaluations = [0, 0]
         self.budget = 0
         self.windings: list[Winding] = []
         self.held = held_roll(problem, limits)
-        self.roll_defined = chain.winding_known and azimuth_defined(limits)
-        self.tip_at = np.concatenate(
-            ([0.0], np.cumsum(np.linalg.norm(np.diff(segments.tip, axis=0), axis=1)))
-        )
+        self.roll_defined = path.winding_known and azimuth_defined(limits)
+        self.tip_at = np.concatenate(([0.0], np.cumsum(lengths(segments.tip[1:] - segments.tip[:-1]))))
 
     def verdict(self) -> Verdict:
         """Enclose everything, choose the branch, and say what the path lacks."""
@@ -212,12 +215,16 @@ class _Verification:
         scope = Scope(
             wanted,
             reachable=not self.geometry.workspace.empty,
-            winding_known=self.chain.winding_known,
+            winding_known=self.path.winding_known,
             roll_defined=self.roll_defined,
             shoulder_shift=shift,
         )
         aim = Aim(gap, share, missed, target, fine)
-        done = survey(self.geometry, self.segments, self.chain, scope, aim, self.effort)
+        try:
+            done = survey(self.geometry, self.segments, self.path, scope, aim, self.effort)
+        except TouchesError:
+            self.path = build(self.geometry, self.segments, self.effort)
+            done = survey(self.geometry, self.segments, self.path, scope, aim, self.effort)
         self.evaluations[0] += done.evaluations if wanted[:ROLL_MIN].any() else 0
         self.evaluations[1] += done.evaluations if wanted[[ROLL_MIN, ROLL_MAX]].any() else 0
         self.budget += done.budget
@@ -228,8 +235,8 @@ class _Verification:
     def _shoulder(self, first: Survey, values: dict[str, Enclosed]) -> Candidate | None:
         """Choose the turn of q0; fills left and right where they count by the unwrapped q0."""
         asked = None if self.problem.branch is None else self.problem.branch[0]
-        start = float(self.chain.points.shoulder[0])
-        if not (self.chain.winding_known and math.isfinite(start)):
+        start = self.path.start[0]
+        if not (self.path.winding_known and math.isfinite(start)):
             return None
         full = self.geometry.workspace.full_revolution
         if not all(values[name].attained >= 0.0 for name in (SIDES[:LEFT] if full else SIDES)):
@@ -261,8 +268,7 @@ class _Verification:
         """Least and largest unwrapped q0 as found and, where its limits do not say so themselves, as proven."""
         if self._first_columns()[Q0_MIN]:
             return _range(first.attained, Q0_MIN), _range(first.certified, Q0_MIN)
-        points = self.chain.points.shoulder
-        found = (float(points.min()), float(points.max()))
+        found = self.path.shoulder
         return found, found
 
     def _unwrapped_sides(self, option: Candidate, reach: tuple[float, float]) -> dict[str, Enclosed]:
@@ -290,7 +296,7 @@ class _Verification:
         if self.held is not None:
             return self._held_roll(values, asked)
         reach, proven = (_range(bounds, ROLL_MIN) for bounds in (first.attained, first.certified))
-        start = float(self.chain.points.roll[0])
+        start = self.path.start[1]
         if not all(map(math.isfinite, (*proven, *reach, start, float(g.lower[3]), float(g.upper[3])))):
             return None  # of limits the wrong way round as well
         self.windings.append(winding(self.geometry, 3, start, reach))
@@ -344,7 +350,7 @@ class _Verification:
         left_out = set()
         if self.held is not None:
             left_out = {"wrist_singularity", "pitch_min"} - set(values)
-        if self.geometry.workspace.full_revolution and self.chain.winding_known:
+        if self.geometry.workspace.full_revolution and self.path.winding_known:
             left_out |= {"left", "right"} - set(values)
         for name in BOUNDARIES:
             source = MIRRORED.get(name, name) if self.geometry.side < 0 else name
@@ -366,7 +372,7 @@ class _Verification:
             return SpeedLine(joint, limit, 0.0, 0, ok=True, quantity=quantity)
         bound, found = -float(first.certified[column]), -float(first.attained[column])
         too_high = quantity == "acceleration" and found > limit  # not enclosed any further
-        peak = max(found if too_high else bound, 0.0)
+        peak = max(0.0, found if too_high else bound)
         known = math.isfinite(peak) and math.isfinite(found)
         place = int(first.segment[column]) if known else None
         return SpeedLine(
@@ -375,7 +381,7 @@ class _Verification:
 
     def _other_reasons(self, values: dict[str, Enclosed], branch: JointBranch | None) -> tuple[str, ...]:
         out = []
-        if not bool(self.chain.points.inside[0]):
+        if not self.path.starts_inside:
             out.append(
                 "the path starts outside the planar workspace: no joint position within the limits "
                 "reaches the first wrist centre; move the bone toward the workspace"

@@ -6,11 +6,14 @@ import math
 
 import numpy as np
 
-from cutgate.runtime.kinematics.pose import turn_angles
+from cutgate.runtime.kinematics.pose import dot, lengths, turn_angles
 from cutgate.runtime.verification.bounds.geometry import LARGEST_TURN
 from cutgate.runtime.verification.problem import Problem
 
 UNIT_TOLERANCE = 1e-6
+
+FACING = 0.0
+"""Of neighbouring axes whose product is above this none turns by anywhere near as much as would be too much."""
 
 
 def defects(problem: Problem) -> tuple[str, ...]:
@@ -79,24 +82,26 @@ def bad_numbers(problem: Problem) -> list[str]:
 
 def _bad_axes(problem: Problem) -> list[str]:
     found = []
-    off = np.abs(np.sqrt(np.einsum("ij,ij->i", problem.axes, problem.axes)) - 1.0)
+    off = np.abs(lengths(problem.axes) - 1.0)
     if not off.max() <= UNIT_TOLERANCE:
         found.append(
             f"the tool axis of pose {int(off.argmax())} is not a unit vector (off by {off.max():.3g})"
         )
-    if len(problem.axes) > 1:
-        turn = turn_angles(problem.axes[:-1], problem.axes[1:])
-        if not turn.max() <= LARGEST_TURN:
-            found.append(
-                f"segment {int(turn.argmax())} turns the tool axis by {math.degrees(turn.max()):.3f} deg, "
-                "at most 179 deg have a defined great circle: add a pose between"
-            )
-        # Segment time is max(|dp|, l theta) / feed; a turn in no time has no speed that could be bounded.
-        resting = (problem.tips_mm[1:] == problem.tips_mm[:-1]).all(axis=1) & (problem.tool_length_mm == 0.0)
-        timeless = np.flatnonzero(resting & (turn > 0.0))
-        if timeless.size:
-            found.append(
-                f"segment {int(timeless[0])} turns the tool axis by {math.degrees(turn[timeless[0]]):.3f} deg in no "
-                "time: its tip rests and the tool is 0 mm long; move the tip there, or give the tool its length"
-            )
+    facing = dot(problem.axes[:-1], problem.axes[1:])
+    if problem.tool_length_mm > 0.0 and facing.min(initial=1.0) > FACING:
+        return found
+    turn = turn_angles(problem.axes[:-1], problem.axes[1:])
+    if not turn.max(initial=0.0) <= LARGEST_TURN:
+        found.append(
+            f"segment {int(turn.argmax())} turns the tool axis by {math.degrees(turn.max()):.3f} deg, "
+            "at most 179 deg have a defined great circle: add a pose between"
+        )
+    # Segment time is max(|dp|, l theta) / feed; a turn in no time has no speed that could be bounded.
+    resting = (problem.tips_mm[1:] == problem.tips_mm[:-1]).all(axis=1) & (problem.tool_length_mm == 0.0)
+    timeless = np.flatnonzero(resting & (turn > 0.0))
+    if timeless.size:
+        found.append(
+            f"segment {int(timeless[0])} turns the tool axis by {math.degrees(turn[timeless[0]]):.3f} deg in no "
+            "time: its tip rests and the tool is 0 mm long; move the tip there, or give the tool its length"
+        )
     return found

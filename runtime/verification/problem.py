@@ -84,6 +84,7 @@ class Problem:
         lower, upper: limits of the reported joints, shape (5,).
         speed: joint speed limits, rad/s and mm/s, shape (5,).
         acceleration: joint acceleration limits, rad/s2 and mm/s2, shape (5,), or None where none are given.
+        closely: every segment is bounded closely, without a look at all of them before; slower, to other digits of the same promise.
         calibration: corrections and residuals.
         deadband: margins to keep.
         hold_roll: roll held by a path of constant exactly vertical axis, or None.
@@ -103,3 +104,4 @@ class Problem:
     hold_roll: float | None = None
     branch: tuple[int, int] | None = None
     acceleration: Floats | None = None
+    closely: bool = False

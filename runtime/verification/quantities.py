@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cutgate.protocol.arrays import Floats
+from cutgate.runtime.kinematics.pose import dot, lengths
+from cutgate.runtime.verification.bounds.chain import BLOCK
 from cutgate.runtime.verification.bounds.closed_form import Extreme, Extremes
 from cutgate.runtime.verification.bounds.enclosures import ACCELERATION, SPEED
 from cutgate.runtime.verification.bounds.geometry import VERTICAL, Geometry, Segments, errors
@@ -144,15 +146,28 @@ def refused(problem: Problem, wrong: tuple[str, ...], method: Method) -> Verdict
 
 
 def wrist_length(segments: Segments, tool_mm: float) -> float:
-    """Length of the wrist-centre path, mm, by four-point Gauss-Legendre per segment."""
-    step = np.diff(segments.tip, axis=0)
-    u, v, theta = segments.axis[:-1], segments.axis[1:], segments.theta
+    """Length of the wrist-centre path, mm, by four-point Gauss-Legendre per segment, `BLOCK` at a time."""
+    parts = (slice(i, i + BLOCK) for i in range(0, len(segments), BLOCK))
+    return sum(_wrist_length(segments, part, tool_mm) for part in parts)
+
+
+def _wrist_length(segments: Segments, part: slice, tool_mm: float) -> float:
+    """Of some segments.
+
+    With u and v the axes at the ends of one, the axis turned by phi changes by (cos(phi) v - cos(theta - phi) u) / sin(theta).
+    """
+    theta = segments.theta[part]
+    after = slice(part.start + 1, part.start + len(theta) + 1)
+    step = segments.tip[after] - segments.tip[part.start : after.stop - 1]
+    if not theta.any():
+        return float(lengths(step).sum())
     sine = np.where(theta > 0.0, np.sin(theta), 1.0)
-    tangent = (v - np.cos(theta)[:, None] * u) / sine[:, None]
+    steady = dot(step, step) + (tool_mm * theta) ** 2
+    along_u, along_v = dot(step, segments.axis[part.start : after.stop - 1]), dot(step, segments.axis[after])
+    turned = [np.cos((node + 1.0) / 2.0 * theta) for node, _ in GAUSS_LEGENDRE]
+    double = 2.0 * tool_mm * theta / sine
     total = 0.0
-    for node, weight in GAUSS_LEGENDRE:
-        phi = (node + 1.0) / 2.0 * theta
-        turning = np.cos(phi)[:, None] * tangent - np.sin(phi)[:, None] * u
-        speed = step + (tool_mm * theta)[:, None] * turning
-        total += weight / 2.0 * float(np.sqrt(np.einsum("ij,ij->i", speed, speed)).sum())
+    for (_, weight), phi, rest in zip(GAUSS_LEGENDRE, turned, reversed(turned), strict=True):
+        square = steady + double * (phi * along_v - rest * along_u)
+        total += weight / 2.0 * float(np.sqrt(np.maximum(square, 0.0)).sum())
     return total

@@ -39,6 +39,20 @@ class Arc:
             (self.x + self.radius * math.cos(last), self.y + self.radius * math.sin(last)),
         )
 
+    def distance(self, x: float, y: float) -> float:
+        """`distance_to_arc` of one point."""
+        dx, dy = x - self.x, y - self.y
+        first, last, middle = self.start, self.start + self.span, self.start + self.span / 2
+        after = math.cos(first) * dy - math.sin(first) * dx >= 0.0
+        before = math.sin(last) * dx - math.cos(last) * dy >= 0.0
+        if self.span > math.pi:
+            beside = self.span >= REVOLUTION or after or before
+        else:
+            beside = after and before and math.cos(middle) * dx + math.sin(middle) * dy >= 0.0
+        if beside:
+            return abs(math.sqrt(dx * dx + dy * dy) - self.radius)
+        return math.sqrt(min((x - px) ** 2 + (y - py) ** 2 for px, py in self.ends))
+
 
 @dataclass(frozen=True, slots=True)
 class PlanarWorkspace:

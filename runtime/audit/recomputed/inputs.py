@@ -1,6 +1,7 @@
 """What a session decided on, read from its log: typed records, and the attachments as the bytes they are."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path as FilePath
@@ -47,6 +48,8 @@ class ReplayInputs(NamedTuple):
     placed: Placed | None
     size_max: int
     """Bytes of the largest attachment that is read: what the site allowed its input files."""
+    closely: bool
+    """Whether every segment is bounded closely, as the session's verifier did."""
 
     @property
     def problem(self) -> Problem:
@@ -56,7 +59,8 @@ class ReplayInputs(NamedTuple):
             ReplayError: these pose no problem.
         """
         try:
-            return problem_from_records(self.path, self.limits, self.calibration, self.tool, self.robot)
+            problem = problem_from_records(self.path, self.limits, self.calibration, self.tool, self.robot)
+            return replace(problem, closely=self.closely)
         except (RecordError, ValueError) as error:
             raise no_problem(error) from None
 
@@ -99,6 +103,7 @@ def inputs_of(log: Log) -> ReplayInputs:
         registration_digest=_digest(log, file, registration),
         placed=None if registration is None else _placed(registration, site),
         size_max=size_max,
+        closely=_verifier(log) in BOUND_CLOSELY,
     )
 
 
@@ -109,6 +114,9 @@ def _registration(path: FilePath, data: bytes) -> Registration:
         raise ReplayError(f"attachment {error}") from None
 
 
+BOUND_CLOSELY: Final = ("cutgate 0.1.0",)
+"""Verifiers that bounded every segment closely: their numbers are other ones, within the same promise."""
+
 FILES_DIGEST: Final = ("cutgate 0.1.0",)
 """Verifiers whose sessions know a registration by its file's SHA-256."""
 
@@ -117,8 +125,12 @@ def _digest(log: Log, file: tuple[FilePath, bytes] | None, registration: Registr
     """What the session knows its registration by."""
     if file is None or registration is None:
         return sha256(IDENTITY_REGISTRATION).digest()
-    by_file = any(opened.verifier in FILES_DIGEST for opened in typed(log, records.AuditOpen)[:1])
-    return sha256(file[1]).digest() if by_file else registration.digest
+    return sha256(file[1]).digest() if _verifier(log) in FILES_DIGEST else registration.digest
+
+
+def _verifier(log: Log) -> str | None:
+    """Who decided, as record 0 says."""
+    return next((opened.verifier for opened in typed(log, records.AuditOpen)[:1]), None)
 
 
 def _placed(registration: Registration, site: Site) -> Placed:

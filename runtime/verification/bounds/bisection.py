@@ -5,7 +5,8 @@ All open intervals are worked off in numpy blocks, last in first out, so that me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,10 +24,13 @@ from cutgate.runtime.verification.bounds.enclosures import (
     attained,
     lower_bounds,
 )
+from cutgate.runtime.verification.bounds.first_look import FirstLook, Looks
 from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
-from cutgate.runtime.verification.bounds.points import Points
+from cutgate.runtime.verification.bounds.minima import INTERVAL, ROUND, Aim, Minima
+from cutgate.runtime.verification.bounds.points import Points, at
 from cutgate.runtime.verification.effort import Effort
 from cutgate.runtime.workspace.distance import signed_sides
+from cutgate.runtime.workspace.planar import segment_to_arc
 
 SMALLEST = 2.0**-40
 """No interval is split below this part of its segment."""
@@ -36,34 +40,8 @@ COARSE = 2.0**-10
 
 
 @dataclass(frozen=True, slots=True)
-class Aim:
-    """How far to refine each column; arrays of shape (COLUMNS,).
-
-    Attributes:
-        gap: bounds this close below the least attained value are close enough ...
-        share: ... and so are those within this part of it ...
-        missed: ... or within this part, once it has missed its target.
-        target: the value to keep; while a bound is below and the attained value above it, go on ...
-        fine: ... until they are this close: undecided.
-    """
-
-    gap: Floats
-    share: Floats
-    missed: Floats
-    target: Floats
-    fine: Floats
-
-    def enough(self, best: Floats) -> Floats:
-        """What a bound must reach where only closeness to the least attained value counts, shape (COLUMNS,)."""
-        size = np.abs(np.where(np.isfinite(best), best, 0.0))
-        part = np.where(best < self.target, self.missed, self.share)
-        out: Floats = best - np.maximum(self.gap, part * size)
-        return out
-
-
-@dataclass(frozen=True, slots=True)
 class Survey:
-    """Least attained value and proven bound of each column; arrays of shape (COLUMNS,).
+    """Minima attained value and proven bound of each column; arrays of shape (COLUMNS,).
 
     Attributes:
         attained: infinite where nothing was attained.
@@ -86,33 +64,13 @@ class Survey:
     cut_fraction: Floats
 
 
-ROUND, INTERVAL = 5000, 6
-"""Work of each round of a survey and of each interval in it, as `Effort` counts it."""
-
-
 def budget(segments: int) -> int:
     """Intervals that a survey may look at before it splits no more and leaves the rest undecided."""
     return 64 * segments + 200_000
 
 
-class _Best:
-    """Least attained value of each column and its place."""
-
-    def __init__(self) -> None:
-        self.value = np.full(COLUMNS, np.inf)
-        self.segment = np.zeros(COLUMNS, dtype=np.int64)
-        self.fraction = np.zeros(COLUMNS)
-
-    def offer(self, first: int, values: Floats, segment: Ints, fraction: Floats) -> None:
-        """Take values (m, columns) of the columns from ``first`` on where they are smaller."""
-        if len(values) == 0:
-            return
-        rows = np.argmin(values, axis=0)
-        for i, row in enumerate(rows):
-            if values[row, i] < self.value[first + i]:
-                self.value[first + i] = values[row, i]
-                self.segment[first + i] = segment[row]
-                self.fraction[first + i] = fraction[row]
+BESIDE = (1.0, 1 / 8, 1 / 64)
+"""Parts of a segment to both sides of a place."""
 
 
 class _Cuts:
@@ -138,7 +96,7 @@ class _Cuts:
 def survey(
     geometry: Geometry,
     segments: Segments,
-    chain: Chain,
+    path: Chain | FirstLook,
     scope: Scope,
     aim: Aim,
     effort: Effort | None = None,
@@ -147,13 +105,15 @@ def survey(
 
     Raises:
         EffortSpentError: the work is more than what bounds it.
+        TouchesError: a first look does not tell what lies inside the workspace.
     """
-    best = _of_the_poses(geometry, segments, chain, scope)
+    best, cuts = Minima(), _Cuts()
     certified = np.full(COLUMNS, np.inf)
-    cuts = _Cuts()
     allowed, spent = budget(len(segments)), 0
     stack: list[Intervals] = []
-    roots = iter(range(0, len(chain), BLOCK))
+    begun = _begun((geometry, segments, path), scope, aim, best, effort)
+    asked, roots = scope, begun.rest()
+    scope = replace(scope, wanted=begun.lacking)
     while True:
         if stack:
             parts = _pop(stack)
@@ -161,8 +121,8 @@ def survey(
                 certified = np.minimum(certified, parts.bound.min(axis=0))
                 cuts.add(parts, np.ones(len(parts), dtype=np.bool_))
                 continue
-        elif (start := next(roots, None)) is not None:
-            parts = chain.intervals(start, min(start + BLOCK, len(chain)), COLUMNS)
+        elif (root := next(roots, None)) is not None:
+            parts = root
         else:
             break
         if effort is not None:
@@ -185,25 +145,75 @@ def survey(
             place = children.s0[len(rows) :]
             best.offer(0, attained(geometry, scope, middle), children.segment[: len(rows)], place)
             stack.append(children)
-    bound = np.minimum(certified, best.value)
-    most = allowed + len(chain) + 4 * BLOCK
+    if begun.looked_at:
+        _narrowed(geometry, segments, asked, aim, best)
+    bound = np.minimum(np.minimum(certified, begun.proven), best.value)
+    spent, most = spent + begun.looked_at, allowed + begun.most + 4 * BLOCK
     return Survey(best.value, bound, best.segment, best.fraction, spent, most, *cuts.sorted())
 
 
-def _of_the_poses(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope) -> _Best:
+def _narrowed(geometry: Geometry, segments: Segments, scope: Scope, aim: Aim, best: Minima) -> None:
+    """Where an arc's deadband is missed: the foot of the arc on the chords beside the place, so that it is said by how much."""
+    for column in range(ROLL_MIN):
+        for part in BESIDE:
+            if not 0.0 < best.value[column] < aim.target[column]:
+                break
+            segment, s = int(best.segment[column]), float(best.fraction[column])
+            before = (segment, s) if s > 0.0 else (max(segment - 1, 0), 1.0)
+            rows = np.array([segment, before[0]])
+            s0, s1 = np.array([s, max(before[1] - part, 0.0)]), np.array([min(s + part, 1.0), before[1]])
+            first, last = (at(geometry, segments, rows, end).centre for end in (s0, s1))
+            place = s0 + segment_to_arc(first, last, geometry.arcs[column])[1] * (s1 - s0)
+            found = attained(geometry, scope, at(geometry, segments, rows, place))
+            best.offer(column, found[:, column : column + 1], rows, place)
+
+
+def _begun(
+    whole: tuple[Geometry, Segments, Chain | FirstLook],
+    scope: Scope,
+    aim: Aim,
+    best: Minima,
+    effort: Effort | None,
+) -> Looks | _Unseen:
+    """What is known before anything is bounded closely."""
+    geometry, segments, path = whole
+    if isinstance(path, FirstLook):
+        return Looks(path, scope, aim, best, effort)
+    return _Unseen(geometry, segments, path, scope, best)
+
+
+class _Unseen:
+    """A path at which nobody has looked, in the form of `Looks`."""
+
+    def __init__(
+        self, geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, best: Minima
+    ) -> None:
+        _of_the_poses(geometry, segments, chain, scope, best)
+        self.chain = chain
+        self.lacking = scope.wanted
+        self.proven = np.full(COLUMNS, np.inf)
+        self.looked_at = 0
+        self.most = len(chain)
+
+    def rest(self) -> Iterator[Intervals]:
+        """All of it, block by block."""
+        return (
+            self.chain.intervals(i, min(i + BLOCK, self.most), COLUMNS) for i in range(0, self.most, BLOCK)
+        )
+
+
+def _of_the_poses(geometry: Geometry, segments: Segments, chain: Chain, scope: Scope, best: Minima) -> None:
     """What the programmed poses attain, and some accelerations, so that most intervals need no closer look."""
-    best = _Best()
     for i in range(0, len(chain) + 1, BLOCK):
         points = chain.points.take(slice(i, i + BLOCK))
-        at = np.minimum(np.arange(i, i + len(points)), len(chain) - 1)
+        row = np.minimum(np.arange(i, i + len(points)), len(chain) - 1)
         last = np.arange(i, i + len(points)) == len(chain)
-        place = np.where(last, chain.s1[at], chain.s0[at])
-        best.offer(0, attained(geometry, scope, points), chain.segment[at], place)
+        place = np.where(last, chain.s1[row], chain.s0[row])
+        best.offer(0, attained(geometry, scope, points), chain.segment[row], place)
     if scope.wanted[ACCELERATION:].any():
         some, halfway = np.array([0, len(segments) // 2]), np.array([0.5, 0.5])
         rates = -np.abs(joint_accelerations(geometry, segments, some, halfway))
         best.offer(ACCELERATION, np.where(scope.wanted[ACCELERATION:], rates, np.inf), some, halfway)
-    return best
 
 
 def _pop(stack: list[Intervals]) -> Intervals:

@@ -120,6 +120,22 @@ class Chain:
             return self.points
         return self.points.take(np.append(np.flatnonzero(self.s0 == 0.0), len(self)))
 
+    @property
+    def start(self) -> tuple[float, float]:
+        """q0 and q3 at the first pose, rad."""
+        return float(self.points.shoulder[0]), float(self.points.roll[0])
+
+    @property
+    def shoulder(self) -> tuple[float, float]:
+        """Least and largest q0 at the places, rad."""
+        q0 = self.points.shoulder
+        return float(q0.min()), float(q0.max())
+
+    @property
+    def starts_inside(self) -> bool:
+        """Whether the first pose lies in the planar workspace."""
+        return bool(self.points.inside[0])
+
     def intervals(self, start: int, stop: int, columns: int) -> Intervals:
         """A block of the chain."""
         return Intervals(

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.protocol.arrays import Floats, Ints
-from cutgate.runtime.verification.bounds.geometry import Geometry, Segments
-from cutgate.runtime.verification.bounds.points import Points, at
+from cutgate.protocol.arrays import Bools, Floats, Ints
+from cutgate.runtime.kinematics.pose import slerp
+from cutgate.runtime.verification.bounds.geometry import EPSILON, Geometry, Segments
 
 PITCH_PAD = 1e-11
 """Bound on the rounding of the smallest pitch m, rad. Within theta of its place the axes' horizontal parts, of which
@@ -41,54 +41,64 @@ class Extremes:
     pad_rad: float
 
 
-def extremes(geometry: Geometry, segments: Segments, poses: Points) -> Extremes:
+def extremes(geometry: Geometry, segments: Segments, height: Floats, pitch: Floats) -> Extremes:
     """Find the extremes of height and pitch.
 
     Args:
         geometry: canonical arm.
         segments: the path, n segments.
-        poses: the n + 1 evaluated poses.
+        height: of the wrist centre at the poses, shape (n + 1,).
+        pitch: q4 there, shape (n + 1,).
     """
-    height, pitch = poses.height, poses.pitch
-    bulge = geometry.tool_mm * segments.theta**2 / 8.0 + geometry.pad_mm
-    low, high = np.minimum(height[:-1], height[1:]) - bulge, np.maximum(height[:-1], height[1:]) + bulge
-    swing = segments.theta / 2.0
-    mean = (pitch[:-1] + pitch[1:]) / 2.0
-    turning = segments.theta > 0.0
-    rows = np.flatnonzero(
-        turning
-        & (
-            (low < height.min())
-            | (high > height.max())
-            | (mean - swing <= pitch.min())
-            | (mean + swing >= pitch.max())
+    theta, up = segments.theta, segments.axis[:, 2]
+    at: Ints = np.flatnonzero(theta > 0.0)
+    fraction = heights = pitches = np.zeros(0)
+    if len(at):
+        square = theta * theta * 0.125
+        # the vertical part of the axis leaves its chord by no more than the axis does
+        exceed = _may_exceed(height, geometry.tool_mm * square + geometry.pad_mm) | _may_exceed(
+            up, square + 8.0 * EPSILON
         )
-    )
-    numbers = np.minimum(np.arange(len(height)), len(segments) - 1)
-    segment = [numbers]
-    fraction = [np.arange(len(height)) - numbers + 0.0]
-    heights, pitches = [height], [pitch]
-    for s in _critical(geometry, segments, rows):
-        inner = np.flatnonzero((s > 0.0) & (s < 1.0))
-        points = at(geometry, segments, rows[inner], s[inner])
-        segment.append(rows[inner])
-        fraction.append(s[inner])
-        heights.append(points.height)
-        pitches.append(points.pitch)
-    where, place = np.concatenate(segment), np.concatenate(fraction)
-    z, q4 = np.concatenate(heights), np.concatenate(pitches)
+        rows = np.flatnonzero((theta > 0.0) & exceed)
+        at, fraction = np.tile(rows, 4), np.concatenate(_critical(geometry, segments, rows))
+        inner = np.flatnonzero((fraction > 0.0) & (fraction < 1.0))
+        at, fraction = at[inner], fraction[inner]
+        heights, pitches = _evaluated(geometry, segments, at, fraction)
 
-    def extreme(values: Floats, index: np.intp) -> Extreme:
-        return Extreme(float(values[index]), int(where[index]), float(place[index]))
+    def extreme(of_poses: Floats, between: Floats, sign: float) -> Extreme:
+        pose = int(np.argmin(sign * of_poses))
+        last = len(segments) - 1
+        best = Extreme(float(of_poses[pose]), min(pose, last), float(max(pose - last, 0)))
+        if len(between):
+            i = int(np.argmin(sign * between))
+            if sign * between[i] < sign * best.value:
+                return Extreme(float(between[i]), int(at[i]), float(fraction[i]))
+        return best
 
     return Extremes(
-        lowest=extreme(z, np.argmin(z)),
-        highest=extreme(z, np.argmax(z)),
-        least_pitch=extreme(q4, np.argmin(q4)),
-        most_pitch=extreme(q4, np.argmax(q4)),
+        lowest=extreme(height, heights, 1.0),
+        highest=extreme(height, heights, -1.0),
+        least_pitch=extreme(pitch, pitches, 1.0),
+        most_pitch=extreme(pitch, pitches, -1.0),
         pad_mm=geometry.pad_mm,
         pad_rad=PITCH_PAD,
     )
+
+
+def _may_exceed(values: Floats, most: Floats) -> Bools:
+    """Segments that may go beyond what all poses have, as they leave the values at their ends by this at most."""
+    low, high = np.minimum(values[1:], values[:-1]), np.maximum(values[1:], values[:-1])
+    out: Bools = (low - most <= values.min()) | (high + most >= values.max())
+    return out
+
+
+def _evaluated(geometry: Geometry, segments: Segments, rows: Ints, s: Floats) -> tuple[Floats, Floats]:
+    """Height and pitch at fractions of segments."""
+    tip = segments.tip[rows, 2]
+    tip = tip + s * (segments.tip[rows + 1, 2] - tip)
+    axis = slerp(segments.axis[rows], segments.axis[rows + 1], segments.theta[rows], s)
+    sine = np.hypot(axis[:, 0], axis[:, 1])
+    return tip + geometry.tool_mm * axis[:, 2], np.arctan2(sine, axis[:, 2])
 
 
 def _critical(geometry: Geometry, segments: Segments, rows: Ints) -> list[Floats]:

@@ -236,7 +236,7 @@ def _bound_speeds(
     means = np.empty((len(parts), 5))
     moving = motion.seconds > 0.0
     still = (motion.length == 0.0) & (motion.phi == 0.0) & (b.height == a.height)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for joint, (change, second, first, pad) in enumerate(lines):
             mean = np.abs(change)
             peak = np.fmin(mean + second / 2, first) + pad

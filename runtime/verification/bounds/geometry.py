@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cutgate.protocol.arrays import Floats
-from cutgate.runtime.kinematics.pose import turn_angles
+from cutgate.protocol.arrays import Floats, Ints
+from cutgate.runtime.kinematics.pose import lengths, turn_angles
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.workspace.planar import Arc, PlanarWorkspace
 
@@ -85,26 +85,35 @@ class Segments:
         tip: tips at the start of each segment and one more, shape (n + 1, 3).
         axis: axes likewise, shape (n + 1, 3).
         theta: turn of the axis, rad, shape (n,).
-        normal_lo: lower bound on the height (z, unsigned) of the great circle's unit normal, shape (n,).
-        normal_hi: upper bound, shape (n,).
         seconds: planned duration, shape (n,).
     """
 
     tip: Floats
     axis: Floats
     theta: Floats
-    normal_lo: Floats
-    normal_hi: Floats
     seconds: Floats
 
     def __len__(self) -> int:
         return len(self.theta)
 
+    def normals(self, rows: Ints) -> tuple[Floats, Floats]:
+        """Bounds on the height (z, unsigned) of the great circle's unit normal in some segments, shape (m,) each.
+
+        A cross product of unit vectors is exact to a few epsilon, its direction to that over theta.
+        """
+        u, v = self.axis[rows], self.axis[rows + 1]
+        turning = np.maximum(self.theta[rows], 16.0 * EPSILON)
+        slack = 16.0 * EPSILON / turning
+        normal = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.sin(turning)
+        return np.maximum(normal - slack, 0.0), np.minimum(normal + slack, 1.0)
+
 
 def canonical(problem: Problem) -> tuple[Geometry, Segments]:
     """Bring a problem with finite numbers into canonical form."""
     geometry = canonical_arm(problem)
-    mirror = np.array((1.0, geometry.side, 1.0))
+    if geometry.side > 0.0:
+        return geometry, _segments(problem.tips_mm, problem.axes, problem)
+    mirror = np.array((1.0, -1.0, 1.0))
     return geometry, _segments(problem.tips_mm * mirror, problem.axes * mirror, problem)
 
 
@@ -170,19 +179,11 @@ def errors(problem: Problem) -> tuple[float, float]:
 def _segments(tip: Floats, axis: Floats, problem: Problem) -> Segments:
     if len(tip) == 1:  # a path of one pose is a segment of length zero
         tip, axis = np.repeat(tip, 2, axis=0), np.repeat(axis, 2, axis=0)
-    u, v = axis[:-1], axis[1:]
-    theta = turn_angles(u, v)
-    # A cross product of unit vectors is exact to a few epsilon, its direction to that over theta.
-    turning = np.maximum(theta, 16.0 * EPSILON)
-    slack = 16.0 * EPSILON / turning
-    normal = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.sin(turning)
-    step = tip[1:] - tip[:-1]
-    length = np.sqrt(np.einsum("ij,ij->i", step, step))
+    theta = turn_angles(axis[:-1], axis[1:])
+    length = lengths(tip[1:] - tip[:-1])
     return Segments(
         tip=tip,
         axis=axis,
         theta=theta,
-        normal_lo=np.maximum(normal - slack, 0.0),
-        normal_hi=np.minimum(normal + slack, 1.0),
         seconds=np.maximum(length, problem.tool_length_mm * theta) / problem.feed_mm_s,
     )

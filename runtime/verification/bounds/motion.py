@@ -82,7 +82,7 @@ def angles_of(geometry: Geometry, segments: Segments, parts: Intervals, motion: 
     farthest = np.maximum(_norm(parts.a.centre), _norm(parts.b.centre)) + motion.sag
     bend = np.minimum(elbow_sine(nearest, space.a0, space.a1), elbow_sine(farthest, space.a0, space.a1))
     bend = np.where(bend > 0.0, bend, 0.0)  # NaN, out of reach, as well
-    normal_lo, normal_hi = segments.normal_lo[parts.segment], segments.normal_hi[parts.segment]
+    normal_lo, normal_hi = segments.normals(parts.segment)
     middle = (parts.a.pitch + parts.b.pitch) / 2
     low, high = middle - motion.phi / 2, middle + motion.phi / 2
     sine = np.where((low > 0.0) & (high < math.pi), np.minimum(np.sin(low), np.sin(high)), 0.0)

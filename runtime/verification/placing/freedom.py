@@ -109,7 +109,7 @@ class Placing:
         self.keep_mm = geometry.arm_mm + reserve.arm_mm
         self.pad_mm = geometry.pad_mm + WIRE_MM + WIRE_RAD * geometry.tool_mm
         self.centres = points.centre
-        height = extremes(geometry, segments, points)
+        height = extremes(geometry, segments, points.height, points.pitch)
         if not shoulder:  # the slide leans the same way however the bone is turned
             rise = height.highest.value - height.lowest.value
             self.pad_mm += rise * math.hypot(*geometry.tilt)

@@ -411,7 +411,7 @@ def test_a_roll_held_beyond_what_a_joints_frame_carries_is_refused_with_what_to_
 @pytest.mark.parametrize("part", [0.25, 0.75])
 def test_a_roll_whose_deadband_lies_between_bound_and_least_found_is_looked_at_more_finely(name, part):
     tips, axes = wrist_path([[520.0, -250.0, 150.0], [560.0, 260.0, 140.0]], axis([0.6, 0.7], [0.9, -0.8]))
-    path = problem(tips, axes, **limits(q0=(-80.0, 80.0), q3=(-170.0, 170.0)))
+    path = problem(tips, axes, closely=True, **limits(q0=(-80.0, 80.0), q3=(-170.0, 170.0)))
     first = certified.verify(path).boundaries[name]
     assert first.clearance - first.certified > 1e-3
     end, sign = ("upper", 1.0) if name == "roll_max" else ("lower", -1.0)

@@ -97,7 +97,8 @@ def test_the_least_pitch_is_exact_from_a_billionth_of_a_radian_to_the_equator(se
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         case = passing(axes, 0.5)
         geometry, segments = canonical(case)
-        found = extremes(geometry, segments, build(geometry, segments).poses)
+        poses = build(geometry, segments).poses
+        found = extremes(geometry, segments, poses.height, poses.pitch)
         value = found.least_pitch.value if pole > 0 else math.pi - found.most_pitch.value
         exact = least_pitch(*axes, pole)
         between += exact < min(least_pitch(u, u, pole) for u in axes)

@@ -127,15 +127,20 @@ class FirstLook:
         return 1 if self.make == Pieces.whole else PARTS
 
     def all(self) -> Iterator[Look]:
-        """The looks at all segments, block by block; made anew where there is more than one."""
+        """The looks at all segments, block by block; made anew where there is more than one.
+
+        Raises:
+            TouchesError: one is not found again: what it would have said must not be left out.
+        """
         if self.only is not None:
             yield self.only
             return
         for part, follow in self.looks:
             pieces = self.make(self.segments, part, follow)
             look = _looked(self.geometry, self.segments, pieces, accelerations=self.accelerations)
-            if look is not None:  # it was one before
-                yield look
+            if look is None:
+                raise TouchesError
+            yield look
 
 
 class Looks:

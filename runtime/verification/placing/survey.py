@@ -99,19 +99,6 @@ class Work:
         return Work(self.problem, self.feed_mm_s, self.tool_length_mm)
 
 
-def survey(work: Work, grid: Grid, cores: int, done: Callable[[int], None]) -> Surveyed:
-    """Judges squares and positions.
-
-    Args:
-        work: the path.
-        grid: the positions.
-        cores: how many processes; with one, this one.
-        done: told how many positions are judged since the last call.
-    """
-    with workers_for(work, cores) as workers:
-        return positions(work, workers, grid, squares(work, workers, grid, lambda _: None), done)
-
-
 def squares(work: Work, workers: Workers, grid: Grid, done: Callable[[int], None]) -> list[Squares]:
     """What is proved between the positions, for each yaw and lift.
 

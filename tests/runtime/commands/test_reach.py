@@ -29,9 +29,10 @@ from cutgate.runtime.commands import reach as command
 from cutgate.runtime.commands.reach_page import CIVIDIS, page
 from cutgate.runtime.commands.reach_picture import COLOUR_MAP, KINDS, kind_of, layers, picture
 from cutgate.runtime.verification.placing import reach
-from cutgate.runtime.verification.placing.survey import Work, survey
+from cutgate.runtime.verification.placing.survey import Work
 from cutgate.runtime.verification.verdict import BOUNDARIES
 from tests.runtime.commands.contract import Hex, Name, Part, Real, Vector
+from tests.runtime.verification.placing.surveyed import survey
 from tests.runtime.verification.placing.test_search import strokes
 
 ROOT = Path(__file__).parents[3]

@@ -42,6 +42,24 @@ def wrist_path(centres, axes, tool=160.0):
     return np.asarray(centres, float) - tool * axes, np.array(axes)
 
 
+def limited(found, **ends):
+    """With other limits: ``lower2=60.0``."""
+    lower, upper = found.lower.copy(), found.upper.copy()
+    for name, value in ends.items():
+        (lower if name.startswith("lower") else upper)[int(name[-1])] = value
+    return replace(found, lower=lower, upper=upper)
+
+
+def threshold(holds, good, bad):
+    """Where between the two it stops to hold, by bisection."""
+    assert holds(good), "the rule does not hold where it should"
+    assert not holds(bad), "nothing else is left to bind"
+    for _ in range(60):
+        middle = (good + bad) / 2
+        good, bad = (middle, bad) if holds(middle) else (good, middle)
+    return good
+
+
 def random_problem(rng, *, calibrated=True, segments=3, wide=False, spinning=False):
     """A path through random joints of a random arm, from tiny steps to large sweeps."""
     elbow = rng.choice(["right", "left"])

@@ -15,7 +15,7 @@ from cutgate.runtime.verification import certified
 from cutgate.runtime.verification import decide as module
 from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.problem import Arm, ArmCalibration, Deadband
-from tests.runtime.verification.cases import DEG, axis, mirrored, problem, wrist_path
+from tests.runtime.verification.cases import DEG, axis, limited, mirrored, problem, threshold, wrist_path
 from tests.runtime.verification.decided import Compared, share
 from tests.seeds import seeds
 
@@ -59,14 +59,6 @@ def stroke(q0=0.2, q1=1.1, pitch=(60.0, 63.0), azimuth=(0.4, 0.47), step=(3.0, -
     return wrist_problem([first, first + step], axes, **(values | changes))
 
 
-def limited(found, **ends):
-    """With other limits: ``lower2=60.0``."""
-    lower, upper = found.lower.copy(), found.upper.copy()
-    for name, value in ends.items():
-        (lower if name.startswith("lower") else upper)[int(name[-1])] = value
-    return replace(found, lower=lower, upper=upper)
-
-
 def beside_a_coarse_stretch(found):
     """The two poses, two rests, and from there two metres at once: the path is never looked at as a whole."""
     (p, q), (u, v) = found.tips_mm, found.axes
@@ -93,16 +85,6 @@ def closed(monkeypatch):
         return opened == 3
 
     return ask
-
-
-def threshold(holds, good, bad):
-    """Where between the two it stops to hold, by bisection."""
-    assert holds(good), "the rule does not hold where it should"
-    assert not holds(bad), "nothing else is left to bind"
-    for _ in range(60):
-        middle = (good + bad) / 2
-        good, bad = (middle, bad) if holds(middle) else (good, middle)
-    return good
 
 
 @dataclass

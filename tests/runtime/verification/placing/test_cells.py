@@ -11,9 +11,10 @@ from cutgate.runtime.verification.placing import cells, reach
 from cutgate.runtime.verification.placing.cells import Lattice, PathAtYaw, State, everywhere
 from cutgate.runtime.verification.placing.guidance import moved, pivot_of
 from cutgate.runtime.verification.placing.room import Room
-from cutgate.runtime.verification.placing.survey import Work, squares, survey, workers_for
+from cutgate.runtime.verification.placing.survey import Work, squares, workers_for
 from docs.make_pictures import hip_stem
 from tests.runtime.verification.cases import axis, problem, wrist_path
+from tests.runtime.verification.placing.surveyed import survey
 from tests.runtime.verification.placing.test_reach import CASES as STROKES
 from tests.runtime.verification.placing.test_tolerated import CASES as PATHS
 

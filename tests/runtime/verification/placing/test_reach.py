@@ -9,9 +9,10 @@ import pytest
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.placing import cells, reach
 from cutgate.runtime.verification.placing.guidance import guide, pivot_of
-from cutgate.runtime.verification.placing.survey import Work, survey
+from cutgate.runtime.verification.placing.survey import Work
 from cutgate.runtime.verification.problem import ArmCalibration
 from tests.runtime.verification.cases import DEG, axis, problem, wrist_path
+from tests.runtime.verification.placing.surveyed import survey
 from tests.runtime.verification.placing.test_guidance import LEAN, THIN, registered
 from tests.runtime.verification.placing.test_search import LEFT_ELBOW, NARROW_ROLL, TILTED, strokes
 

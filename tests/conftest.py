@@ -90,4 +90,5 @@ def _must_be_marked() -> None:
 
 
 def _marked(item: pytest.Item) -> bool:
-    return item.get_closest_marker("processes") is not None
+    # make test-long runs its tests one after the other, with nothing beside them.
+    return any(item.get_closest_marker(name) is not None for name in ("processes", "long"))

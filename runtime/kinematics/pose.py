@@ -13,7 +13,7 @@ def transform_poses(transform: Floats, tips_mm: Floats, axes: Floats) -> tuple[F
     """Move poses by a rigid transform; the axes are normalised again.
 
     The one place where poses are moved: digests of paths hang on its last bits. That the transform is rigid is for whoever
-    reads one to say (`cutgate.runtime.plan.model`); what is composed of those is not asked again.
+    reads one to say (`cutgate.runtime.plan.transform`); what is composed of those is not asked again.
 
     Args:
         transform: shape (4, 4), mm.

@@ -21,7 +21,8 @@ from cutgate.config.load import (
 )
 from cutgate.protocol.arrays import Floats
 from cutgate.runtime.plan.csv import parse_csv
-from cutgate.runtime.plan.model import Plan, PlanDocument, Registration, poses_of, shorter, table_of
+from cutgate.runtime.plan.model import Plan, PlanDocument, poses_of, shorter, table_of
+from cutgate.runtime.plan.registration import Registration
 
 PLAN_EXTENSIONS: Final = (".json", ".csv")
 REGISTRATION_EXTENSIONS: Final = (".json",)

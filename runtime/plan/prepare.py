@@ -17,7 +17,8 @@ from cutgate.config.records import tool_record
 from cutgate.protocol.arrays import Floats
 from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.kinematics.pose import transform_poses
-from cutgate.runtime.plan.model import Plan, Registration
+from cutgate.runtime.plan.model import Plan
+from cutgate.runtime.plan.registration import Registration
 
 Link = Literal["linked", "not linked"]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]

@@ -14,8 +14,8 @@ from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_d
 from cutgate.runtime.interlock.state import Deadlines, Job
 from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
-from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.plan.registration import Registration
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.plausibility import Placed

@@ -17,7 +17,7 @@ from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.interlock.state import Interlock, Phase
 from cutgate.runtime.plan.load import registration_from_bytes
-from cutgate.runtime.plan.model import Registration
+from cutgate.runtime.plan.registration import Registration
 from cutgate.runtime.session import withdrawn
 from cutgate.runtime.session.journal import plain
 from cutgate.runtime.session.withdrawn import NO_REGISTRATION, Withdrawal

@@ -20,7 +20,7 @@ from typing import Final
 from cutgate.config.load import InputError
 from cutgate.protocol.times import BEGINNING
 from cutgate.runtime.audit.directory import WITHDRAWN, Listed, extend_list, withdrawn_list
-from cutgate.runtime.plan.model import Registration
+from cutgate.runtime.plan.registration import Registration
 
 _ENTRY: Final = re.compile(
     r"(?P<registration>[0-9a-f]{64}) (?P<log>\S+)"

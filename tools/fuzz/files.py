@@ -12,8 +12,9 @@ from cutgate.config.load import InputError, Loaded, robot_from_bytes, site_from_
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
-from cutgate.runtime.plan.model import Plan, Registration
+from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.prepare import prepare
+from cutgate.runtime.plan.registration import Registration
 from tests.runtime.audit.build import inputs
 from tools.fuzz.harness import Family, attempt, choose, expect
 

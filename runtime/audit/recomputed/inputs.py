@@ -24,8 +24,8 @@ from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.container.stored import StoredAttachment
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
-from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
+from cutgate.runtime.plan.registration import Registration
 from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records

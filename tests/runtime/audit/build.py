@@ -28,8 +28,8 @@ from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo, Paths
 from cutgate.runtime.audit.tree import Tree
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
-from cutgate.runtime.plan.model import Registration
 from cutgate.runtime.plan.prepare import prepare, with_branch
+from cutgate.runtime.plan.registration import Registration
 from cutgate.runtime.verification import certificate, certified
 from cutgate.runtime.verification.approach import report
 from cutgate.runtime.verification.approach.decision import verify as verify_approach

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from cutgate.config.load import InputError, Loaded, robot_from_bytes
 from cutgate.protocol.records import Path as PathRecord
-from cutgate.runtime.plan.model import Plan, Registration
+from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.prepare import DEFAULT_FEED_MM_S, IDENTITY_REGISTRATION, with_branch
 from cutgate.runtime.plan.prepare import prepare as prepared
+from cutgate.runtime.plan.registration import Registration
 
 PRESET = Path(__file__).parents[3] / "config" / "presets" / "example.toml"
 ROBOT = robot_from_bytes("example.toml", PRESET.read_bytes())

@@ -20,11 +20,13 @@ from cutgate.config.load import (
     validate,
 )
 from cutgate.protocol.arrays import Floats
-from cutgate.runtime.plan.csv import parse_csv
-from cutgate.runtime.plan.model import Plan, PlanDocument, poses_of, shorter, table_of
+from cutgate.runtime.plan.model import Plan, PlanDocument
+from cutgate.runtime.plan.poses import poses_of, shorter, table_of
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.toolpath.languages import EXTENSIONS, check_declared, language_of
+from cutgate.runtime.plan.toolpath.model import PLAIN, Cut, Reading, Told
 
-PLAN_EXTENSIONS: Final = (".json", ".csv")
+PLAN_EXTENSIONS: Final = (".json", *EXTENSIONS)
 REGISTRATION_EXTENSIONS: Final = (".json",)
 PLANS: Final = Shipped(EXAMPLES, "", ".plan.json", "an example")
 REGISTRATIONS: Final = Shipped(EXAMPLES, "registration-", ".json", "an example")
@@ -34,16 +36,42 @@ BESIDE_POSES: Final = 1_000
 
 
 def load_plan(
-    path: str | Path, *, size_limit: int = DEFAULT_LIMIT, pose_limit: int = DEFAULT_POSE_LIMIT
+    path: str | Path,
+    *,
+    size_limit: int = DEFAULT_LIMIT,
+    pose_limit: int = DEFAULT_POSE_LIMIT,
+    reading: Reading = PLAIN,
 ) -> Loaded[Plan]:
-    """A plan (``.json``) or a bare tool path (``.csv``), or else the example of that name; read once.
+    """A plan (``.json``) or a bare tool path of one tool, or else the example of that name; read once.
 
     Raises:
         InputError: names file, key or line, value and bound.
     """
-    path = _found(path, PLANS, PLAN_EXTENSIONS, "a plan or tool path")
-    data = read_bytes(path, size_limit)
-    return Loaded(plan_from_bytes(path, data, pose_limit), data, path)
+    path, data = _read(path, size_limit)
+    return Loaded(plan_from_bytes(path, data, pose_limit, reading), data, path)
+
+
+def load_plans(
+    path: str | Path,
+    *,
+    size_limit: int = DEFAULT_LIMIT,
+    pose_limit: int = DEFAULT_POSE_LIMIT,
+    reading: Reading = PLAIN,
+    told: Told | None = None,
+) -> tuple[Loaded[Plan], ...]:
+    """The same, one plan for each tool of the file.
+
+    Raises:
+        InputError: names file, key or line, value and bound.
+    """
+    path, data = _read(path, size_limit)
+    plans = plans_from_bytes(path, data, pose_limit, reading, told)
+    return tuple(Loaded(plan, data, path) for plan in plans)
+
+
+def _read(path: str | Path, size_limit: int) -> tuple[Path, bytes]:
+    found = _found(path, PLANS, PLAN_EXTENSIONS, "a plan or tool path")
+    return found, read_bytes(found, size_limit)
 
 
 def load_registration(path: str | Path) -> Loaded[Registration]:
@@ -76,15 +104,67 @@ def registration_from_bytes(path: Path, data: bytes) -> Registration:
     return validate(path, Registration, parse_json(path, data), "cutgate.registration/1")
 
 
-def plan_from_bytes(path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMIT) -> Plan:
-    """The plan in ``data``; ``path`` decides the format and serves for messages.
+def plan_from_bytes(
+    path: Path, data: bytes, pose_limit: int = DEFAULT_POSE_LIMIT, reading: Reading = PLAIN
+) -> Plan:
+    """The plan in ``data``, for one tool; ``path`` decides the format and serves for messages.
+
+    Raises:
+        InputError: names file, key or line, value and bound; or the tools, where the file has several.
+    """
+    plans = plans_from_bytes(path, data, pose_limit, reading)
+    if len(plans) > 1:
+        cuts = [plan.cut for plan in plans if plan.cut is not None]
+        found = ", ".join(f"tool {cut.tool} from line {cut.lines[0]}" for cut in cuts)
+        remedy = "make a file of each tool's part; `cutgate verify` judges each part of this one"
+        raise InputError(path, "tools", found, "one tool: it is not changed while the bone is fixed", remedy)
+    return plans[0]
+
+
+def plans_from_bytes(
+    path: Path,
+    data: bytes,
+    pose_limit: int = DEFAULT_POSE_LIMIT,
+    reading: Reading = PLAIN,
+    told: Told | None = None,
+) -> tuple[Plan, ...]:
+    """What is in ``data``, a plan for each tool; ``path`` decides the format and serves for messages.
+
+    Args:
+        path: see above.
+        data: the file's content.
+        pose_limit: most poses of all tools together.
+        reading: what is declared of a tool path.
+        told: takes what was understood of a tool path, line by line.
 
     Raises:
         InputError: names file, key or line, value and bound.
     """
-    if path.suffix.lower() == ".csv":
-        tips, axes = parse_csv(path, data, pose_limit)
-        return Plan(path.stem, None, None, None, None, _identity(), None, tips, axes)
+    language = language_of(path)
+    check_declared(path, language, reading)
+    if language is None:
+        return (_plan(path, data, pose_limit),)
+    return tuple(_of_cut(path, cut) for cut in language.read(path, data, reading, pose_limit, told).cuts)
+
+
+def _of_cut(path: Path, cut: Cut) -> Plan:
+    """One tool's part of a tool path, with the feed that holds for all of it, if there is one."""
+    feeds = cut.feed_range_mm_s
+    return Plan(
+        id=path.stem,
+        implant=None,
+        side=None,
+        tool_length_mm=cut.tool_length_mm,
+        feed_mm_s=feeds[0] if feeds and feeds[0] == feeds[1] else None,
+        ct_T_implant=_identity(),
+        ct_id=None,
+        tips_mm=cut.tips_mm,
+        axes=cut.axes,
+        cut=cut,
+    )
+
+
+def _plan(path: Path, data: bytes, pose_limit: int) -> Plan:
     _check_crowd(path, data, pose_limit)
     document = validate(path, PlanDocument, parse_json(path, data), "cutgate.plan/1")
     _check_count(path, document.poses, pose_limit)

@@ -138,8 +138,15 @@ def _check_tool(plan: Loaded[Plan], mounted_u: int) -> None:
 
 
 def _feed(plan: Loaded[Plan], option: float | None) -> float:
-    """The plan's feed, else the option's, else the default; two different ones are refused."""
+    """The plan's feed, else the option's, else the default; two different ones are refused.
+
+    The controller cuts the whole path at one feed. Of a file with several it is the slowest, so that nothing is cut
+    faster than was meant, or the option's, which must be one of those between.
+    """
     planned = plan.value.feed_mm_s
+    several = plan.value.cut.feed_range_mm_s if plan.value.cut else None
+    if planned is None and several is not None:
+        return several[0] if option is None else _between(option, *several, plan.path)
     if planned is None:
         return DEFAULT_FEED_MM_S if option is None else option
     if option is not None and option != planned:
@@ -147,6 +154,14 @@ def _feed(plan: Loaded[Plan], option: float | None) -> float:
             plan.path, "feed_mm_s", f"{planned:g}", f"the {option:g} mm/s of --feed-mm-s", "drop the option"
         )
     return planned
+
+
+def _between(option: float, slowest: float, fastest: float, file: object) -> float:
+    """The option, where it is none that the file never uses."""
+    if not (slowest <= option <= fastest):
+        bound = f"one between the feeds of {file}, {slowest:.6g} and {fastest:.6g} mm/s"
+        raise InputError("--feed-mm-s", "", f"{option:g}", bound, "drop the option, or name one of these")
+    return option
 
 
 def _check_link(plan: Loaded[Plan], registration: Loaded[Registration] | None) -> Link:

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from cutgate.config.load import InputError, decode
-from cutgate.protocol.arrays import Floats
-from cutgate.runtime.plan.model import poses_of, shorter
+from cutgate.runtime.plan.poses import poses_of, shorter
+from cutgate.runtime.plan.toolpath.model import Cut, Reading, Told, ToolPath
 
 HEADER: Final = "x,y,z,i,j,k"
 _NUMBER: Final = r"[ \t]*+[+-]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+[ \t]*+"
@@ -16,8 +16,8 @@ _LINE: Final = re.compile(f"{_NUMBER}(?:,{_NUMBER}){{5}}")
 _CELL: Final = re.compile(_NUMBER)
 
 
-def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Floats]:
-    """Tips (n, 3) mm and unit axes (n, 3) of a CSV tool path.
+def read_csv(file: object, data: bytes, reading: Reading, pose_limit: int, told: Told | None) -> ToolPath:  # noqa: ARG001 - a `Reader`
+    """The poses of a CSV tool path.
 
     Strict: this header, six plain decimal numbers in every line, no blank or comment lines; only the last
     line may be empty. Nothing is skipped and nothing is guessed.
@@ -49,7 +49,11 @@ def parse_csv(file: object, data: bytes, pose_limit: int) -> tuple[Floats, Float
             raise _bad_line(file, number, line)
     cells = map(float, ",".join(rows).split(",")) if rows else ()
     table = np.fromiter(cells, np.float64, 6 * len(rows)).reshape(-1, 6)
-    return poses_of(file, table, lambda index: f"line {index + 2}")
+    tips, axes = poses_of(file, table, lambda index: f"line {index + 2}")
+    positioning = np.zeros(len(tips), dtype=np.bool_)
+    positioning[0] = True
+    feeds = np.full(len(tips), np.nan)
+    return ToolPath((Cut("", None, tips, axes, np.arange(2, len(tips) + 2), positioning, feeds),))
 
 
 def _bad_line(file: object, number: int, line: str) -> InputError:

@@ -1,0 +1,91 @@
+"""What a tool path file says, whatever its language: for each tool the poses between which it moves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cutgate.config.refusal import InputError
+from cutgate.protocol.arrays import Floats
+
+Lines = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Told = Callable[[int, str], None]
+"""Takes a line's number and what was understood of it."""
+
+ARC_TOLERANCE_MM: Final = 0.01
+AXIS_TOLERANCE_DEG: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a person declares of a tool path file, where the file leaves it open.
+
+    Attributes:
+        cutcom_is_tool_centre: coordinates under cutter compensation are the tool's centre already (APT's CUTCOM).
+        rotary: convention of the rotary words, such as ``xyzac``; None where none was declared.
+        arc_tolerance_mm: chords replace an arc no further off than this.
+        axis_tolerance_deg: great circles replace a turn of machine axes no further off than this.
+    """
+
+    cutcom_is_tool_centre: bool = False
+    rotary: str | None = None
+    arc_tolerance_mm: float = ARC_TOLERANCE_MM
+    axis_tolerance_deg: float = AXIS_TOLERANCE_DEG
+
+
+PLAIN: Final = Reading()
+"""Nothing is declared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """One tool's way from its first position to its last; between neighbouring poses it moves straight.
+
+    Attributes:
+        tool: the file's name for the tool; empty where it names none.
+        tool_length_mm: what the file says of its length, or None.
+        tips_mm: (n, 3).
+        axes: (n, 3), unit, from the tip toward the holder.
+        lines: (n,), the line of the file that each pose stems from.
+        positioning: (n,), whether the move that ends at a pose only positions (APT's RAPID, G0); the first is True.
+        feeds_mm_s: (n,), of the move that ends at a pose; NaN where it positions or the file gives none.
+        tolerance_mm: how far what the file describes may be from these straight lines.
+        tolerance_deg: the same of the tool axis.
+    """
+
+    tool: str
+    tool_length_mm: float | None
+    tips_mm: Floats
+    axes: Floats
+    lines: Lines
+    positioning: Flags
+    feeds_mm_s: Floats
+    tolerance_mm: float = 0.0
+    tolerance_deg: float = 0.0
+
+    @property
+    def feed_range_mm_s(self) -> tuple[float, float] | None:
+        """The slowest and the fastest feed of the moves that cut; None where the file gives none."""
+        given = self.feeds_mm_s[np.isfinite(self.feeds_mm_s)]
+        return (float(given.min()), float(given.max())) if given.size else None
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPath:
+    """All of a file: one cut for each tool, or for each time that a tool was mounted, in the file's order."""
+
+    cuts: tuple[Cut, ...]
+
+
+Reader = Callable[[object, bytes, Reading, int, Told | None], ToolPath]
+"""Reads one language: takes the file for messages, the whole of its content, what was declared, the most poses of all cuts
+together, and what takes the remarks on its lines, or None where nobody wants to know. Raises ``InputError``, which names
+line, what was found and what is accepted. Nothing is skipped that could move the tool."""
+
+
+def too_many(file: object, line: int, pose_limit: int, remedy: str) -> InputError:
+    """The refusal of a path that becomes longer than the limit at this line."""
+    return InputError(file, f"line {line}", f"over {pose_limit} poses", f"<= {pose_limit} poses", remedy)

@@ -1,4 +1,4 @@
-"""Names of the attachments that a replay reads. Input files keep the ending of their kind."""
+"""Names of what a replay reads: attachments, of which input files keep the ending of their kind, and an option of record 0."""
 
 from typing import Final
 
@@ -16,3 +16,6 @@ REGISTRATION: Final = "registration"
 PROOF: Final = "proof.bin"
 """The certificate of an admissible verdict."""
 DBC: Final = "cutgate.dbc"
+
+READING: Final = "tool path"
+"""Record 0's option that says how a tool path was read."""

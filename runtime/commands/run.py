@@ -18,6 +18,12 @@ from cutgate.runtime.audit.configuration import ALLOW_SIMULATED
 from cutgate.runtime.audit.directory import Previous
 from cutgate.runtime.commands.screen import delivered, working
 from cutgate.runtime.commands.session_view import SessionView, run_document, stopped
+from cutgate.runtime.commands.tool_path_options import (
+    ArcToleranceOption,
+    AxisToleranceOption,
+    CutcomOption,
+    RotaryOption,
+)
 from cutgate.runtime.commands.verdict_view import BAD
 from cutgate.runtime.commands.verify import (
     PLAN_HELP,
@@ -28,6 +34,7 @@ from cutgate.runtime.commands.verify import (
 )
 from cutgate.runtime.interlock.phases import ENDINGS
 from cutgate.runtime.interlock.state import Interlock
+from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.conduct import conduct
 from cutgate.runtime.session.interruption import signals_wake
@@ -83,6 +90,10 @@ def run(
     feed_mm_s: Annotated[
         float | None, typer.Option(min=0.001, max=10_000.0, help="Feed where the file has none (default 10).")
     ] = None,
+    cutcom_is_tool_centre: CutcomOption = False,
+    rotary: RotaryOption = None,
+    arc_tolerance_mm: ArcToleranceOption = ARC_TOLERANCE_MM,
+    axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
     q0_turns: Q0TurnsOption = None,
     roll_turns: RollTurnsOption = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
@@ -96,11 +107,14 @@ def run(
     """
     try:
         with working(f"reading {path}"):
-            files = read_files(path, robot, registration, site, feed_mm_s, allow_simulated=allow_simulated)
+            reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
+            files = read_files(
+                path, robot, registration, site, feed_mm_s, reading=reading, allow_simulated=allow_simulated
+            )
             secret = _key(key, files)
             asked = AskedTurns(q0_turns, roll_turns)
             job = make_job(files, now=utc_now(), asked=asked, key_fingerprint=fingerprint(secret))
-            check = Check(job, files.robot.value, files.placed)
+            check = Check(job, files.prepared.robot, files.placed)
     except KeyboardInterrupt:
         raise typer.Exit(STOPPED) from None
     fd = fd or files.settings.bus.fd

@@ -19,6 +19,7 @@ from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.toolpath.model import Cut
 
 Link = Literal["linked", "not linked"]
 Quantise = Callable[[Floats, Floats], tuple[Floats, Floats]]
@@ -40,12 +41,14 @@ class Prepared:
         plan: the plan or tool path.
         registration: None where none was given (identity).
         ct_link: whether plan and registration name the same CT, or one of them names none.
+        robot: the arm, whose path tolerances include what straight moves leave out of what the file describes.
     """
 
     path: Path
     plan: Loaded[Plan]
     registration: Loaded[Registration] | None
     ct_link: Link
+    robot: Robot
 
     @property
     def registration_digest(self) -> bytes:
@@ -124,7 +127,27 @@ def prepare(
         raise InputError(
             plan.path, "poses", str(error), "what the wire carries, in the robot frame", remedy
         ) from None
-    return Prepared(path, plan, registration, link)
+    try:
+        arm = widened(robot, plan.value.cut)
+    except ValueError:
+        bound = "small enough for path_tolerance_mm and path_tolerance_deg of robot.toml to hold them as well"
+        found = "what straight moves leave out of its arcs and turns"
+        raise InputError(plan.path, "tolerances", found, bound, "state smaller tolerances") from None
+    return Prepared(path, plan, registration, link, arm)
+
+
+def widened(robot: Robot, cut: Cut | None) -> Robot:
+    """The robot whose path tolerances are larger by how far what a tool path describes is from the straight moves in its stead.
+
+    Raises:
+        ValueError: the tolerances become larger than any that is allowed.
+    """
+    if cut is None or not (cut.tolerance_mm or cut.tolerance_deg):
+        return robot
+    document = robot.model_dump(by_alias=True)
+    document["deadband"]["path_tolerance_mm"] += cut.tolerance_mm
+    document["deadband"]["path_tolerance_deg"] += cut.tolerance_deg
+    return Robot.model_validate(document)
 
 
 def _check_tool(plan: Loaded[Plan], mounted_u: int) -> None:

@@ -16,6 +16,7 @@ from cutgate.runtime.interlock.tracking import TrackingTolerance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.toolpath.model import PLAIN, Reading
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.decide import decide
 from cutgate.runtime.verification.plausibility import Placed
@@ -33,6 +34,8 @@ class InputFiles:
     robot: Loaded[Robot]
     site: Loaded[Site] | None
     prepared: Prepared
+    reading: Reading = PLAIN
+    """What was declared of a tool path."""
     allow_simulated: bool = False
     """The option of the command line; the site's own word stands in its settings."""
 
@@ -72,6 +75,7 @@ def read_files(
     site: Path | None,
     feed_mm_s: float | None,
     *,
+    reading: Reading = PLAIN,
     allow_simulated: bool = False,
 ) -> InputFiles:
     """Read and check every input file.
@@ -84,7 +88,8 @@ def read_files(
     placed = load_registration(registration)
     chosen = settings.value if settings else Site()
     size_limit = chosen.files.file_size_limit_mb * BYTES_PER_MB
-    wanted = load_plan(plan, size_limit=size_limit, pose_limit=chosen.files.pose_limit)
+    limit = chosen.files.pose_limit
+    wanted = load_plan(plan, size_limit=size_limit, pose_limit=limit, reading=reading)
     prepared = prepare(
         wanted,
         placed,
@@ -93,7 +98,7 @@ def read_files(
         clock_skew_s=chosen.clock_skew_s,
         feed_mm_s=feed_mm_s,
     )
-    return InputFiles(arm, settings, prepared, allow_simulated)
+    return InputFiles(arm, settings, prepared, reading, allow_simulated)
 
 
 def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_fingerprint: str = "") -> Job:
@@ -108,7 +113,7 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
     Raises:
         InputError: the path does not fit in the turns asked for.
     """
-    robot, settings = files.robot.value, files.settings
+    robot, settings = files.prepared.robot, files.settings
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
     tool = tool_record(robot).body()
     path = files.prepared.path

@@ -10,6 +10,9 @@ from cutgate.config.ours import user
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
+from cutgate.runtime.audit.names import READING
+from cutgate.runtime.plan.toolpath.languages import language_of
+from cutgate.runtime.plan.toolpath.model import as_words
 from cutgate.runtime.session.job import VERIFIER, InputFiles
 from cutgate.runtime.session.journal import plain
 from cutgate.runtime.verification.asked import AskedTurns
@@ -73,4 +76,10 @@ def _options(files: InputFiles, bus: str, asked: AskedTurns) -> tuple[tuple[str,
     allowed_by = files.simulation_allowed_by
     allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
     branch = ((BRANCH, f"asked for: {asked}"),) if str(asked) else ()
-    return (("bus", plain(bus)), *branch, *allowed)
+    return (("bus", plain(bus)), *branch, *_reading(files), *allowed)
+
+
+def _reading(files: InputFiles) -> tuple[tuple[str, str], ...]:
+    """How a tool path was read, where its language leaves anything open: a replay reads it in the same way."""
+    language = language_of(files.prepared.plan.path)
+    return ((READING, as_words(files.reading, language.declared)),) if language and language.declared else ()

@@ -24,8 +24,10 @@ from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.container.stored import StoredAttachment
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
-from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, with_branch
+from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, widened, with_branch
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.toolpath.languages import language_of
+from cutgate.runtime.plan.toolpath.model import PLAIN, Reading, of_words
 from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.problem import Problem
 from cutgate.runtime.verification.recorded import problem_from_records
@@ -43,6 +45,8 @@ class ReplayInputs(NamedTuple):
     calibration: bytes
     tool: bytes
     robot: Robot
+    widened: Robot
+    """The same, with the path tolerances that it was verified with."""
     site: Site
     registration_digest: bytes
     placed: Placed | None
@@ -59,7 +63,7 @@ class ReplayInputs(NamedTuple):
             ReplayError: these pose no problem.
         """
         try:
-            problem = problem_from_records(self.path, self.limits, self.calibration, self.tool, self.robot)
+            problem = problem_from_records(self.path, self.limits, self.calibration, self.tool, self.widened)
             return replace(problem, closely=self.closely)
         except (RecordError, ValueError) as error:
             raise no_problem(error) from None
@@ -93,18 +97,47 @@ def inputs_of(log: Log) -> ReplayInputs:
     size_max = max(size_max, site.files.file_size_limit_mb * BYTES_PER_MB)
     file = _by_stem(log, names.REGISTRATION, size_max)
     registration = None if file is None else _registration(*file)
+    plan = _by_stem(log, names.PLAN, size_max)
     return ReplayInputs(
         path=needed(names.PATH),
         limits=needed(names.LIMITS),
         calibration=needed(names.CALIBRATION),
         tool=needed(names.TOOL),
         robot=robot,
+        widened=robot if plan is None else _widened(robot, *plan, _reading(log)),
         site=site,
         registration_digest=_digest(log, file, registration),
         placed=None if registration is None else _placed(registration, site),
         size_max=size_max,
         closely=_verifier(log) in BOUND_CLOSELY,
     )
+
+
+def _reading(log: Log) -> Reading:
+    """How the session read its tool path.
+
+    Raises:
+        ReplayError: record 0 says it in a way that is not known.
+    """
+    for opened in typed(log, records.AuditOpen)[:1]:
+        for option in opened.simulation:
+            if option.name == names.READING:
+                try:
+                    return of_words(option.value)
+                except ValueError as error:
+                    raise ReplayError(f"record 0: {error}") from None
+    return PLAIN
+
+
+def _widened(robot: Robot, path: FilePath, data: bytes, reading: Reading) -> Robot:
+    """The robot that the path was verified for; a plan leaves it as it is, and so does what cannot be read (`derivation`)."""
+    language = language_of(path)
+    if language is None or not language.declared:
+        return robot
+    try:
+        return widened(robot, plan_from_bytes(path, data, reading=reading).cut)
+    except ValueError as error:
+        raise ReplayError(f"attachment {path}: {error}") from None
 
 
 def _registration(path: FilePath, data: bytes) -> Registration:
@@ -152,7 +185,7 @@ def derivation(log: Log, inputs: ReplayInputs, opened: records.AuditOpen) -> Ite
     try:
         uploaded = Path.parse(inputs.path)
         path, data = plan
-        wanted = plan_from_bytes(path, data)
+        wanted = plan_from_bytes(path, data, reading=_reading(log))
         prepared = prepare(
             Loaded(wanted, data, path),
             None if registration is None else _loaded(*registration),

@@ -1,7 +1,8 @@
 """What a tool path file says, whatever its language: for each tool the poses between which it moves."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -38,6 +39,30 @@ class Reading:
 
 PLAIN: Final = Reading()
 """Nothing is declared."""
+_NAMES: Final = tuple(field.name for field in fields(Reading))
+
+
+def as_words(reading: Reading, names: Collection[str]) -> str:
+    """What these fields of a reading say, as a log keeps it: ``name=JSON``, in the order of the fields."""
+    return " ".join(f"{name}={json.dumps(getattr(reading, name))}" for name in _NAMES if name in names)
+
+
+def of_words(text: str) -> Reading:
+    """The reading that a log keeps; what it does not name is not declared.
+
+    Raises:
+        ValueError: the text is none of `as_words`.
+    """
+    pairs = [word.partition("=") for word in text.split()]
+    found = {name: json.loads(value) for name, _, value in pairs}
+    if not (len(found) == len(pairs) and found.keys() <= set(_NAMES)):
+        raise ValueError(f"{text!r} says no reading of a tool path")
+    reading = replace(PLAIN, **found)
+    for name in _NAMES:
+        usual, value = getattr(PLAIN, name), getattr(reading, name)
+        if type(value) is not type(usual) and not (usual is None and type(value) is str):
+            raise ValueError(f"{name} of the reading of a tool path is {value!r}")
+    return reading
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,16 @@ from cutgate.config.screen import printable
 from cutgate.runtime.commands.reach_files import files_for, save
 from cutgate.runtime.commands.reach_picture import between, height, signed
 from cutgate.runtime.commands.screen import echo, messages, output, working
+from cutgate.runtime.commands.tool_path_options import (
+    ArcToleranceOption,
+    AxisToleranceOption,
+    CutcomOption,
+    RotaryOption,
+)
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare
+from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.reach import Position
@@ -102,6 +109,10 @@ def reach_command(
             help="Displacements along z: a,b,c or first:last:step; if left out the height that guidance would choose."
         ),
     ] = None,
+    cutcom_is_tool_centre: CutcomOption = False,
+    rotary: RotaryOption = None,
+    arc_tolerance_mm: ArcToleranceOption = ARC_TOLERANCE_MM,
+    axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for reach.png, .html, .csv and .json, or one file of these kinds."),
@@ -120,8 +131,10 @@ def reach_command(
     arm = load_robot(robot)
     placed = load_registration(registration) if registration else None
     now, skew_s = datetime.now(UTC), Site().clock_skew_s
-    prepared = prepare(load_plan(plan), placed, arm.value, now=now, clock_skew_s=skew_s)
-    problem = off_line_problem(prepared.path, arm.value)
+    reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
+    wanted = load_plan(plan, reading=reading)
+    prepared = prepare(wanted, placed, arm.value, now=now, clock_skew_s=skew_s)
+    problem = off_line_problem(prepared.path, prepared.robot)
     if canonical(problem)[0].workspace.empty:
         raise InputError(
             robot, "limits", None, "a workspace: the limits leave none", "correct limits or offsets"

@@ -8,14 +8,22 @@ import typer
 from cutgate.config.load import InputError, read_bytes
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.screen import output, working
+from cutgate.runtime.commands.tool_path_options import (
+    ArcToleranceOption,
+    AxisToleranceOption,
+    CutcomOption,
+    RotaryOption,
+)
 from cutgate.runtime.commands.verify import (
     FeedOption,
     PathArgument,
     RegistrationOption,
     RobotOption,
     ToolOption,
+    one,
     read,
 )
+from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.verification import certificate as proofs
 from cutgate.runtime.verification.recorded import off_line_problem
 
@@ -32,12 +40,17 @@ def recheck(
     registration: RegistrationOption = None,
     tool_length_mm: ToolOption = None,
     feed_mm_s: FeedOption = None,
+    cutcom_is_tool_centre: CutcomOption = False,
+    rotary: RotaryOption = None,
+    arc_tolerance_mm: ArcToleranceOption = ARC_TOLERANCE_MM,
+    axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
 ) -> None:
     """Check the proof that a whole cut path is admissible, interval by interval, without a search.
 
     Exit code: 0 the proof holds, 1 it does not prove this path admissible, 2 refused input.
     """
-    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s)
+    reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
+    prepared = one(read(path, robot, registration, tool_length_mm, feed_mm_s, reading=reading))
     try:
         proof = proofs.Certificate.parse(
             read_bytes(certificate, remedy="it holds something else; name a proof")
@@ -46,7 +59,7 @@ def recheck(
         remedy = "write it anew with `cutgate verify --certificate`"
         raise InputError(certificate, "", None, str(error), remedy) from None
     with working(f"checking {certificate}"):
-        reasons = proofs.recheck(off_line_problem(prepared.path, arm), proof)
+        reasons = proofs.recheck(off_line_problem(prepared.path, prepared.robot), proof)
     pieces = len(prepared.path) - 1 + len(proof.cut_segment)
     console = output()
     if reasons:

@@ -1,6 +1,8 @@
 """``cutgate verify``: off-line verification of a plan or tool path."""
 
 import time
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -8,13 +10,22 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 
 from cutgate.config.load import BYTES_PER_MB, PRESETS, InputError, load_robot, load_site
-from cutgate.config.model import Robot, Site
+from cutgate.config.model import Site
 from cutgate.config.records import calibration_record, limits_record
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
 from cutgate.runtime.commands.screen import echo, output, working
+from cutgate.runtime.commands.tool_path_options import (
+    ArcToleranceOption,
+    AxisToleranceOption,
+    CutcomOption,
+    RotaryOption,
+)
+from cutgate.runtime.commands.tool_path_view import facts as tool_path_facts
+from cutgate.runtime.commands.tool_path_view import title, whole, with_tool_path
 from cutgate.runtime.commands.verdict_view import (
     print_cautions,
     print_end,
@@ -23,8 +34,9 @@ from cutgate.runtime.commands.verdict_view import (
     print_verdict,
     where_facts,
 )
-from cutgate.runtime.plan.load import PLANS, load_plan, load_registration
+from cutgate.runtime.plan.load import PLANS, load_plans, load_registration, single_tool
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, PLAIN, Reading, Told
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
@@ -92,20 +104,18 @@ class Checked:
     elapsed_ms: float
 
 
-def check(
-    prepared: Prepared, robot: Robot, method: Method = Method.certified, asked: AskedTurns = BEST
-) -> Checked:
+def check(prepared: Prepared, method: Method = Method.certified, asked: AskedTurns = BEST) -> Checked:
     """Verifies off-line exactly what the controller would be given.
 
     Args:
-        prepared: the quantised path.
-        robot: limits, calibration, deadband.
+        prepared: the quantised path, and the robot with its limits, calibration and deadband.
         method: which verifier decides.
         asked: the turns of the joint branch, where not the best are to be taken.
 
     Raises:
         InputError: the path does not fit in the turns asked for.
     """
+    robot = prepared.robot
     limits, calibration = limits_record(robot).body(), calibration_record(robot).body()
     problem = in_branch(off_line_problem(prepared.path, robot), asked)
     decide = certified.verify if method is Method.certified else stocco.verify
@@ -126,30 +136,49 @@ def read(
     tool_length_mm: float | None,
     feed_mm_s: float | None,
     site: Site | None = None,
-) -> tuple[Robot, Prepared]:
-    """Reads the files and prepares the path that the controller would be given.
+    *,
+    reading: Reading = PLAIN,
+    told: Told | None = None,
+) -> tuple[Prepared, ...]:
+    """Reads the files and prepares the paths that the controller would be given, one for each tool of a tool path.
 
     Raises:
         InputError: a file that cannot be used.
     """
-    with working(f"reading {path}"):
+    with nullcontext() if told else working(f"reading {path}"):
         arm = load_robot(robot).value
         settings = site or Site()
         bounds = settings.files
-        plan = load_plan(
-            path, size_limit=bounds.file_size_limit_mb * BYTES_PER_MB, pose_limit=bounds.pose_limit
+        plans = load_plans(
+            path,
+            size_limit=bounds.file_size_limit_mb * BYTES_PER_MB,
+            pose_limit=bounds.pose_limit,
+            reading=reading,
+            told=told,
         )
         placed = load_registration(registration) if registration else None
-        prepared = prepare(
-            plan,
-            placed,
-            arm,
-            now=datetime.now(UTC),
-            clock_skew_s=settings.clock_skew_s,
-            tool_length_mm=tool_length_mm,
-            feed_mm_s=feed_mm_s,
+        return tuple(
+            prepare(
+                plan,
+                placed,
+                arm,
+                now=datetime.now(UTC),
+                clock_skew_s=settings.clock_skew_s,
+                tool_length_mm=tool_length_mm,
+                feed_mm_s=feed_mm_s,
+            )
+            for plan in plans
         )
-    return arm, prepared
+
+
+def one(prepared: tuple[Prepared, ...]) -> Prepared:
+    """The only one.
+
+    Raises:
+        InputError: the file has several tools.
+    """
+    single_tool(prepared[0].plan.path, [ready.plan.value for ready in prepared])
+    return prepared[0]
 
 
 def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
@@ -189,9 +218,10 @@ def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) 
         elapsed_ms=checked.elapsed_ms,
         other_elbow=other_elbow(problem, verdict),
     )
-    whole = described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
+    known = described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
     error = tolerated(problem, verdict)
-    return {**whole, "registration_error": None if error is None else asdict(error)}
+    known["registration_error"] = None if error is None else asdict(error)
+    return with_tool_path(known, problem, prepared.plan.value.cut)
 
 
 def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
@@ -215,6 +245,13 @@ def verify(
     ] = None,
     q0_turns: Q0TurnsOption = None,
     roll_turns: RollTurnsOption = None,
+    cutcom_is_tool_centre: CutcomOption = False,
+    rotary: RotaryOption = None,
+    arc_tolerance_mm: ArcToleranceOption = ARC_TOLERANCE_MM,
+    axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print what was understood of a tool path, line by line, first.")
+    ] = False,
     certificate: Annotated[
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
@@ -232,25 +269,70 @@ def verify(
         raise typer.BadParameter(
             "the published march proves nothing between its steps; use --method certified"
         )
+    if explain and json:
+        raise typer.BadParameter("one JSON document leaves no room for --explain")
     settings = load_site(site).value if site else Site()
-    arm, prepared = read(path, robot, registration, tool_length_mm, feed_mm_s, settings)
-    checked = check(prepared, arm, method, AskedTurns(q0_turns, roll_turns))
-    found = _cautions(checked, prepared, settings.registration_max_residual_mm)
+    reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
+    told = _explain if explain else None
+    tools = read(path, robot, registration, tool_length_mm, feed_mm_s, settings, reading=reading, told=told)
     if certificate is not None:
-        _write_proof(certificate, checked.problem, checked.verdict)
+        one(tools)
+    asked, most_mm = AskedTurns(q0_turns, roll_turns), settings.registration_max_residual_mm
+    judged = [_Judged.of(prepared, method, asked, most_mm) for prepared in tools]
+    if certificate is not None:
+        _write_proof(certificate, judged[0].checked.problem, judged[0].checked.verdict)
     if json:
-        echo(document_text(_document(checked, prepared, found)))
+        echo(document_text(whole([_document(each.checked, each.prepared, each.cautions) for each in judged])))
     else:
-        console = output()
-        facts = _facts(prepared, checked, every_place=verbose)
-        print_verdict(console, checked.verdict, checked.digests, facts, hashes=verbose)
-        print_cautions(console, found)
-        print_tolerated(console, tolerated(checked.problem, checked.verdict))
-        print_other_elbow(console, other_elbow(checked.problem, checked.verdict))
-        guidance = _guidance(checked, prepared)
-        print_cautions(console, cautions_of_move(guidance))
-        print_end(console, checked.verdict, guidance)
-    raise typer.Exit(ADMISSIBLE if checked.verdict.admissible else INADMISSIBLE)
+        _print(judged, verbose=verbose)
+    admissible = all(each.checked.verdict.admissible for each in judged)
+    raise typer.Exit(ADMISSIBLE if admissible else INADMISSIBLE)
+
+
+def _explain(line: int, text: str) -> None:
+    """One line of a tool path file, as it was understood."""
+    echo(f"line {line}: {printable(text)}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One tool's path with its verdict, and what looks wrong with it."""
+
+    prepared: Prepared
+    checked: Checked
+    cautions: tuple[Caution, ...]
+
+    @classmethod
+    def of(cls, prepared: Prepared, method: Method, asked: AskedTurns, most_mm: float | None) -> "_Judged":
+        checked = check(prepared, method, asked)
+        return cls(prepared, checked, _cautions(checked, prepared, most_mm))
+
+
+def _print(judged: Sequence[_Judged], *, verbose: bool) -> None:
+    """Each tool's verdict, under a title where there are several; then how many are admissible."""
+    console, count = output(), len(judged)
+    for number, each in enumerate(judged, start=1):
+        if count > 1:
+            console.rule(printable(title(each.prepared.plan.value.cut, number, count)), align="left")
+        _print_one(console, each, verbose=verbose)
+    if count > 1:
+        good = sum(each.checked.verdict.admissible for each in judged)
+        console.rule(align="left")
+        console.print(
+            f"{good} of {count} tools' paths are admissible; `cutgate run` takes a path of one tool."
+        )
+
+
+def _print_one(console: Console, each: _Judged, *, verbose: bool) -> None:
+    checked, verdict = each.checked, each.checked.verdict
+    facts = _facts(each.prepared, checked, every_place=verbose)
+    print_verdict(console, verdict, checked.digests, facts, hashes=verbose)
+    print_cautions(console, each.cautions)
+    print_tolerated(console, tolerated(checked.problem, verdict))
+    print_other_elbow(console, other_elbow(checked.problem, verdict))
+    guidance = _guidance(checked, each.prepared)
+    print_cautions(console, cautions_of_move(guidance))
+    print_end(console, verdict, guidance)
 
 
 def _facts(prepared: Prepared, checked: Checked, *, every_place: bool) -> dict[str, str]:
@@ -263,6 +345,8 @@ def _facts(prepared: Prepared, checked: Checked, *, every_place: bool) -> dict[s
     }
     if placed:
         facts["CT"] = f"{prepared.ct_link}; registration residual {placed.value.residual_rms_mm:g} mm rms"
+    if plan.value.cut is not None:
+        facts |= tool_path_facts(checked.problem, plan.value.cut, path.feed_mm_s)
     tips = {name: place(checked.problem, boundary) for name, boundary in checked.verdict.boundaries.items()}
     facts |= where_facts(asdict(extent(checked.problem)), checked.verdict, tips, every_place=every_place)
     return facts | {"elapsed": f"{checked.elapsed_ms:.1f} ms"}

@@ -1,6 +1,7 @@
 """Plan, tool path and registration files, by their extension."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -113,12 +114,21 @@ def plan_from_bytes(
         InputError: names file, key or line, value and bound; or the tools, where the file has several.
     """
     plans = plans_from_bytes(path, data, pose_limit, reading)
+    single_tool(path, plans)
+    return plans[0]
+
+
+def single_tool(path: Path, plans: Sequence[Plan]) -> None:
+    """Refuses a file of several tools: no tool is changed while the bone is fixed.
+
+    Raises:
+        InputError: names the tools.
+    """
     if len(plans) > 1:
         cuts = [plan.cut for plan in plans if plan.cut is not None]
         found = ", ".join(f"tool {cut.tool} from line {cut.lines[0]}" for cut in cuts)
         remedy = "make a file of each tool's part; `cutgate verify` judges each part of this one"
-        raise InputError(path, "tools", found, "one tool: it is not changed while the bone is fixed", remedy)
-    return plans[0]
+        raise InputError(path, "tools", found, "one tool, mounted for the whole path", remedy)
 
 
 def plans_from_bytes(

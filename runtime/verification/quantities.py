@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,8 +152,27 @@ def wrist_length(segments: Segments, tool_mm: float) -> float:
     return sum(_wrist_length(segments, part, tool_mm) for part in parts)
 
 
+def wrist_lengths(segments: Segments, tool_mm: float) -> Floats:
+    """The same of each segment, mm, shape (n,)."""
+    parts = (slice(i, i + BLOCK) for i in range(0, len(segments), BLOCK))
+    return np.concatenate(
+        [
+            sum((weight * found for weight, found in _wrist_steps(segments, part, tool_mm)), 0.0)
+            for part in parts
+        ]
+    )
+
+
 def _wrist_length(segments: Segments, part: slice, tool_mm: float) -> float:
-    """Of some segments.
+    """Of some segments."""
+    total = 0.0
+    for weight, found in _wrist_steps(segments, part, tool_mm):
+        total += weight * float(found.sum())
+    return total
+
+
+def _wrist_steps(segments: Segments, part: slice, tool_mm: float) -> Iterator[tuple[float, Floats]]:
+    """Weights, and how far the wrist centre would go in each of some segments at the rate it has at one node, mm.
 
     With u and v the axes at the ends of one, the axis turned by phi changes by (cos(phi) v - cos(theta - phi) u) / sin(theta).
     """
@@ -160,14 +180,13 @@ def _wrist_length(segments: Segments, part: slice, tool_mm: float) -> float:
     after = slice(part.start + 1, part.start + len(theta) + 1)
     step = segments.tip[after] - segments.tip[part.start : after.stop - 1]
     if not theta.any():
-        return float(lengths(step).sum())
+        yield 1.0, lengths(step)
+        return
     sine = np.where(theta > 0.0, np.sin(theta), 1.0)
     steady = dot(step, step) + (tool_mm * theta) ** 2
     along_u, along_v = dot(step, segments.axis[part.start : after.stop - 1]), dot(step, segments.axis[after])
     turned = [np.cos((node + 1.0) / 2.0 * theta) for node, _ in GAUSS_LEGENDRE]
     double = 2.0 * tool_mm * theta / sine
-    total = 0.0
     for (_, weight), phi, rest in zip(GAUSS_LEGENDRE, turned, reversed(turned), strict=True):
         square = steady + double * (phi * along_v - rest * along_u)
-        total += weight / 2.0 * float(np.sqrt(np.maximum(square, 0.0)).sum())
-    return total
+        yield weight / 2.0, np.sqrt(np.maximum(square, 0.0))

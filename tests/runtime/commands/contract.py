@@ -50,6 +50,7 @@ class BoundaryPart(Part):
     fraction: Annotated[Real, Field(ge=0, le=1)] | None
     tip_length_mm: Annotated[Real, Field(ge=0)] | None
     tip_mm: Vector | None = None  # of verify --json
+    line: Annotated[int, Field(ge=1)] | None = None  # of a tool path's file
     violated: bool
 
 
@@ -116,6 +117,22 @@ class OtherElbowPart(Part):
     text: Annotated[str, Field(min_length=1)]
 
 
+class WayPart(Part):
+    segments: Annotated[int, Field(ge=0)]
+    tip_length_mm: Annotated[Real, Field(ge=0)]
+    wrist_length_mm: Annotated[Real, Field(ge=0)]
+
+
+class ToolPathPart(Part):
+    tool: str
+    lines: tuple[int, int]
+    cutting: WayPart
+    positioning: WayPart
+    feeds_mm_s: tuple[Real, Real] | None
+    tolerance_mm: Annotated[Real, Field(ge=0)]
+    tolerance_deg: Annotated[Real, Field(ge=0)]
+
+
 class DigestsPart(Part):
     path: Hex
     limits: Hex
@@ -160,6 +177,7 @@ class VerifyDocument(VerdictDocument):
     warnings: list[WarningPart]
     extent: ExtentPart
     registration_error: RegistrationErrorPart | None
+    tool_path: ToolPathPart | None = None  # of a plan there is none
 
     @model_validator(mode="after")
     def _each_worst_place_has_its_tip(self):

@@ -54,8 +54,8 @@ def test_the_age_of_a_registration_counts_from_its_creation(files):
 
 def test_the_turns_that_are_asked_for_are_the_jobs_and_others_are_refused(files):
     limits = files.robot.value.limits.model_copy(update={"q3_deg": (-1000.0, 1000.0)})
-    wide = replace(files.robot, value=files.robot.value.model_copy(update={"limits": limits}))
-    files = replace(files, robot=wide)
+    wide = files.robot.value.model_copy(update={"limits": limits})
+    files = replace(files, prepared=replace(files.prepared, robot=wide))
     job = make_job(files, now=NOW, asked=AskedTurns(roll=2))
     assert job.branch == records.Branch("right", 0, 2)
     assert records.Path.parse(job.path).roll_turns == 2

@@ -49,6 +49,17 @@ class Case:
         return not self.dense.full or bool(self.dense.turns_that_fit(0, self.least))
 
     @cached_property
+    def keeps_its_bend(self):
+        """Whether every place within the errors of the wrist centre is reached with an elbow neither straight nor folded.
+
+        The deadbands of inner and outer see to it, but for places beyond a shoulder's limit, where these arcs end.
+        """
+        dense = self.dense
+        square = dense.a0**2 + dense.a1**2 + 2 * dense.a0 * dense.a1 * np.cos(dense.samples.q[:, 1])
+        radius, error = np.sqrt(square), dense.error_mm + ORACLE
+        return radius.max() + error < dense.a0 + dense.a1 and radius.min() - error > abs(dense.a0 - dense.a1)
+
+    @cached_property
     def margins(self):
         """Least margin of each boundary that the reference knows, in the verdict's joint branch."""
         found = dict(zip(COLUMNS[:9], self.least[:9].tolist(), strict=True))
@@ -133,10 +144,18 @@ def bounds_lie_below_every_sampled_pose(case):
             yield f"{b} is proved above the sampled {margins[name]}"
 
 
+def defines_the_roll(verdict):
+    """Whether the boundaries are kept near which the roll is undefined or turns without bound."""
+    return all(
+        name in verdict.boundaries and not verdict.boundaries[name].violated
+        for name in ("inner", "outer", "wrist_singularity")
+    )
+
+
 def brackets_are_a_hundredth_wide_inside_the_reach(case):
     if not case.inside:
         return
-    kept = all(not case.verdict.boundaries[n].violated for n in ("inner", "outer", "wrist_singularity"))
+    kept = defines_the_roll(case.verdict) and case.keeps_its_bend
     margins = case.margins
     for name, b in case.verdict.boundaries.items():
         if b.clearance is None:
@@ -240,14 +259,10 @@ def undecided(verdict):
 
 def widest(verdict):
     """Widest bracket among those that the documentation promises to be a hundredth wide, mm and deg."""
-    kept = all(
-        n in verdict.boundaries and not verdict.boundaries[n].violated
-        for n in ("inner", "outer", "wrist_singularity")
-    )
     return max(
         b.clearance - b.certified
         for b in verdict.boundaries.values()
-        if b.clearance is not None and (kept or not b.name.startswith("roll"))
+        if b.clearance is not None and (defines_the_roll(verdict) or not b.name.startswith("roll"))
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from cutgate.config.refusal import InputError
+from cutgate.runtime.plan.toolpath.apt import read_apt
 from cutgate.runtime.plan.toolpath.csv import read_csv
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reader, Reading
 
@@ -34,7 +35,15 @@ class Language:
     declared: frozenset[str] = frozenset()
 
 
-LANGUAGES: Final = (Language("CSV", (".csv",), read_csv),)
+LANGUAGES: Final = (
+    Language("CSV", (".csv",), read_csv),
+    Language(
+        "APT/CL",
+        (".apt", ".cls", ".ncl"),
+        read_apt,
+        declared=frozenset({"cutcom_is_tool_centre", "arc_tolerance_mm"}),
+    ),
+)
 
 EXTENSIONS: Final = tuple(extension for language in LANGUAGES for extension in language.extensions)
 

@@ -11,7 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.load import InputError
-from cutgate.runtime.plan.load import load_plan, load_registration, plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.load import (
+    PLAN_EXTENSIONS,
+    load_plan,
+    load_registration,
+    plan_from_bytes,
+    registration_from_bytes,
+)
 from cutgate.runtime.plan.toolpath import csv
 
 EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -312,7 +318,7 @@ def test_a_bad_tool_path_is_refused_naming_line_value_and_bound(text, parts):
     assert all(part in message for part in ("some.csv", *parts)), message
 
 
-@pytest.mark.parametrize("name", ["p.txt", "p", "p.apt", "p.ngc", "p.json.gz"])
+@pytest.mark.parametrize("name", ["p.txt", "p", "p.step", "p.json.gz"])
 @pytest.mark.parametrize("there", [True, False])
 def test_another_extension_is_refused_naming_the_accepted_ones(name, there, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -320,7 +326,7 @@ def test_another_extension_is_refused_naming_the_accepted_ones(name, there, tmp_
         (tmp_path / name).touch()
     message = message_of(lambda: load_plan(name))
     assert name in message
-    assert "must be .json or .csv for a plan or tool path" in message
+    assert f"must be {' or '.join(PLAN_EXTENSIONS)} for a plan or tool path" in message
     assert "must be .json for a registration" in message_of(lambda: load_registration(name))
 
 

@@ -11,15 +11,18 @@ import numpy as np
 from cutgate.config.load import InputError, Loaded, robot_from_bytes, site_from_bytes
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.protocol import records as wire
-from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
+from cutgate.runtime.plan.load import plan_from_bytes, plans_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.toolpath.model import Reading
 from tests.runtime.audit.build import inputs
 from tools.fuzz.harness import Family, attempt, choose, expect
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 POSE_LIMIT = 5000
+EXPANDED_LIMIT = 1000
+"""Poses of a language in which a line may stand for many."""
 
 
 def check(data: bytes) -> None:
@@ -70,6 +73,27 @@ def _quantised(plan: Plan, data: bytes, registration: Loaded[Registration]) -> N
         expect(wire.Path.parse(prepared.path.body()) == prepared.path, "a path can be sent")
 
 
+def _apt(data: bytes) -> None:
+    """Every pose of every tool, and what is told of the lines."""
+    told: list[int] = []
+
+    def hear(line: int, text: str) -> None:
+        told.append(line)
+        expect(bool(text), "something is told of each statement")
+
+    reading = Reading(cutcom_is_tool_centre=True)
+    plans = plans_from_bytes(Path("path.apt"), data, EXPANDED_LIMIT, reading, hear)
+    expect(sum(len(plan.tips_mm) for plan in plans) <= EXPANDED_LIMIT, "the limit of poses holds")
+    expect(told == sorted(set(told)) and told[-1] <= data.count(b"\n") + 1, "each statement is told once")
+    for plan in plans:
+        expect(bool(np.isfinite(plan.tips_mm).all()), "every pose is finite")
+        expect(
+            bool((abs(np.linalg.norm(plan.axes, axis=1) - 1.0) < 1e-9).all()), "every axis is a unit vector"
+        )
+        expect(plan.cut is not None and set(plan.cut.lines.tolist()) <= set(told), "a pose has its line")
+    _quantised(plans[0], data, REGISTRATION)
+
+
 def _registration(data: bytes) -> None:
     value = registration_from_bytes(Path("registration.json"), data)
     expect(value.created.utcoffset() is not None, "a registration's time is absolute")
@@ -84,6 +108,7 @@ FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
     ("plan.json", _plan),
     ("path.csv", _csv),
     ("registration.json", _registration),
+    ("path.apt", _apt),
 )
 PLAN = plan_from_bytes(Path("plan.csv"), inputs().plan)
 REGISTRATION = Loaded(
@@ -122,6 +147,32 @@ wrist_deg = 2.0
 path_tolerance_mm = 0.1
 path_tolerance_deg = 0.1
 """
+APT = b"""$$ every kind of motion
+PARTNO/1
+UNITS/MM
+LOADTL/1,LENGTH,160.
+TRNTYP/WORLD,0,0,0
+CSYS/0,0,1.,0,1.,0,0,0,0,1.,0,0
+FEDRAT/600.,MMPM
+FROM/40.,0,0,1.,0,0
+RAPID
+GOTO/10.,.5,-2.E0,1.,0,0
+GODLTA/-1.,0,0
+CUTCOM/LEFT
+CIRCLE/9.,5.5,-2.,1.,0,0,5.
+GOTO/9.,10.5,$
+-2.
+CUTCOM/OFF
+GOHOME
+load / tool,2
+CSYS/1.,0,0,0,0,1.,0,0,0,0,1.,0
+SPINDL/1200,RPM,CLW
+GOTO/0,0,20.,0,0,1.
+CYCLE/DEEP2,FEDTO,9.,1STPECK,5.,SUBPECK,2.,MMPR,.05,RAPTO,3.,RTRCTO,20.
+GOTO/5.,5.,0
+CYCLE/OFF
+FINI
+"""
 PLAN_JSON: dict[str, Any] = {
     "schema": "cutgate.plan/1",
     "id": "a",
@@ -150,6 +201,8 @@ def _seeds() -> Iterator[bytes]:
         ("plan.json", json.dumps(PLAN_JSON).encode()),
         ("path.csv", i.plan),
         ("path.csv", i.plan.replace(b"\n", b"\r\n")),
+        ("path.apt", APT),
+        ("path.apt", APT.replace(b"\n", b"\r\n").replace(b"UNITS/MM", b"UNIT/INCH").replace(b"160.", b"6.")),
         ("registration.json", i.registration),
         ("registration.json", i.registration.replace(b'"id"', b'"ct_id": "ct", "id"')),
     )

@@ -291,7 +291,7 @@ def test_a_bad_registration_is_refused_naming_file_key_value_and_bound(place, va
 BAD_CSVS = [
     ("", ("line 1", "x,y,z,i,j,k")),
     ("0,0,0,0,0,1\n", ("line 1", "'0,0,0,0,0,1'")),
-    ("X,Y,Z,I,J,K\n" + CSV, ("line 1", "X,Y,Z")),
+    ("X,Y,Z,I,J,K\n" + CSV, ("line 2 column X", "'x'", "finite decimal")),
     ("\ufeff\ufeff" + CSV, ("line 1", "header")),
     ("x" + CSV, ("line 1", "header")),
     ("x,y,z,i,j,k\n", ("poses", "0 poses", ">= 2")),
@@ -460,7 +460,8 @@ def is_number(cell: str) -> bool:
     st.text(alphabet="0123456789+-.eE \t_nx,", max_size=12) | st.floats().map(str) | st.integers().map(str)
 )
 def test_a_number_is_what_float_reads_without_its_extras(cell):
-    assert bool(csv._CELL.fullmatch(cell)) is is_number(cell)
+    plain = csv._Form(csv._PLAIN, csv._POINT, (False,) * 6)
+    assert bool(plain.cell(0).fullmatch(cell)) is is_number(cell)
 
 
 def error_of(act) -> InputError | None:

@@ -38,7 +38,7 @@ def ways(problem: Problem, cut: Cut) -> tuple[Way, Way]:
 def facts(problem: Problem, cut: Cut, feed_mm_s: float) -> dict[str, str]:
     """Label and value."""
     cutting, positioning = ways(problem, cut)
-    told = {"tool": f"{_name(cut)}, {_where(cut)}"} if cut.tool else {}
+    told = {"tool path": f"{_name(cut)}, {_where(cut)}"}
     told["cutting"] = f"{cutting.segments} segments, tip {cutting.tip_length_mm:.1f} mm"
     if positioning.segments:
         told["positioning"] = (
@@ -51,13 +51,13 @@ def facts(problem: Problem, cut: Cut, feed_mm_s: float) -> dict[str, str]:
         told["feed"] = f"{feed_mm_s:.4g} mm/s for all of it; the file has {least:.4g} to {most:.4g} mm/s"
     if cut.tolerance_mm or cut.tolerance_deg:
         told["straightened"] = (
-            f"arcs within {cut.tolerance_mm:g} mm, turns within {cut.tolerance_deg:g} deg: widens the deadbands"
+            f"arcs within {cut.tolerance_mm:.3g} mm, turns within {cut.tolerance_deg:.3g} deg: widens the deadbands"
         )
     return told
 
 
 def _name(cut: Cut) -> str:
-    return cut.tool or "the file's tool"
+    return f"tool {cut.tool}" if cut.tool else "one tool"
 
 
 def _where(cut: Cut) -> str:
@@ -70,9 +70,9 @@ def title(cut: Cut | None, number: int, count: int) -> str:
     return f"Part {number} of {count}{told}"
 
 
-def line_of(cut: Cut, segment: int | None) -> int | None:
-    """The line of the file that a segment stems from."""
-    return None if segment is None else int(cut.lines[segment + 1])
+def line_of(cut: Cut, segment: int | None, fraction: float | None) -> int | None:
+    """The line of the file that a place on a segment stems from: of its first pose, or of the move behind that."""
+    return None if segment is None else int(cut.lines[segment + bool(fraction)])
 
 
 def with_tool_path(document: dict[str, Any], problem: Problem, cut: Cut | None) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def with_tool_path(document: dict[str, Any], problem: Problem, cut: Cut | None) 
         "wrist_length_mm": cutting.wrist_length_mm,
     }
     boundaries = {
-        name: {**entry, "line": line_of(cut, entry["segment"])}
+        name: {**entry, "line": line_of(cut, entry["segment"], entry["fraction"])}
         for name, entry in document["boundaries"].items()
     }
     told = {

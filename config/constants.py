@@ -40,6 +40,9 @@ TIMEOUT_HEARTBEATS: Final = 4
 EARLIER_TIMEOUT_HEARTBEATS: Final = 3
 """What it was in version 0.1.0: sites of recorded logs are read."""
 
+CHECK_POINTS_MAX: Final = 100
+"""Of one registration."""
+
 REGISTRATIONS_MAX: Final = 1000
 """So many withdrawn registrations a controller remembers, by their places; where no further one fits it opens no session."""
 
@@ -73,6 +76,11 @@ TABLE: Final[tuple[Constant, ...]] = (
         "durable record while cutting; longer, because a slow disk must not stop a half-cut bone",
     ),
     Constant("chunk_period_ms", "ms", 1000, 100, 1000, False, "oldest unwritten record of the log"),
+    Constant(
+        "check_point_tolerance_mm", "mm", 2, 0.01, 20, False,
+        "a check point of the registration off where the registration puts it",
+    ),
+    Constant("check_points_min", "points", 0, 0, CHECK_POINTS_MAX, False, "check points that a registration must have"),
     Constant("file_size_limit_mb", "MB", 64, 1, 1024, False, "largest input file that is read (1 MB = 1 000 000 bytes)"),
     Constant("pose_limit", "poses", 1_048_576, 2, 1_048_576, False, "longest path that is read; the wire carries no longer one"),
 )  # fmt: skip

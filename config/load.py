@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Generic, TypeVar, cast
+from typing import Any, BinaryIO, Final, Generic, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -476,5 +476,6 @@ def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> list[st
     """The keys the model accepts at ``place``."""
     current = model
     for part in place:
-        current = cast("type[BaseModel]", current.model_fields[str(part)].annotation)
+        inner = get_args(current)[0] if isinstance(part, int) else current.model_fields[part].annotation
+        current = cast("type[BaseModel]", inner)
     return [field.alias or name for name, field in current.model_fields.items()]

@@ -336,6 +336,8 @@ class Site(Strictly):
     key_file: Text | None = None
     registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None
     registration_max_residual_mm: Annotated[Real, Field(gt=0, le=100)] | None = None
+    check_point_tolerance_mm: Real = _constant("check_point_tolerance_mm")
+    check_points_min: Integer = _constant("check_points_min")
     clock_skew_s: Annotated[Real, Field(ge=0, le=CLOCK_SKEW_MAX_S)] = 60.0
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
@@ -350,4 +352,5 @@ class Site(Strictly):
             self.files,
         )
         values = {name: value for table in tables for name, value in table.model_dump().items()}
+        values |= self.model_dump(include={"check_point_tolerance_mm", "check_points_min"})
         return {name: values[name] for name, c in CONSTANTS.items() if c.exchanged or not exchanged_only}

@@ -78,6 +78,7 @@ NAMED_BOUNDS: Final = {
     "verdict_current": "digests of path, limits, calibration and tool equal",
     "registration_age": "<= `registration_max_age_s` of site.toml; none where it is not set",
     "registration_residual": "<= `registration_max_residual_mm` of site.toml; none where it is not set",
+    "check_points": "at least `check_points_min`, each within `check_point_tolerance_mm` of site.toml",
     "log_space": ">= twice the bytes this path's log needs",
     "epoch_current": "the session's epoch",
 }

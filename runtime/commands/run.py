@@ -120,6 +120,7 @@ def run(
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, signals_wake(view.interrupted) as signals:
         view.note(f"key fingerprint {job.key_fingerprint}: the controller's key must have the same")
+        view.check_points(job.check_points)
         if job.simulation_allowed_by:
             view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)
         directory = log_dir or Path(files.settings.log.directory)

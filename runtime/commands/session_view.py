@@ -18,6 +18,7 @@ from cutgate.runtime.commands.verdict_view import (
     GOOD,
     boundaries_table,
     caution_line,
+    check_point_line,
     facts_table,
     guidance_lines,
     headline,
@@ -41,6 +42,7 @@ from cutgate.runtime.interlock.state import (
     Phase,
     Refused,
 )
+from cutgate.runtime.kinematics.landmarks import CheckPoints
 from cutgate.runtime.review.show import stop_lines
 from cutgate.runtime.review.stopped import Stopped, Way, stop_document
 from cutgate.runtime.session.check import Answer
@@ -102,6 +104,11 @@ class SessionView:
         self._messages.print(
             lambda: Text.assemble((elapsed, "dim"), (printable(text), style)), soft_wrap=True
         )
+
+    def check_points(self, asked: CheckPoints) -> None:
+        """How far each check point of the registration is off."""
+        for one in asked.points:
+            self.note(f"check point {check_point_line(asked, one)}", "" if asked.within(one) else BAD)
 
     def step(
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
@@ -295,6 +302,7 @@ def run_document(
             "allowed_by": state.job.simulation_allowed_by,
             "time_scale": state.session.time_scale if state.session else None,
         },
+        "check_points": [one._asdict() for one in state.job.check_points.points],
         "verdict": answer.document if answer else None,
         "approach": answer.approach_document if answer else None,
         "log": {

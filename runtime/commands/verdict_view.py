@@ -10,6 +10,7 @@ from rich.text import Text
 
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.tables import Fitting
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual
 from cutgate.runtime.verification.advice import Guidance, Move, OtherElbow
 from cutgate.runtime.verification.placing.tolerated import Tolerated
 from cutgate.runtime.verification.plausibility import Caution
@@ -269,6 +270,20 @@ def where_facts(
     }
     told = "; ".join(f"{name} at {place}" for name, place in places.items())
     return facts | ({"worst" if len(places) == 1 else "worst places": f"tip {told} mm"} if told else {})
+
+
+def check_point_facts(asked: CheckPoints) -> dict[str, str]:
+    """How far every check point of the registration is off; nothing where there is none and none is asked for."""
+    if not asked.points and not asked.least:
+        return {}
+    least = f"at least {asked.least}, " if asked.least else ""
+    told = "; ".join(check_point_line(asked, one) for one in asked.points) or "none"
+    return {"check points": f"{told} (required: {least}each within {asked.tolerance_mm:g} mm)"}
+
+
+def check_point_line(asked: CheckPoints, one: PointResidual) -> str:
+    """How far one is off, and whether that is too far."""
+    return f"{one.id} {one.residual_mm:.3f} mm off{'' if asked.within(one) else ', TOO FAR'}"
 
 
 def _xyz(values: Sequence[float]) -> str:

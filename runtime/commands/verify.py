@@ -27,6 +27,7 @@ from cutgate.runtime.commands.tool_path_options import (
 from cutgate.runtime.commands.tool_path_view import facts as tool_path_facts
 from cutgate.runtime.commands.tool_path_view import title, whole, with_tool_path
 from cutgate.runtime.commands.verdict_view import (
+    check_point_facts,
     print_cautions,
     print_end,
     print_other_elbow,
@@ -36,6 +37,7 @@ from cutgate.runtime.commands.verdict_view import (
 )
 from cutgate.runtime.plan.load import PLANS, load_plans, load_registration, single_tool
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
+from cutgate.runtime.plan.registration import checked as checked_points
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, PLAIN, Reading, Told
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.advice import Guidance
@@ -199,16 +201,32 @@ def _write_proof(file: Path, problem: Problem, verdict: Verdict) -> None:
     )
 
 
-def _cautions(checked: Checked, prepared: Prepared, residual_max_mm: float | None) -> tuple[Caution, ...]:
-    placed = None
-    if prepared.registration is not None:
-        value = prepared.registration.value
-        placed = Placed(value.matrix, value.residual_rms_mm, residual_max_mm)
-    return cautions(checked.problem, checked.verdict, placed)
+def _placed(prepared: Prepared, site: Site) -> Placed | None:
+    """How the bone was registered, and what the site asks of that."""
+    if prepared.registration is None:
+        return None
+    value, most_mm = prepared.registration.value, site.registration_max_residual_mm
+    return Placed(value.matrix, value.residual_rms_mm, most_mm, checked_points(value, site))
 
 
-def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One tool's path with its verdict, and what looks wrong with it."""
+
+    prepared: Prepared
+    checked: Checked
+    placed: Placed | None
+    cautions: tuple[Caution, ...]
+
+    @classmethod
+    def of(cls, prepared: Prepared, method: Method, asked: AskedTurns, settings: Site) -> "_Judged":
+        checked, placed = check(prepared, method, asked), _placed(prepared, settings)
+        return cls(prepared, checked, placed, cautions(checked.problem, checked.verdict, placed))
+
+
+def _document(judged: _Judged) -> dict[str, Any]:
     """The verdict's document, with where the cut lies and what looks wrong."""
+    prepared, checked = judged.prepared, judged.checked
     problem, verdict, guidance = checked.problem, checked.verdict, _guidance(checked, prepared)
     document = verdict_document(
         verdict,
@@ -218,7 +236,8 @@ def _document(checked: Checked, prepared: Prepared, found: tuple[Caution, ...]) 
         elapsed_ms=checked.elapsed_ms,
         other_elbow=other_elbow(problem, verdict),
     )
-    known = described(document, problem, verdict, (*found, *cautions_of_move(guidance)))
+    found = (*judged.cautions, *cautions_of_move(guidance))
+    known = described(document, problem, verdict, found, judged.placed)
     error = tolerated(problem, verdict)
     known["registration_error"] = None if error is None else asdict(error)
     return with_tool_path(known, problem, prepared.plan.value.cut)
@@ -241,7 +260,7 @@ def verify(
     feed_mm_s: FeedOption = None,
     site: Annotated[
         Path | None,
-        typer.Option(help="site.toml: how large the files may be, and the registration's residual."),
+        typer.Option(help="site.toml: how large the files may be, and what is asked of the registration."),
     ] = None,
     q0_turns: Q0TurnsOption = None,
     roll_turns: RollTurnsOption = None,
@@ -277,12 +296,12 @@ def verify(
     tools = read(path, robot, registration, tool_length_mm, feed_mm_s, settings, reading=reading, told=told)
     if certificate is not None:
         one(tools)
-    asked, most_mm = AskedTurns(q0_turns, roll_turns), settings.registration_max_residual_mm
-    judged = [_Judged.of(prepared, method, asked, most_mm) for prepared in tools]
+    asked = AskedTurns(q0_turns, roll_turns)
+    judged = [_Judged.of(prepared, method, asked, settings) for prepared in tools]
     if certificate is not None:
         _write_proof(certificate, judged[0].checked.problem, judged[0].checked.verdict)
     if json:
-        echo(document_text(whole([_document(each.checked, each.prepared, each.cautions) for each in judged])))
+        echo(document_text(whole([_document(each) for each in judged])))
     else:
         _print(judged, verbose=verbose)
     admissible = all(each.checked.verdict.admissible for each in judged)
@@ -292,20 +311,6 @@ def verify(
 def _explain(line: int, text: str) -> None:
     """One line of a tool path file, as it was understood."""
     echo(f"line {line}: {printable(text)}")
-
-
-@dataclass(frozen=True, slots=True)
-class _Judged:
-    """One tool's path with its verdict, and what looks wrong with it."""
-
-    prepared: Prepared
-    checked: Checked
-    cautions: tuple[Caution, ...]
-
-    @classmethod
-    def of(cls, prepared: Prepared, method: Method, asked: AskedTurns, most_mm: float | None) -> "_Judged":
-        checked = check(prepared, method, asked)
-        return cls(prepared, checked, _cautions(checked, prepared, most_mm))
 
 
 def _print(judged: Sequence[_Judged], *, verbose: bool) -> None:
@@ -325,7 +330,7 @@ def _print(judged: Sequence[_Judged], *, verbose: bool) -> None:
 
 def _print_one(console: Console, each: _Judged, *, verbose: bool) -> None:
     checked, verdict = each.checked, each.checked.verdict
-    facts = _facts(each.prepared, checked, every_place=verbose)
+    facts = _facts(each.prepared, checked, each.placed, every_place=verbose)
     print_verdict(console, verdict, checked.digests, facts, hashes=verbose)
     print_cautions(console, each.cautions)
     print_tolerated(console, tolerated(checked.problem, verdict))
@@ -335,16 +340,21 @@ def _print_one(console: Console, each: _Judged, *, verbose: bool) -> None:
     print_end(console, verdict, guidance)
 
 
-def _facts(prepared: Prepared, checked: Checked, *, every_place: bool) -> dict[str, str]:
+def _facts(
+    prepared: Prepared, checked: Checked, placed: Placed | None, *, every_place: bool
+) -> dict[str, str]:
     """What was verified, for the reader."""
-    plan, placed, path = prepared.plan, prepared.registration, prepared.path
+    plan, registration, path = prepared.plan, prepared.registration, prepared.path
     facts = {
         "plan": f"{plan.value.id} ({plan.path})",
         "cut": f"{checked.poses} poses, feed {path.feed_mm_s:g} mm/s, tool {path.tool_length_mm:g} mm",
-        "registration": f"{placed.value.id} ({placed.path})" if placed else "none given: identity",
+        "registration": f"{registration.value.id} ({registration.path})"
+        if registration
+        else "none given: identity",
     }
     if placed:
-        facts["CT"] = f"{prepared.ct_link}; registration residual {placed.value.residual_rms_mm:g} mm rms"
+        facts["CT"] = f"{prepared.ct_link}; registration residual {placed.residual_mm:g} mm rms"
+        facts |= check_point_facts(placed.check_points)
     if plan.value.cut is not None:
         facts |= tool_path_facts(checked.problem, plan.value.cut, path.feed_mm_s)
     tips = {name: place(checked.problem, boundary) for name, boundary in checked.verdict.boundaries.items()}

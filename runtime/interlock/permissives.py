@@ -9,6 +9,7 @@ from collections.abc import Callable
 from datetime import timedelta
 
 from cutgate.config.constants import CLOCK_SKEW_MAX_S
+from cutgate.config.screen import printable
 from cutgate.protocol import records
 from cutgate.protocol.differences import Parameters, differences
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
@@ -16,6 +17,7 @@ from cutgate.protocol.times import BEGINNING
 from cutgate.runtime.interlock.permissive import Permissive
 from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import WITNESS, DeviceCycle, Interlock
+from cutgate.runtime.kinematics.landmarks import CheckPoints
 
 Evaluate = Callable[[Interlock, float], Permissive]
 
@@ -258,6 +260,37 @@ def registration_residual(state: Interlock, _now_s: float) -> Permissive:
         text = "not known" if residual is None else f"{residual:g} mm"
         return _fact(name, True, text, "no bound is configured", remedy)
     return _at_most(name, residual, bound, "mm", remedy)
+
+
+def check_points(state: Interlock, _now_s: float) -> Permissive:
+    """What finds an inverse, a flip or metres in a registration while the path still fits."""
+    asked = state.job.check_points
+    return _fact(
+        "check points of the registration",
+        not asked.missing and not asked.outside,
+        _of_check_points(asked),
+        (f"at least {asked.least}, " if asked.least else "") + f"each within {asked.tolerance_mm:g} mm",
+        CHECK_POINTS_MISSING.format(asked.missing) if asked.missing else CHECK_POINT_OFF,
+    )
+
+
+CHECK_POINTS_MISSING = (
+    "touch {} more landmarks with the probe and write them into check_points of the registration "
+    "(docs/files.md)"
+)
+CHECK_POINT_OFF = (
+    "touch the point again; if it stays off, check the registration's units, direction and frame (LPS or RAS), or "
+    "register the bone again"
+)
+
+
+def _of_check_points(asked: CheckPoints) -> str:
+    """How many there are, and the worst of them."""
+    worst = asked.worst
+    if worst is None:
+        return "none"
+    off = f"{printable(worst.id)} is {worst.residual_mm:g} mm off"
+    return off if len(asked.points) == 1 else f"of {len(asked.points)} the worst, {off}"
 
 
 def registration_stands(state: Interlock, _now_s: float) -> Permissive:
@@ -568,6 +601,7 @@ FINAL: tuple[Evaluate, ...] = (
     trajectory_known,
     registration_age,
     registration_residual,
+    check_points,
     log_writable,
     log_space,
 )

@@ -21,6 +21,7 @@ from cutgate.runtime.interlock.tracking import (
     TrackingMonitor,
     TrackingTolerance,
 )
+from cutgate.runtime.kinematics.landmarks import NONE_ASKED, CheckPoints
 
 
 class Phase(StrEnum):
@@ -115,6 +116,7 @@ class Job:
     registration_max_age_s: float | None = None
     registration_residual_mm: float | None = None
     registration_max_residual_mm: float | None = None
+    check_points: CheckPoints = NONE_ASKED
     place: bytes = records.NO_PLACE
     """Digest of where the registration says that the bone is; NO_PLACE for a plan in robot coordinates."""
     registration_time_us: int = records.NO_TIME

@@ -4,16 +4,19 @@ A pose in implant coordinates reaches the robot frame as ``R_p = R_T_CT * CT_T_I
 """
 
 import hashlib
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, Strict
 
-from cutgate.config.model import Real, Strictly, Text, broken
+from cutgate.config.constants import CHECK_POINTS_MAX
+from cutgate.config.model import Real, Site, Strictly, Text, broken
 from cutgate.protocol.arrays import Floats
 from cutgate.protocol.times import since_1970_us
-from cutgate.runtime.plan.transform import Transform
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual, residuals_mm
+from cutgate.runtime.plan.transform import TRANSLATION_MM, Transform
 
 
 def _utc(text: str) -> str:
@@ -41,6 +44,33 @@ def _in_utc(moment: datetime) -> str:
         return ""
 
 
+PointName = Annotated[str, Strict(), Field(min_length=1, max_length=64)]
+Coordinate = Annotated[Real, Field(ge=-TRANSLATION_MM, le=TRANSLATION_MM)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class CheckPoint(Strictly):
+    """A landmark that was touched with the probe and not used for the fit: where it is in CT and robot coordinates."""
+
+    id: PointName
+    ct_mm: Point
+    robot_mm: Point
+
+
+def _told_apart(points: tuple[CheckPoint, ...]) -> tuple[CheckPoint, ...]:
+    """Refuses two points of one name: nobody could tell which of them is off."""
+    names = [point.id for point in points]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise broken(
+                f"another name than check_points.{names.index(name)} has",
+                "give each point a name of its own",
+                key=f"check_points.{index}.id",
+                found=name,
+            )
+    return points
+
+
 class Registration(Strictly):
     """``registration.json``: where the CT, and with it the bone, stands in the robot frame."""
 
@@ -50,6 +80,9 @@ class Registration(Strictly):
     residual_rms_mm: Annotated[Real, Field(ge=0, le=100)]
     created_utc: Annotated[str, Strict(), AfterValidator(_utc)]
     ct_id: Text | None = None
+    check_points: Annotated[
+        tuple[CheckPoint, ...], Field(max_length=CHECK_POINTS_MAX), AfterValidator(_told_apart)
+    ] = ()
 
     @property
     def matrix(self) -> Floats:
@@ -68,6 +101,7 @@ class Registration(Strictly):
 
         "cutgate/registration/1" | rows 0 to 2 of ``R_T_CT`` | residual | created, us since 1970, i64 | id | ct_id; numbers
         binary64 with -0 as 0, each text UTF-8 behind its length, u16; no ct_id is one of length 0. Little endian.
+        Only where there are check points: | their number, u16 | of each id, CT and robot coordinates, as above.
         """
         numbers = np.append(self.matrix[:3].ravel(), self.residual_rms_mm) + 0.0
         created_us = since_1970_us(self.created)
@@ -77,12 +111,39 @@ class Registration(Strictly):
                 b"cutgate/registration/1",
                 numbers.astype("<f8").tobytes(),
                 created_us.to_bytes(8, "little", signed=True),
-                *(len(text).to_bytes(2, "little") + text for text in texts),
+                *(_behind_its_length(text) for text in texts),
+                *self._of_check_points(),
             )
         )
         return hashlib.sha256(content).digest()
+
+    def _of_check_points(self) -> Iterator[bytes]:
+        """What the digest covers of the check points; nothing where there are none, as before there were any."""
+        if self.check_points:
+            yield len(self.check_points).to_bytes(2, "little")
+        for point in self.check_points:
+            yield _behind_its_length(point.id.encode())
+            yield (np.array((*point.ct_mm, *point.robot_mm)) + 0.0).astype("<f8").tobytes()
 
     @property
     def created(self) -> datetime:
         """When the registration was made."""
         return datetime.fromisoformat(self.created_utc).astimezone(UTC)
+
+
+def checked(registration: Registration | None, site: Site) -> CheckPoints:
+    """The residual of each check point, and what the site asks of them; without a registration there is none."""
+    if registration is None or not registration.check_points:
+        return CheckPoints((), site.check_point_tolerance_mm, site.check_points_min)
+    points = registration.check_points
+    ct_mm, robot_mm = (np.array([getattr(one, name) for one in points]) for name in ("ct_mm", "robot_mm"))
+    residuals = residuals_mm(registration.matrix, ct_mm, robot_mm).tolist()
+    return CheckPoints(
+        tuple(PointResidual(one.id, residual) for one, residual in zip(points, residuals, strict=True)),
+        site.check_point_tolerance_mm,
+        site.check_points_min,
+    )
+
+
+def _behind_its_length(text: bytes) -> bytes:
+    return len(text).to_bytes(2, "little") + text

@@ -134,7 +134,7 @@ def _ground(job: Job, robot: Robot, placed: Placed | None) -> _Ground:
         other_elbow=other_elbow(problem, verdict),
     )
     found = cautions(problem, verdict, placed)
-    document = described(document, problem, verdict, found)
+    document = described(document, problem, verdict, found, placed)
     if not verdict.admissible:
         return _Ground(verdict, found, document, None, None, None)
     proof = checked_proof(problem, verdict)

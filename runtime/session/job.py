@@ -13,9 +13,10 @@ from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED, configuration_digest
 from cutgate.runtime.interlock.state import Deadlines, Job
 from cutgate.runtime.interlock.tracking import TrackingTolerance
+from cutgate.runtime.kinematics.landmarks import CheckPoints
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
-from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.registration import Registration, checked
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reading
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.decide import decide
@@ -60,7 +61,13 @@ class InputFiles:
             registration.matrix,
             registration.residual_rms_mm,
             self.settings.registration_max_residual_mm,
+            self.check_points,
         )
+
+    @property
+    def check_points(self) -> CheckPoints:
+        """How far each check point of the registration is off, and what the site asks of them."""
+        return checked(self.registration, self.settings)
 
     @property
     def settings(self) -> Site:
@@ -144,6 +151,7 @@ def make_job(files: InputFiles, *, now: datetime, asked: AskedTurns = BEST, key_
         registration_max_age_s=settings.registration_max_age_s,
         registration_residual_mm=registration.residual_rms_mm if registration else None,
         registration_max_residual_mm=settings.registration_max_residual_mm,
+        check_points=files.check_points,
         simulation_allowed_by=files.simulation_allowed_by,
         key_fingerprint=key_fingerprint,
     )

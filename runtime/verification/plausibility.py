@@ -8,7 +8,8 @@ Rules, in order; what is not asked of a path is not warned of:
 1. The cut's box is at least 1 mm across and no larger than the arm's reach: else its file may be in another unit.
 2. Every turning joint may go beyond +-6.28 deg: else its limits may be in radians.
 3. The wrist's deadband is at least 0.1 deg: smaller, it may be in radians.
-4. With a registration: it moves the CT by at least 10 mm, and its residual is within the site's bound.
+4. With a registration: it moves the CT by at least 10 mm, and its residual and each of its check points are within the
+   site's bounds; it has as many check points as the site asks for.
 5. With a registration and an inadmissible verdict: read otherwise (inverted, transposed, in metres, with x and y
    reversed) it does not make the path admissible.
 6. With a proposed move (`cautions_of_move`): it is at most 150 mm long and turns the bone by at most 15 deg.
@@ -32,6 +33,7 @@ from typing import Any, Final
 import numpy as np
 
 from cutgate.protocol.arrays import Floats, Vector
+from cutgate.runtime.kinematics.landmarks import NONE_ASKED, CheckPoints
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.decide import decide
@@ -108,11 +110,13 @@ class Placed:
         matrix: from CT to robot coordinates, shape (4, 4), mm.
         residual_mm: root mean square of what the registration left over.
         residual_max_mm: what the site allows of it; None where it sets no bound.
+        check_points: how far each check point is off, and what the site asks of them.
     """
 
     matrix: Floats
     residual_mm: float
     residual_max_mm: float | None = None
+    check_points: CheckPoints = NONE_ASKED
 
 
 def cautions(problem: Problem, verdict: Verdict, placed: Placed | None) -> tuple[Caution, ...]:
@@ -128,15 +132,21 @@ def cautions(problem: Problem, verdict: Verdict, placed: Placed | None) -> tuple
         found += [
             _near_the_origin(placed.matrix),
             _residual(placed),
+            _missing_check_points(placed.check_points),
+            _check_point_off(placed.check_points),
             *cautions_of_reading(problem, verdict, placed.matrix),
         ]
     return tuple(one for one in found if one is not None)
 
 
 def described(
-    document: dict[str, Any], problem: Problem, verdict: Verdict, found: Sequence[Caution]
+    document: dict[str, Any],
+    problem: Problem,
+    verdict: Verdict,
+    found: Sequence[Caution],
+    placed: Placed | None,
 ) -> dict[str, Any]:
-    """A verdict's document with where the cut lies, the tip at each worst place, and what looks wrong."""
+    """A verdict's document with where the cut lies, the tip at each worst place, the check points, and what looks wrong."""
     boundaries = {
         name: {**entry, "tip_mm": _listed(place(problem, verdict.boundaries[name]))}
         for name, entry in document["boundaries"].items()
@@ -145,6 +155,7 @@ def described(
         **document,
         "boundaries": boundaries,
         "extent": {name: _listed(value) for name, value in asdict(extent(problem)).items()},
+        "check_points": [one._asdict() for one in placed.check_points.points] if placed else [],
         "warnings": [asdict(caution) for caution in found],
     }
 
@@ -199,6 +210,27 @@ def _residual(placed: Placed) -> Caution | None:
         return None
     text = f"the registration's residual of {residual:g} mm is over the site's {bound:g} mm: register the bone again"
     return Caution("REGISTRATION_RESIDUAL", text, residual, bound)
+
+
+def _missing_check_points(asked: CheckPoints) -> Caution | None:
+    if not asked.missing:
+        return None
+    there = len(asked.points)
+    text = f"the registration has {there} check points, the site asks for {asked.least}: touch {asked.missing} more"
+    return Caution("CHECK_POINTS_MISSING", text, float(there), float(asked.least))
+
+
+def _check_point_off(asked: CheckPoints) -> Caution | None:
+    """The worst of them; the others stand beside it."""
+    worst = asked.worst
+    if worst is None or not asked.outside:
+        return None
+    others = f", {len(asked.outside)} of {len(asked.points)} are off" if len(asked.outside) > 1 else ""
+    text = (
+        f"check point {worst.id} is {worst.residual_mm:g} mm off, more than {asked.tolerance_mm:g} mm{others}: {_FRAME}, "
+        "then touch the point again, or register the bone again"
+    )
+    return Caution("CHECK_POINT_OFF", text, worst.residual_mm, asked.tolerance_mm)
 
 
 def _readings(registration: Floats) -> dict[str, tuple[str, Floats]]:

@@ -292,6 +292,8 @@ def _left_without_cover(before: RuntimeSide, event: r.Event, record: records.Rec
         return f"2: a {name} left without an admissible verdict"
     if not state.confirmed.issuperset(verdict.to_confirm):
         return f"2: a {name} left although a warning was not confirmed"
+    if state.job.check_points.missing or state.job.check_points.outside:
+        return f"2: a {name} left although a check point of the registration is off or missing"
     log_missed = state.opened is None or (
         state.opened.log != records.NO_TREE_HEAD and not (state.witness and state.witness.found)
     )

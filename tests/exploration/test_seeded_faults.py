@@ -34,6 +34,8 @@ from cutgate.runtime.interlock.state import (
     Tick,
 )
 from cutgate.runtime.interlock.tracking import TrackingMonitor
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual
+from tests.altering import altered
 from tests.exploration.model import Model
 from tests.exploration.names import BARRIER_US, EPOCH, PLACE
 from tests.exploration.recovery import Recovery, runtimes_that_do_not_end, stuck
@@ -46,7 +48,12 @@ DOCS = Path(__file__).parents[2] / "docs" / "exploration.md"
 
 
 def _finds(
-    world: World, way: tuple[str, ...], invariant: str, longest: int, opened: records.Opened | None = None
+    world: World,
+    way: tuple[str, ...],
+    invariant: str,
+    longest: int,
+    opened: records.Opened | None = None,
+    checked: CheckPoints | None = None,
 ) -> str:
     """After ``way`` the exploration finds the broken invariant within ``longest`` moves; the chart.
 
@@ -54,13 +61,17 @@ def _finds(
 
     Args:
         opened: what the controller has said in OPENED, if not what it said on the way.
+        checked: how far the registration's check points are off, if not as in every other world.
     """
     for exact in (False, True):
         model = Model(replace(world, exact=exact))
         run, con, said = Recovery(model).follow(way)
+        side = model.runtime.sides.values[run]
         if opened is not None:
-            side = model.runtime.sides.values[run]
-            run = model.runtime.sides.number(replace(side, interlock=replace(side.interlock, opened=opened)))
+            side = replace(side, interlock=replace(side.interlock, opened=opened))
+        if checked is not None:
+            side = altered(side, "interlock.job.check_points", checked)
+        run = model.runtime.sides.number(side)
         found = explore(model, (run, con, said), deepest=longest)
         assert found.wrong is not None, (exact, found.figures)
     shown = trace(found)
@@ -177,6 +188,19 @@ def test_without_a_look_at_the_witness_a_permit_beside_a_log_that_is_gone_is_fou
 def test_without_a_look_at_the_warnings_a_permit_with_one_that_is_not_confirmed_is_found(monkeypatch):
     _blind(monkeypatch, cutgate.runtime.interlock.permissives.warnings_confirmed)
     _finds(World(warned=True), TO_VERIFYING, "2: a Permit left although a warning was not confirmed", 6)
+
+
+@pytest.mark.parametrize(
+    "checked",
+    [CheckPoints((PointResidual("P1", 0.5), PointResidual("P2", 2.5))), CheckPoints(least=1)],
+    ids=["off", "missing"],
+)
+def test_without_a_look_at_the_check_points_a_permit_beside_one_that_is_off_or_missing_is_found(
+    monkeypatch, checked
+):
+    _blind(monkeypatch, cutgate.runtime.interlock.permissives.check_points)
+    shown = "2: a Permit left although a check point of the registration is off or missing"
+    _finds(World(disk=True), TO_VERIFYING, shown, 5, checked=checked)
 
 
 def test_without_a_look_at_what_the_verdict_was_made_for_a_permit_for_something_else_is_found(monkeypatch):

@@ -25,7 +25,7 @@ from cutgate.runtime.audit.container.stored import StoredAttachment
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.plan.load import plan_from_bytes, registration_from_bytes
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION, prepare, widened, with_branch
-from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.registration import Registration, checked
 from cutgate.runtime.plan.toolpath.languages import language_of
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reading, of_words
 from cutgate.runtime.verification.plausibility import Placed
@@ -167,7 +167,12 @@ def _verifier(log: Log) -> str | None:
 
 
 def _placed(registration: Registration, site: Site) -> Placed:
-    return Placed(registration.matrix, registration.residual_rms_mm, site.registration_max_residual_mm)
+    return Placed(
+        registration.matrix,
+        registration.residual_rms_mm,
+        site.registration_max_residual_mm,
+        checked(registration, site),
+    )
 
 
 # ---------------------------------------------------------------- what must follow from what

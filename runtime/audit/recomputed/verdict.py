@@ -48,7 +48,7 @@ def recomputed_verdict(
     )
     if recorded.verifier == opened.verifier and opened.verifier in BEFORE_WARNINGS:
         return document
-    return described(document, problem, verdict, cautions(problem, verdict, inputs.placed))
+    return described(document, problem, verdict, cautions(problem, verdict, inputs.placed), inputs.placed)
 
 
 def verdict_differences(

@@ -242,8 +242,9 @@ def verdict_of(given: float = 500.0) -> str:
         elapsed_ms=1.25,
     )
     value = i.placed
-    found = cautions(problem, verdict, Placed(value.matrix, value.residual_rms_mm))
-    return json.dumps(described(document, problem, verdict, found))
+    placed = Placed(value.matrix, value.residual_rms_mm)
+    found = cautions(problem, verdict, placed)
+    return json.dumps(described(document, problem, verdict, found, placed))
 
 
 @cache

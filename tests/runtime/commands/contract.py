@@ -171,11 +171,17 @@ class RegistrationErrorPart(Part):
     pivot_mm: tuple[float, float, float]
 
 
+class CheckPointPart(Part):
+    id: Annotated[str, Field(min_length=1)]
+    residual_mm: Annotated[Real, Field(ge=0)]
+
+
 class VerifyDocument(VerdictDocument):
     """What ``verify --json`` prints: the verdict, where it lies, and what error of the registration it tolerates."""
 
     warnings: list[WarningPart]
     extent: ExtentPart
+    check_points: list[CheckPointPart]
     registration_error: RegistrationErrorPart | None
     tool_path: ToolPathPart | None = None  # of a plan there is none
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.log import Paths
-from cutgate.runtime.commands.session_view import SessionView, approach_line
+from cutgate.runtime.commands.session_view import SessionView, approach_line, run_document
 from cutgate.runtime.interlock.state import CommandGiven, OperatorCommand, Phase, VerdictReady
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.approach.decision import verify
 from cutgate.runtime.verification.approach.model import StartJoints
@@ -25,6 +26,23 @@ def test_what_an_admitted_session_waits_for_is_named(capfd):
     assert "waiting for the permissives" in told
     assert "measured wrist centre to the verified start: 3 (required: <= 0.5 mm)" in told
     assert "move the arm back" in told
+
+
+def test_every_check_point_is_shown_with_how_far_it_is_off_and_stands_in_the_document(capfd):
+    asked = CheckPoints((PointResidual("P1", 0.4), PointResidual("\x1b[2J", 2.5)))
+    with SessionView(quiet_output=True) as view:
+        view.check_points(asked)
+    told = capfd.readouterr().err.splitlines()
+    assert [line.split(" s  ")[1] for line in told] == [
+        "check point P1 0.400 mm off",
+        "check point \\x1b[2J 2.500 mm off, TOO FAR",
+    ]
+    state = replace(READY, phase=Phase.REFUSED, job=replace(READY.job, check_points=asked))
+    document = run_document(state, None, Paths(Path(), Path(), closed=True, reason=""), None)
+    assert document["check_points"] == [
+        {"id": "P1", "residual_mm": 0.4},
+        {"id": "\x1b[2J", "residual_mm": 2.5},
+    ]
 
 
 def test_a_heartbeat_that_is_about_to_come_is_not_looked_for(capfd):

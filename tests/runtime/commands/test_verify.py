@@ -9,6 +9,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cutgate.runtime.commands import app as cli
@@ -88,6 +89,37 @@ def test_an_admitted_path_says_what_error_of_its_registration_it_tolerates(cutga
     assert f"alone up to {error.ball_mm:.2f} mm, or {error.yaw_deg:.2f} deg (proved)." in told
     assert verdict(PLAN, *MOUNTED, "--registration", FIRST)[1].registration_error is None
     assert "Still admissible" not in cutgate("verify", PLAN, *MOUNTED, "--registration", FIRST)[1]
+
+
+def test_check_points_are_shown_and_one_that_is_off_is_warned_of(cutgate, verdict, tmp_path):
+    site = tmp_path / "site.toml"
+    site.write_text('schema = "cutgate.site/1"\ncheck_points_min = 3\n', encoding="utf-8")
+    document = json.loads(SECOND.read_text(encoding="utf-8"))
+    to_robot = np.array(document["R_T_CT"])
+    landmarks = {"epicondyle": (12.0, -31.0, 40.0), "notch [red]\x1b[2J": (-38.0, 5.0, 22.0)}
+    document["check_points"] = [
+        {"id": name, "ct_mm": ct, "robot_mm": (to_robot @ (*ct, 1.0))[:3].tolist()}
+        for name, ct in landmarks.items()
+    ]
+    document["check_points"][1]["robot_mm"][2] += 2.25
+    file = tmp_path / "checked.json"
+    file.write_text(json.dumps(document), encoding="utf-8")
+    code, found = verdict(PLAN, *MOUNTED, "--registration", file)
+    assert code == 0, "it is an admissible path, wherever it is"
+    assert [one.id for one in found.check_points] == list(landmarks)
+    assert [one.residual_mm for one in found.check_points] == pytest.approx([0.0, 2.25])
+    assert [one.code for one in found.warnings] == ["CHECK_POINT_OFF"]
+    _, told, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", file, "--site", site)
+    assert "\x1b" not in told
+    told = " ".join(told.split())
+    assert "epicondyle 0.000 mm off; notch [red]\\x1b[2J 2.250 mm off, TOO FAR" in told
+    assert "(required: at least 3, each within 2 mm)" in told
+    assert "WARNING CHECK_POINTS_MISSING: the registration has 2 check points" in told
+    assert "WARNING CHECK_POINT_OFF: check point notch [red]\\x1b[2J is 2.25 mm off, more than 2 mm" in told
+    _, told, _ = cutgate("verify", PLAN, *MOUNTED, "--registration", SECOND)
+    assert "check points" not in told
+    assert verdict(PLAN, *MOUNTED, "--registration", SECOND)[1].check_points == []
+    assert verdict(PLAN, *MOUNTED)[1].check_points == []
 
 
 def test_a_refusal_says_what_the_other_elbow_would_before_any_move_is_proposed(cutgate, verdict, tmp_path):

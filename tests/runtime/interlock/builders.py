@@ -67,6 +67,7 @@ from cutgate.runtime.interlock.tracking import (
     TrackingMonitor,
     TrackingTolerance,
 )
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual
 
 NOW = 1000.0
 EPOCH = 3
@@ -132,6 +133,7 @@ JOB = Job(
     registration_max_age_s=3600.0,
     registration_residual_mm=0.5,
     registration_max_residual_mm=1.0,
+    check_points=CheckPoints((PointResidual("P1", 0.4), PointResidual("P2", 1.2)), 2.0, 2),
     key_fingerprint="1a2b3c4d",
 )
 

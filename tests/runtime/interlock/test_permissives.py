@@ -11,6 +11,7 @@ from cutgate.protocol.states import ControllerState, Refusal, StopCause
 from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock.refusals import MEANING
 from cutgate.runtime.interlock.state import DeviceCycle
+from cutgate.runtime.kinematics.landmarks import NONE_ASKED, PointResidual
 from tests.altering import altered
 from tests.runtime.interlock.builders import CALIBRATION, JOB, MISSED, NOW, READY, START_JOINTS, VERDICT
 
@@ -26,6 +27,13 @@ WITNESSED = "the log that it saw last is found, or the operator has confirmed"
 
 def _off(joint: int, by: int) -> tuple[int, ...]:
     return tuple(count + by * (index == joint) for index, count in enumerate(START_JOINTS))
+
+
+def points(*residuals_mm):
+    return tuple(PointResidual(f"P{k}", off_mm) for k, off_mm in enumerate(residuals_mm))
+
+
+CHECKED = "at least 2, each within 2 mm"
 
 
 ALONE = [
@@ -66,6 +74,32 @@ ALONE = [
     ("job.registration_residual_mm", -0.01, p.registration_residual, -0.01, "<= 1 mm"),
     ("job.registration_residual_mm", math.nan, p.registration_residual, math.nan, "<= 1 mm"),
     ("job.registration_residual_mm", None, p.registration_residual, "not known", "<= 1 mm"),
+    ("job.check_points.points", (), p.check_points, "none", CHECKED),
+    ("job.check_points.points", points(0.5), p.check_points, "P0 is 0.5 mm off", CHECKED),
+    (
+        "job.check_points.points",
+        points(0.5, 2.01),
+        p.check_points,
+        "of 2 the worst, P1 is 2.01 mm off",
+        CHECKED,
+    ),
+    ("job.check_points.points", points(-0.1, 0.0), p.check_points, None, CHECKED),
+    (
+        "job.check_points.points",
+        points(math.nan, 0.0),
+        p.check_points,
+        "of 2 the worst, P0 is nan mm off",
+        CHECKED,
+    ),
+    (
+        "job.check_points.points",
+        points(math.inf, 0.0),
+        p.check_points,
+        "of 2 the worst, P0 is inf mm off",
+        CHECKED,
+    ),
+    ("job.check_points.tolerance_mm", 1.0, p.check_points, None, "at least 2, each within 1 mm"),
+    ("job.check_points.least", 3, p.check_points, None, "at least 3, each within 2 mm"),
     (
         "verdict.to_confirm",
         ("CUT_TINY", "LIMITS_IN_RADIANS"),
@@ -167,7 +201,7 @@ def test_all_hold_in_the_baseline_state(which):
 @pytest.mark.parametrize(
     ("field", "value", "evaluate", "shown", "bound"),
     ALONE,
-    ids=[f"{number}-{field}={value!r:.30}" for number, (field, value, *_) in enumerate(ALONE)],
+    ids=[f"{number}-{field}={value!r:.110}" for number, (field, value, *_) in enumerate(ALONE)],
 )
 def test_each_permissive_fails_alone(field, value, evaluate, shown, bound):
     state = altered(READY, field, value)
@@ -317,6 +351,26 @@ def test_without_a_configured_bound_the_residual_is_shown_and_holds(residual_mm,
     without = altered(READY, "job.registration_max_residual_mm", None)
     one = p.registration_residual(altered(without, "job.registration_residual_mm", residual_mm), NOW)
     assert (one.holds, one.text, one.bound) == (True, text, "no bound is configured")
+
+
+def test_without_check_points_that_are_asked_for_none_is_missed_and_one_that_is_there_counts():
+    asked = altered(READY, "job.check_points", NONE_ASKED)
+    one = p.check_points(asked, NOW)
+    assert (one.holds, one.text, one.bound) == (True, "none", "each within 2 mm")
+    assert not p.check_points(altered(asked, "job.check_points.points", points(2.5)), NOW).holds
+
+
+def test_what_to_do_about_check_points_depends_on_what_is_wrong_with_them():
+    missing = p.check_points(altered(READY, "job.check_points.least", 5), NOW)
+    assert missing.remedy.startswith("touch 3 more landmarks with the probe and write them into check_points")
+    off = p.check_points(altered(READY, "job.check_points.points", points(5.0, 9.0)), NOW)
+    assert off.remedy.startswith(
+        "touch the point again; if it stays off, check the registration's units, direction"
+    )
+    hostile = (PointResidual("\x1b[2J\n", 5.0), PointResidual("P", 0.0))
+    assert p.check_points(altered(READY, "job.check_points.points", hostile), NOW).text == (
+        "of 2 the worst, \\x1b[2J\\n is 5 mm off"
+    )
 
 
 def test_each_warning_is_confirmed_by_its_own_code_and_the_remedy_names_the_rest():
@@ -539,12 +593,12 @@ HOPELESS = [
     if evaluate
     in set(p.COLLECTED)
     | {p.path_accepted, p.path_digest, p.verdict_admissible, p.verdict_current, p.approach_admissible}
-    | {p.registration_age, p.registration_residual, p.registration_stands, p.log_writable}
+    | {p.registration_age, p.registration_residual, p.check_points, p.registration_stands, p.log_writable}
 ]
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "evaluate"), HOPELESS, ids=[f"{field}={value!r:.30}" for field, value, _ in HOPELESS]
+    ("field", "value", "evaluate"), HOPELESS, ids=[f"{field}={value!r:.110}" for field, value, _ in HOPELESS]
 )
 def test_what_no_act_can_cure_is_not_waited_for(field, value, evaluate):
     assert [one.name for one in p.unrecoverable(altered(READY, field, value), NOW)] == [_name(evaluate)]

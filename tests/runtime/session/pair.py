@@ -522,6 +522,7 @@ class Pair:
             ("plan.csv", i.prepared.plan.data),
             ("registration.json", i.prepared.registration.data),
             (names.ROBOT, i.robot.data),
+            *(((names.SITE, i.site.data),) if i.site else ()),
             (names.PATH, self.job.path),
         ):
             log.attach(name, "application/octet-stream", data)

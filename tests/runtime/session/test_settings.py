@@ -28,10 +28,12 @@ from cutgate.runtime.interlock import permissives as p
 from cutgate.runtime.interlock.state import Announced, Interlock, Phase, Tick
 from cutgate.runtime.interlock.state import Job as SessionJob
 from cutgate.runtime.interlock.tracking import TrackingMonitor
+from cutgate.runtime.kinematics.landmarks import PointResidual
 from cutgate.runtime.session import conduct, new_log
 from cutgate.runtime.session.check import Answer
 from cutgate.runtime.session.job import InputFiles, make_job, read_files
 from cutgate.runtime.verification.steps import finished
+from tests.altering import altered
 from tests.runtime.interlock.builders import (
     ANNOUNCE,
     FRESH,
@@ -157,6 +159,16 @@ def holds(permissive: p.Evaluate, **changes: Any) -> Look:
     return lambda trial: permissive(replace(trial.state, **changes), NOW).holds
 
 
+def holds_with(*off_mm: float) -> Look:
+    """Whether check points that are so far off are good enough."""
+
+    def look(trial: Trial) -> bool:
+        points = tuple(PointResidual(str(number), residual) for number, residual in enumerate(off_mm))
+        return p.check_points(altered(trial.state, "job.check_points.points", points), NOW).holds
+
+    return look
+
+
 def off_start(joint: int, by: float) -> tuple[int, ...]:
     """The start joints with one of them so many mm or deg off."""
     return tuple(u + round(by * records.UNIT) * (j == joint) for j, u in enumerate(START_JOINTS))
@@ -242,6 +254,8 @@ ROWS: dict[str, tuple[tuple[str, Any], tuple[str, Any], Look]] = {
     "key_file": (('"a.key"', "a.key"), ('"b.key"', "b.key"), lambda t: t.run().key),
     "registration_max_age_s": (("60", False), ("31_536_000", True), holds(p.registration_age)),
     "registration_max_residual_mm": (("0.1", False), ("1", True), holds(p.registration_residual)),
+    "check_point_tolerance_mm": (("0.3", False), ("0.5", True), holds_with(0.4)),
+    "check_points_min": (("2", False), ("1", True), holds_with(0.4)),
     "clock_skew_s": (("0", 0.0), ("90.5", 90.5), lambda t: t.run().skew_s),
 }  # fmt: skip
 

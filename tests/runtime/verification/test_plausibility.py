@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual
 from cutgate.runtime.verification import certified, plausibility
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.plausibility import (
@@ -104,6 +105,35 @@ def test_a_residual_over_the_sites_bound_is_told(residual_mm, bound_mm, warns):
     assert [(one.value, one.bound) for one in found] == [(residual_mm, bound_mm)] * warns
 
 
+def checked(*residuals_mm, tolerance_mm=2.0, least=0):
+    points = tuple(PointResidual(f"P{k}", off_mm) for k, off_mm in enumerate(residuals_mm))
+    return Placed(at(500.0, 0.0, 0.0), 0.1, check_points=CheckPoints(points, tolerance_mm, least))
+
+
+@pytest.mark.parametrize(
+    ("placed", "code", "value", "bound"),
+    [
+        (checked(), None, None, None),
+        (checked(0.0, 2.0), None, None, None),
+        (checked(0.0, 2.0, least=2), None, None, None),
+        (checked(0.0, 2.0001), "CHECK_POINT_OFF", 2.0001, 2.0),
+        (checked(5.0, 0.1, 7.5, tolerance_mm=3.0), "CHECK_POINT_OFF", 7.5, 3.0),
+        (checked(0.0, 2.0, least=3), "CHECK_POINTS_MISSING", 2.0, 3.0),
+        (checked(least=1), "CHECK_POINTS_MISSING", 0.0, 1.0),
+    ],
+)
+def test_a_check_point_that_is_off_and_one_that_is_missing_are_told(placed, code, value, bound):
+    found = found_in(case(), placed)
+    assert [(one.code, one.value, one.bound) for one in found] == ([(code, value, bound)] if code else [])
+    assert not any(one.confirm for one in found), "nobody confirms it away: run refuses"
+
+
+def test_the_worst_check_point_is_named_and_how_many_are_off():
+    (found,) = found_in(case(), checked(5.0, 0.1, 7.5, tolerance_mm=3.0))
+    assert found.text.startswith("check point P2 is 7.5 mm off, more than 3 mm, 2 of 3 are off: ")
+    assert "check units, direction and frame (LPS or RAS)" in found.text
+
+
 def test_limits_in_radians_are_told():
     lower, upper = np.radians((-1.4, 0.0, 0.0, -2.97, 0.0)), np.radians((1.4, 2.5, 0.0, 2.97, 1.92))
     lower[2], upper[2] = 50.0, 450.0
@@ -189,10 +219,18 @@ def test_a_described_document_is_plain_data_that_says_where_the_cut_lies_and_wha
     one = case(0.5, 0.0)
     verdict = certified.verify(one)
     document = {"boundaries": {name: {"unit": line.unit} for name, line in verdict.boundaries.items()}}
-    told = described(document, one, verdict, cautions(one, verdict, None))
+    told = described(document, one, verdict, cautions(one, verdict, None), None)
     assert json.loads(json.dumps(told)) == told
     assert told["extent"]["entry_tip_mm"] == list(one.tips_mm[0])
     assert [(warning["code"], warning["confirm"]) for warning in told["warnings"]] == [("CUT_TINY", True)]
+    assert told["check_points"] == []
+    points = CheckPoints((PointResidual("P1", 0.5), PointResidual("P2", 9.0)))
+    placed = Placed(np.eye(4), 0.1, check_points=points)
+    again = described(document, one, verdict, (), placed)
+    assert again["check_points"] == [
+        {"id": "P1", "residual_mm": 0.5},
+        {"id": "P2", "residual_mm": 9.0},
+    ]
     for name, line in verdict.boundaries.items():
         assert told["boundaries"][name] == {"unit": line.unit, "tip_mm": list(place(one, line))}
 

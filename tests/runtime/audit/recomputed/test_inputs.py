@@ -22,6 +22,7 @@ from cutgate.runtime.audit.recomputed.inputs import (
     model_of,
     typed,
 )
+from cutgate.runtime.kinematics.landmarks import NONE_ASKED
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION
 from tests.runtime.audit.build import forge, inputs, session_log
 
@@ -61,6 +62,7 @@ def test_the_inputs_are_the_bytes_that_are_attached(data):
     assert found.placed.residual_mm == 0.2
     assert found.placed.residual_max_mm is None
     assert found.placed.matrix[0, 3] == 500.0
+    assert found.placed.check_points == NONE_ASKED
     assert len(found.problem.tips_mm) == 6
 
 

@@ -32,7 +32,7 @@ class Constant:
     @property
     def bound(self) -> str:
         """The bounds in words, with the unit."""
-        return f"{_number(self.low)} to {_number(self.high)} {self.unit}".rstrip()
+        return f"{grouped(self.low)} to {grouped(self.high)} {self.unit}".rstrip()
 
 
 TIMEOUT_HEARTBEATS: Final = 4
@@ -89,8 +89,8 @@ CONSTANTS: Final = MappingProxyType({constant.name: constant for constant in TAB
 """The table by name."""
 
 
-def _number(value: float) -> str:
-    """A bound without a needless decimal point, digits in groups of three."""
+def grouped(value: float) -> str:
+    """A number for people: without a needless decimal point, digits in groups of three."""
     return f"{value:,.0f}".replace(",", " ") if float(value).is_integer() else f"{value:g}"
 
 
@@ -107,7 +107,7 @@ def markdown() -> str:
         "|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| `{c.name}` | {c.unit} | {_number(c.default)} | {_number(c.low)} to {_number(c.high)} "
+        f"| `{c.name}` | {c.unit} | {grouped(c.default)} | {grouped(c.low)} to {grouped(c.high)} "
         f"| {'yes' if c.exchanged else 'no'} | {c.meaning} |"
         for c in TABLE
     ]

@@ -48,6 +48,7 @@ REMOVED: Final = MappingProxyType(
 
 Real = Annotated[float, Strict(), AllowInfNan(False)]
 Integer = Annotated[int, Strict()]
+Boolean = Annotated[bool, Strict()]
 Text = Annotated[str, Strict(), Field(min_length=1, max_length=200)]
 Name = Annotated[str, Strict(), Field(min_length=1, max_length=64, pattern=r"^[ -~]+$")]
 
@@ -207,12 +208,30 @@ class Robot(Strictly):
         return self
 
 
-def _constant(name: str) -> Any:
-    """The field of a constant: its default and bounds from the one table."""
+def _constant(name: str, *, step: float | None = None) -> Any:
+    """The field of a constant: its default, bounds, unit and meaning from the one table."""
     constant = CONSTANTS[name]
     whole = all(float(value).is_integer() for value in (constant.default, constant.low, constant.high))
     default = int(constant.default) if whole else constant.default
-    return Field(default=default, ge=constant.low, le=constant.high, description=constant.meaning)
+    return _setting(default, constant.meaning, constant.unit, step, ge=constant.low, le=constant.high)
+
+
+def _setting(
+    default: Any,
+    effect: str,
+    unit: str = "",
+    step: float | None = None,
+    *,
+    ge: float | None = None,
+    le: float | None = None,
+) -> Any:
+    """The field of a setting, with what ``cutgate.config.settings`` tells of it: effect, unit, and step if it has one."""
+    about: dict[str, Any] = {"unit": unit, "step": step}
+    return Field(default=default, description=effect, json_schema_extra=about, ge=ge, le=le)
+
+
+WIRE_STEP: Final = 0.001
+"""Of tolerances that OPEN carries."""
 
 
 def _on_the_wire(value: float, info: ValidationInfo) -> float:
@@ -228,16 +247,20 @@ Exchanged = Annotated[Real, AfterValidator(_on_the_wire)]
 
 
 class BusSettings(Strictly):
-    """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program.
+    """Which bus: a python-can interface and channel; ``None`` leaves the choice to the program."""
 
-    ``bitrate_bit_s``: of an interface that python-can sets up; the kernel's are set with ``ip link``.
-    ``fd``: bulk records travel in CAN FD frames; the controller must be set to the same.
-    """
-
-    interface: Name | None = None
-    channel: Name | None = None
-    bitrate_bit_s: Annotated[int, Strict(), Field(ge=10_000, le=1_000_000)] = 1_000_000
-    fd: Annotated[bool, Strict()] = False
+    interface: Name | None = _setting(
+        None, "python-can's name; not set: vcan0 where the kernel has it, else the local virtual bus"
+    )
+    channel: Name | None = _setting(None, "which channel of the interface")
+    bitrate_bit_s: Integer = _setting(
+        1_000_000,
+        "of an interface that python-can sets up; the kernel's are set with ip link",
+        "bit/s",
+        ge=10_000,
+        le=1_000_000,
+    )
+    fd: Boolean = _setting(False, "bulk records in CAN FD frames; the controller must be set to the same")
 
 
 class TimingSettings(Strictly):
@@ -276,14 +299,14 @@ class StartSettings(Strictly):
     """The start's lifetime and how near to the bound start joints the arm must stand."""
 
     start_lifetime_ms: Integer = _constant("start_lifetime_ms")
-    start_tolerance_mm: Exchanged = _constant("start_tolerance_mm")
-    start_tolerance_deg: Exchanged = _constant("start_tolerance_deg")
+    start_tolerance_mm: Exchanged = _constant("start_tolerance_mm", step=WIRE_STEP)
+    start_tolerance_deg: Exchanged = _constant("start_tolerance_deg", step=WIRE_STEP)
 
 
 class ApproachSettings(Strictly):
     """The way from where the arm stands to the path's first pose, and back from its last."""
 
-    approach_clearance_mm: Exchanged = _constant("approach_clearance_mm")
+    approach_clearance_mm: Exchanged = _constant("approach_clearance_mm", step=WIRE_STEP)
     approach_speed_percent: Integer = _constant("approach_speed_percent")
 
 
@@ -297,7 +320,7 @@ class TrackingSettings(Strictly):
 class LogSettings(Strictly):
     """Where session logs go and how late their records may be durable."""
 
-    directory: Text = "cutgate-logs"
+    directory: Text = _setting("cutgate-logs", "where the logs of sessions go")
     commit_deadline_ms: Integer = _constant("commit_deadline_ms")
     checkpoint_deadline_ms: Integer = _constant("checkpoint_deadline_ms")
     chunk_period_ms: Integer = _constant("chunk_period_ms")
@@ -311,13 +334,14 @@ class FilesSettings(Strictly):
 
 
 class ExpectedController(Strictly):
-    """The controller this site expects; without ``serial`` any.
+    """The controller this site expects; without ``serial`` any."""
 
-    ``simulated``: it may be a simulation, whose plant runs at another speed than the clock.
-    """
-
-    serial: Name | None = None
-    simulated: Annotated[bool, Strict()] = False
+    serial: Name | None = _setting(None, "the controller's serial number; not set: any controller will do")
+    simulated: Boolean = _setting(
+        False,
+        "the controller may be a simulation, whose plant runs at another speed than the clock; "
+        "never where there is a robot or a bone",
+    )
 
 
 class Site(Strictly):
@@ -333,12 +357,23 @@ class Site(Strictly):
     log: LogSettings = LogSettings()
     files: FilesSettings = FilesSettings()
     controller: ExpectedController = ExpectedController()
-    key_file: Text | None = None
-    registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = None
-    registration_max_residual_mm: Annotated[Real, Field(gt=0, le=100)] | None = None
+    key_file: Text | None = _setting(None, "the pre-shared key's file, where --key names none")
+    registration_max_age_s: Annotated[Real, Field(gt=0, le=31_536_000)] | None = _setting(
+        None, "an older registration is not permitted; not set: age does not matter", "s"
+    )
+    registration_max_residual_mm: Annotated[Real, Field(gt=0, le=100)] | None = _setting(
+        None, "a registration with a larger residual is not permitted; not set: it is only shown", "mm"
+    )
     check_point_tolerance_mm: Real = _constant("check_point_tolerance_mm")
     check_points_min: Integer = _constant("check_points_min")
-    clock_skew_s: Annotated[Real, Field(ge=0, le=CLOCK_SKEW_MAX_S)] = 60.0
+    clock_skew_s: Real = _setting(
+        60.0,
+        "how far apart the clocks may be of who registers and of this computer: so long after a withdrawal no "
+        "registration counts yet, so far ahead one may lie",
+        "s",
+        ge=0,
+        le=CLOCK_SKEW_MAX_S,
+    )
 
     def constants(self, *, exchanged_only: bool = False) -> dict[str, float]:
         """The value of every constant, or of those sent in OPEN, by name, in the table's order."""

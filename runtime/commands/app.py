@@ -51,6 +51,7 @@ COMMANDS: Final = {
         "Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.",
     ),
     "key": ("key", "Pre-shared keys."),
+    "config": ("config", "Settings as they hold, and input files checked on their own."),
     "audit": ("audit", "Review session logs: what was decided, and whether it stands."),
 }
 """Of each command the module that registers it, and its help's first paragraph, which a test compares with the module's."""

@@ -83,9 +83,18 @@ def load_registration(path: str | Path) -> Loaded[Registration]:
     """
     path = _found(path, REGISTRATIONS, REGISTRATION_EXTENSIONS, "a registration")
     data = read_settings(path)
+    return Loaded(new_registration(path, data), data, path)
+
+
+def new_registration(path: Path, data: bytes) -> Registration:
+    """The registration in a file's ``data``, as a session would take it.
+
+    Raises:
+        InputError: names file, key, value and bound.
+    """
     registration = registration_from_bytes(path, data)
     _check_time(path, registration.created_utc)
-    return Loaded(registration, data, path)
+    return registration
 
 
 def _check_time(path: Path, created_utc: str) -> None:

@@ -39,7 +39,8 @@ _FULL: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, None})
 """What says that the kernel did not take a frame for want of room: the interface's queue (`txqueuelen`), the socket's
 buffer, and python-can's own word for a socket that is not writable, which has no number."""
 _CHANNEL_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
-_NOT_PRIVATE: Final = frozenset({"udp_multicast", "socketcand"})
+NOT_PRIVATE: Final = frozenset({"udp_multicast", "socketcand"})
+"""Interfaces of python-can that leave the machine; they are refused."""
 
 
 class RuntimeDirectoryError(Exception):
@@ -115,19 +116,26 @@ def default_interface() -> tuple[str, str]:
     return LOCAL_INTERFACE, LOCAL_CHANNEL
 
 
-def runtime_directory() -> Path:
-    """The directory of the local bus's sockets, made with mode 0700 if missing.
+def runtime_directory_name() -> Path:
+    """Where the directory of the local bus's sockets lies, whether or not it is there.
 
     It lies under XDG_RUNTIME_DIR where that names a directory of this user, else in the temporary directory under
     a name that holds the user's number.
+    """
+    uid = os.getuid()
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    usable = Path(given).is_absolute() and Path(given).is_dir() and Path(given).stat().st_uid == uid
+    return Path(given) / "cutgate" if usable else Path(tempfile.gettempdir()) / f"cutgate-{uid}"
+
+
+def runtime_directory() -> Path:
+    """The directory of the local bus's sockets (`runtime_directory_name`), made with mode 0700 if missing.
 
     Raises:
         RuntimeDirectoryError: it cannot be made, or belongs to or is open to someone else.
     """
     uid = os.getuid()
-    given = os.environ.get("XDG_RUNTIME_DIR", "")
-    usable = Path(given).is_absolute() and Path(given).is_dir() and Path(given).stat().st_uid == uid
-    directory = Path(given) / "cutgate" if usable else Path(tempfile.gettempdir()) / f"cutgate-{uid}"
+    directory = runtime_directory_name()
     try:
         directory.mkdir(mode=0o700, exist_ok=True)
         status = directory.lstat()
@@ -178,7 +186,7 @@ def open_bus(
         can.CanInitializationError: no such interface or channel, nobody serving, or a bus that leaves the machine.
     """
     place = f"bus {interface}/{channel}"
-    if interface in _NOT_PRIVATE:
+    if interface in NOT_PRIVATE:
         raise can.CanInitializationError(
             f"{place}: refused, it leaves this machine and the bus must be private; use {LOCAL_INTERFACE} or socketcan"
         )

@@ -143,12 +143,7 @@ def lock(directory: Path) -> int:
         raise InputError(
             directory, "log directory", reason, "a directory that can be written", _FREE
         ) from None
-    if found.st_uid != os.geteuid() or (found.st_mode & 0o022 and not found.st_mode & stat.S_ISVTX):
-        value = f"of {user(found.st_uid)}, mode {stat.S_IMODE(found.st_mode):04o}"
-        bound = f"of {user(os.geteuid())} and not writable by others, who could delete what must not get lost"
-        raise InputError(
-            directory, "log directory", value, bound, "chmod 700, or name another with --log-dir"
-        )
+    check_ours(directory, found)
     descriptor = open_ours(directory / LOCK, os.O_RDWR | os.O_CREAT)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -158,6 +153,33 @@ def lock(directory: Path) -> int:
             directory, "log directory", "in use", "free of any running session", "end the other session"
         ) from None
     return descriptor
+
+
+def check_ours(directory: Path, found: os.stat_result) -> None:
+    """Refuses a log directory of somebody else, or one in which others may delete.
+
+    Raises:
+        InputError: names owner and mode.
+    """
+    if found.st_uid != os.geteuid() or (found.st_mode & 0o022 and not found.st_mode & stat.S_ISVTX):
+        value = f"of {user(found.st_uid)}, mode {stat.S_IMODE(found.st_mode):04o}"
+        bound = f"of {user(os.geteuid())} and not writable by others, who could delete what must not get lost"
+        raise InputError(
+            directory, "log directory", value, bound, "chmod 700, or name another with --log-dir"
+        )
+
+
+def check_head(directory: Path, now_ns: int) -> None:
+    """Refuses a clock that is behind what HEAD says, by looking at nothing else: for who does not hold the lock.
+
+    Raises:
+        InputError: the clock is behind, or HEAD is not ours.
+    """
+    try:
+        head = _read_head(directory)
+    except (FileNotFoundError, ValueError):
+        return  # nothing says what the clock could be behind
+    check_clock(directory, Previous(time_ns=head.time_ns), now_ns)
 
 
 def remove_left_over(directory: Path) -> None:

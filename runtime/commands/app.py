@@ -51,6 +51,10 @@ COMMANDS: Final = {
         "Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.",
     ),
     "key": ("key", "Pre-shared keys."),
+    "doctor": (
+        "doctor",
+        "Look at installation, bus, clock, priority, key, log directory and disk: can a session run here?",
+    ),
     "config": ("config", "Settings as they hold, and input files checked on their own."),
     "audit": ("audit", "Review session logs: what was decided, and whether it stands."),
 }

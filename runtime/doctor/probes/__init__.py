@@ -1,0 +1,1 @@
+"""What reads the system, and judges nothing."""

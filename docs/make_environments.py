@@ -141,6 +141,8 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         "example": (["example", "{fresh}/example"], 0),
         "key new": (["key", "new", "{fresh}/key"], 0),
         "key fingerprint": (["key", "fingerprint", str(files / "site.key")], 0),
+        "config show": (["config", "show", "--site", str(EXAMPLES / "site.toml")], 0),
+        "config check": (["config", "check", *plan[:1], str(EXAMPLES / "site.toml")], 0),
         "audit verify": (["audit", "verify", log], 0),
         "audit show": (["audit", "show", log], 0),
         "audit replay": (["audit", "replay", log], 0),

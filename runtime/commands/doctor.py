@@ -22,6 +22,7 @@ SCHEMA: Final = "cutgate.doctor/1"
 FAILED: Final = 1
 TABLE_COLUMNS: Final = 72
 """On a narrower screen each check is a line."""
+WORST_FIRST: Final = (Condition.FAIL, Condition.WARNING, Condition.UNKNOWN, Condition.OK)
 STYLES: Final = {
     Condition.OK: "green",
     Condition.UNKNOWN: "cyan",
@@ -113,7 +114,7 @@ def _print(console: Console, found: list[Finding]) -> None:
     else:
         for one in found:
             console.print(_line(one))
-    told = [one for one in found if one.remedy]
+    told = sorted((one for one in found if one.remedy), key=lambda one: WORST_FIRST.index(one.state))
     if told:
         console.print(Text("\nWhat to do", "bold"))
     for one in told:

@@ -72,9 +72,9 @@ def judge_local(facts: LocalBus, examined: Examined) -> Iterable[Finding]:
     state = Condition.FAIL if needed else Condition.OK
     found = facts.refused if facts.there and facts.refused else f"nobody serves at {facts.path}"
     named = "" if examined.channel == LOCAL_CHANNEL else f" --socket {facts.path}"
-    start = f"start it: cutgate bus serve{named}"
+    start = f"start it: cutgate bus serve{named}; or name the controller's bus with --interface and --channel"
     if facts.there:
-        start = f"end who serves there, if anybody does, and {start}; or name another with --channel"
+        start = f"end who serves there, if anybody does, and {start}"
     yield Finding("local virtual bus", state, found, bound, start if needed else "")
 
 

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shlex
 import statistics
 import time
 from collections.abc import Callable
@@ -50,9 +51,9 @@ def log_folder(examined: Examined) -> LogFolder:
     except InputError as error:
         return LogFolder(str(directory), os.path.isdir(directory), error.problems[0], None)  # noqa: PTH112
     except OSError as error:
-        problem = FileProblem(
-            str(directory), "log directory", error.strerror or str(error), "readable", _FREE
-        )
+        found, bound = error.strerror or str(error), "a directory that can be reached"
+        remedy = "let this user enter what is above it, or name another with --log-dir"
+        problem = FileProblem(str(directory), "log directory", found, bound, remedy)
         return LogFolder(str(directory), True, problem, None)
     return LogFolder(str(directory), there, None, session_in(directory))
 
@@ -126,7 +127,8 @@ def disk_delays(
     """Write a few blocks into a file of a fresh name in the log directory, each made durable, and remove it."""
     directory = examined.log_directory
     if not directory.is_dir():
-        return Unknown(f"{directory} is not there yet", "make it, with mode 700, and look again")
+        remedy = f"make it and look again: mkdir -m 700 {shlex.quote(str(directory))}"
+        return Unknown(f"{directory} is not there yet", remedy)
     if (session := session_in(directory)) is not None:
         return Unknown(
             f"a session runs there (process {session}): its disk is left alone", "look again after it"

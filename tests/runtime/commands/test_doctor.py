@@ -84,7 +84,7 @@ def test_the_table_names_everything_and_what_to_do(made_up, capsys):
     out = capsys.readouterr().out
     for word in ("good", "as it is", "rather long", "short", "broken", "whole"):
         assert word in out
-    assert "What to do\nwarning warned: shorten it\nFAIL    failed: mend it\n" in out
+    assert "What to do\nFAIL    failed: mend it\nwarning warned: shorten it\n" in out
     assert "3 checks: 1 ok, 1 warning, 1 FAIL" in out
 
 

@@ -266,8 +266,9 @@ def test_a_disk_that_fails_leaves_nothing_behind(logs):
 
 
 def test_without_the_folder_nothing_is_written_anywhere(tmp_path):
-    facts = disk_delays(here(log_directory=tmp_path / "logs"))
+    facts = disk_delays(here(log_directory=tmp_path / "my logs"))
     assert isinstance(facts, Unknown)
+    assert facts.remedy.endswith(f"mkdir -m 700 '{tmp_path}/my logs'")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -8,12 +8,15 @@ is read only if they agree about it:
   (``LOAD``, ``LOADTL``, ``TOOL PATH``, ``CSYS``, ``MSYS``, ``TRNTYP``, ``MULTAX``); behind one, three numbers are read
   only while the axis kept is the z axis of the coordinate system, which for ``CSYS`` is its third column. So a section
   milled along 1,0,0 may not be followed by three numbers in one whose z axis is 0,0,1 without saying the axis once.
+  (Where a file as found turns to a plane at right angles, ``CSYS`` has 1,0,0 as its third column and every point of the
+  section has the same axis: both senses agree there, and nothing in it tells which one its writer meant.)
 * **Depths of a cycle** are measured along the tool axis from the point of each ``GOTO``: ``FEDTO`` toward the tip,
-  ``RAPTO`` and ``RTRCTO`` toward the holder. A file that rises from 25 mm, drills points at -6.761364 mm and has
-  ``RTRCTO,31.761364`` comes back to 25 mm to the last digit in this reading and in no other. All moves of a cycle stand on
-  one line, so whether a machine lifts the drill a little between two pecks or wholly out changes nothing of where it
-  is: each peck returns to the clearance. From hole to hole the tool moves at the height where it stands, and rises to
-  the clearance first where it is below it.
+  ``RAPTO`` and ``RTRCTO`` toward the holder. In a file as found the tool comes from 25 mm, drills at points of -6.761364 mm
+  with ``RTRCTO,31.761364``, which is 25 mm to the last digit from the point and from nowhere else; that the other two
+  are measured from there as well is the sense of the standard, a positive ``FEDTO`` leaves no other direction.
+  All moves of a cycle stand on one line, so whether a machine lifts the drill a little between two pecks or wholly out
+  changes nothing of where it is: each peck returns to the clearance. From hole to hole the tool moves at the height
+  where it stands, and rises to the clearance first where it is below it.
 * **RAPID** holds for the next point alone.
 """
 
@@ -46,6 +49,7 @@ CLOSE_MM: Final = 0.002
 """Start and end of a circle that are nearer, and not the same: rounding could have made them of a whole turn."""
 CUTCOM_OPTION: Final = "--cutcom-is-tool-centre"
 ARC_OPTION: Final = "--arc-tolerance-mm"
+CORRECT_CIRCLE: Final = "correct centre, axis or points, or have it written as GOTO"
 
 _NUMBER: Final = (
     r"[ \t]*+[+-]?+(?:[0-9]{1,30}+(?:\.[0-9]{0,30}+)?+|\.[0-9]{1,30}+)(?:[eE][+-]?+[0-9]{1,2}+)?+[ \t]*+"
@@ -195,7 +199,9 @@ class _Program:
         self._bars: dict[str, tuple[str | None, str, str]] = {"unit": _NO_UNIT}
         self._next: _Next | None = None
         self._tool = ""
-        self._operation_tool: str | None = None  # of the last TOOL PATH
+        self._length_mm: float | None = None
+        self._operation_tool: str | None = None  # of the last TOOL PATH, unless another was mounted since
+        self._operation_room = -1  # when it was read
         self._stood: tuple[int, int, Point, Point] | None = None  # room, line and pose of a FROM
         self._axis: Point = _UP
         self._axis_read: Point = _UP  # the axis as the file has it
@@ -470,35 +476,36 @@ class _Program:
             bound, remedy = f"the tool axis {_at(stood_axis)} of its start", "have it written as GOTO"
             raise self._refusal(line, f"a circle that ends with the tool axis {_at(axis)}", bound, remedy)
         move = CircularMove(np.array(start), np.array(tip), np.array(circle.centre), np.array(circle.normal))
-        height, apart, radius = _plane(move)
-        remedy = "correct centre, axis or points, or have it written as GOTO"
-        if not (abs(height) <= RADIUS_MM):
-            found, bound = (
-                f"a circle that ends {height:.6g} mm off its plane",
-                f"in it within {RADIUS_MM:g} mm",
-            )
-            raise self._refusal(line, found, bound, remedy)
-        if circle.radius_mm is not None and not (abs(circle.radius_mm - radius) <= RADIUS_MM):
-            found = f"a circle of radius {circle.radius_mm:.6g} mm"
-            bound = f"of {radius:.6g} mm within {RADIUS_MM:g} mm, from its centre to where the tool stands"
-            raise self._refusal(line, found, bound, remedy)
-        if 0.0 < apart < CLOSE_MM:
-            found = f"a circle whose start and end are {apart:.3g} mm apart"
-            bound = f"one whose are the same, or >= {CLOSE_MM:g} mm apart: it could be a whole turn"
-            remedy = "write the same point for a whole turn, or leave the circle out"
-            raise self._refusal(line, found, bound, remedy)
-        chords = self._chords(line, move, remedy)
+        self._check_circle(line, circle, move)
+        chords = self._chords(line, move)
         for point in chords:
             self._trace.move(line, point, axis, positioning=positioning, feed_mm_s=self._feed_mm_s)
         verb = "positions" if positioning else "cuts"
         return f"{verb} along the circle to {_pose((tip, axis))}, {len(chords)} chords" if self._told else ""
 
-    def _chords(self, line: int, move: CircularMove, remedy: str) -> list[Point]:
+    def _check_circle(self, line: int, circle: _Circle, move: CircularMove) -> None:
+        """Refuses what is no circle, or one of which the file does not say how far round it goes."""
+        height, apart, radius = _plane(move)
+        if not (abs(height) <= RADIUS_MM):
+            found, bound = f"a circle that ends {height:.6g} mm off its plane", f"<= {RADIUS_MM:g} mm off it"
+            raise self._refusal(line, found, bound, CORRECT_CIRCLE)
+        if circle.radius_mm is not None and not (abs(circle.radius_mm - radius) <= RADIUS_MM):
+            found = f"a circle of radius {circle.radius_mm:.6g} mm"
+            bound = f"of {radius:.6g} mm within {RADIUS_MM:g} mm, from its centre to where the tool stands"
+            raise self._refusal(line, found, bound, CORRECT_CIRCLE)
+        if 0.0 < apart < CLOSE_MM:
+            found = f"a circle whose start and end are {apart:.3g} mm apart"
+            bound = f"one whose are the same, or >= {CLOSE_MM:g} mm apart: it could be a whole turn"
+            remedy = "write the same point for a whole turn, or leave the circle out"
+            raise self._refusal(line, found, bound, remedy)
+
+    def _chords(self, line: int, move: CircularMove) -> list[Point]:
         try:
             points, off_mm = move.chords(self._reading.arc_tolerance_mm, self._trace.room)
         except CircleError as error:
-            if error.found.endswith("chords"):  # too many for the path, and nothing is wrong with the circle
-                remedy = f"{shorter(self._limit)}, or declare a larger {ARC_OPTION}"
+            # Too many chords for the path: nothing is wrong with the circle.
+            many = error.found.endswith("chords")
+            remedy = f"{shorter(self._limit)}, or declare a larger {ARC_OPTION}" if many else CORRECT_CIRCLE
             raise self._refusal(line, f"a circle with {error.found}", error.bound, remedy) from None
         self._trace.widen(tolerance_mm=off_mm)
         return list(map(tuple, points.tolist()))
@@ -771,6 +778,8 @@ class _Program:
             if not (0.0 < length_mm <= LENGTH_MAX_MM):
                 found, bound = f"a tool of length {length_mm:.6g} mm", f"over 0 and <= {LENGTH_MAX_MM:g} mm"
                 raise self._refusal(line, found, bound, "correct LENGTH, or the file's unit")
+        if self._trace.room != self._operation_room:
+            self._operation_tool = None
         self._mount(line, self._tool_name(line, major, tool), length_mm)
         return f"mounts tool {tool}" + (f", {length_mm:.10g} mm long" if length_mm else "")
 
@@ -787,7 +796,7 @@ class _Program:
         if stood is not None and stood[0] == self._trace.room:
             self._trace.move(*stood[1:], positioning=True)
             self._stood = (self._trace.room, *stood[1:])
-        self._tool, self._settled, self._rapid = tool, False, False
+        self._tool, self._length_mm, self._settled, self._rapid = tool, length_mm, False, False
         self._bars.pop("home", None)
         self._bars.pop("tool", None)
 
@@ -809,17 +818,20 @@ class _Program:
         return "has the next tool made ready; mounts nothing"
 
     def operation(self, line: int, rest: str) -> str:
-        """``TOOL PATH/name,TOOL,tool``: the tool is another one where its name is."""
+        """``TOOL PATH/name,TOOL,tool``: the tool is another one where its name is.
+
+        A ``LOAD`` beside it, before or behind it with no motion between, is of the same tool.
+        """
         tokens = [token.strip() for token in rest.split(",")]
         if not (len(tokens) == 3 and _upper(tokens[1]) == "TOOL"):
             raise self._unread(line, "TOOL PATH", rest, "TOOL PATH/name,TOOL,tool")
         tool = self._tool_name(line, "TOOL PATH", tokens[2])
         self._settled = False
-        if tool == self._operation_tool:
-            return f"goes on with tool {tool}"
-        self._mount(line, tool, None)
-        self._operation_tool = tool
-        return f"mounts tool {tool}"
+        known = tool == self._operation_tool
+        if not known:
+            self._mount(line, tool, self._length_mm if self._trace.pose is None else None)
+        self._operation_tool, self._operation_room = tool, self._trace.room
+        return f"{'goes on with' if known else 'mounts'} tool {tool}"
 
     # ------------------------------------------------------------ ends
 

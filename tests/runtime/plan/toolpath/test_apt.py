@@ -460,6 +460,21 @@ def test_an_operation_mounts_a_tool_only_where_its_tool_is_another():
     assert [(cut.tool, len(cut.tips_mm)) for cut in path.cuts] == [("D10", 3), ("5", 2)]
 
 
+def test_an_operation_behind_another_tool_mounts_its_own_again():
+    first, second = "TOOL PATH/A,TOOL,D10", "TOOL PATH/B,TOOL,D10"
+    path = read(program(first, "LOAD/TOOL,5", *POINTS, "LOAD/TOOL,6", *POINTS, second, *POINTS))
+    assert [cut.tool for cut in path.cuts] == ["5", "6", "D10"]
+    path = read(program(first, "LOAD/TOOL,5", *POINTS, second, "GOTO/2,0,0"))
+    assert [(cut.tool, len(cut.tips_mm)) for cut in path.cuts] == [("5", 3)]
+
+
+def test_an_operation_keeps_the_length_of_the_tool_loaded_for_it():
+    operation = "TOOL PATH/A,TOOL,D10"
+    assert cut_of("LOADTL/5,LENGTH,100", operation, *POINTS).tool_length_mm == 100
+    path = read(program("LOADTL/5,LENGTH,100", *POINTS, operation, *POINTS))
+    assert [cut.tool_length_mm for cut in path.cuts] == [100, None]
+
+
 def test_toolno_describes_the_tool_that_is_mounted_before_or_after():
     assert cut_of("LOADTL/4", "TOOLNO/4,1", *POINTS).tool == "4"
     assert cut_of("TOOLNO/4", "LOADTL/4", *POINTS).tool == "4"

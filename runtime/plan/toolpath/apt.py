@@ -150,6 +150,15 @@ CYCLE_KEYS: Final = {
     "INCR": "increment",
     "STEP": "increment",
 }
+CYCLE_LENGTHS: Final = {
+    "FEDTO": "the depth below the point, a positive number",
+    "RAPTO": "the height above the point where the feed begins",
+    "RTRCTO": "the height above the point to which the tool leaves, no lower than RAPTO",
+    "1STPECK": "the depth of the first peck",
+    "SUBPECK": "the depth of each further peck",
+    "INCR": "the depth of each peck, as STEP is",
+}
+HOLES: Final = "have the holes written as GOTO"
 _PECKING: Final = frozenset({"first", "step", "increment"})
 CYCLES: Final = {
     "DRILL": (frozenset[str](),),
@@ -332,9 +341,13 @@ class _Program:
     # ------------------------------------------------------------ numbers
 
     def _numbers(self, line: int, major: str, rest: str, counts: tuple[int, ...], bound: str) -> list[float]:
-        values = list(map(float, rest.split(","))) if _LIST.fullmatch(rest) else []
-        if len(values) not in counts:
+        if not _LIST.fullmatch(rest):
             raise self._unread(line, major, rest, f"{major}/{bound}", "write it with plain decimal numbers")
+        values = list(map(float, rest.split(",")))
+        if len(values) not in counts:
+            less = "complete it" if len(values) < min(counts) else "have it written without the others"
+            remedy = f"it has {len(values)} of them: {less}"
+            raise self._unread(line, major, rest, f"{major}/{bound}", remedy)
         return values
 
     def _number(self, line: int, major: str, name: str, text: str) -> float:
@@ -388,7 +401,7 @@ class _Program:
 
     def _check_no_cycle(self, line: int, found: str) -> None:
         if self._cycle is not None:
-            remedy = "write CYCLE/OFF before it, or have the holes written as GOTO"
+            remedy = f"write CYCLE/OFF before it, or {HOLES}"
             raise self._refusal(line, f"{found} while a cycle is on", "behind CYCLE/OFF", remedy)
 
     def goto(self, line: int, rest: str) -> str:
@@ -506,7 +519,7 @@ class _Program:
             # Too many chords for the path: nothing is wrong with the circle.
             many = error.found.endswith("chords")
             remedy = f"{shorter(self._limit)}, or declare a larger {ARC_OPTION}" if many else CORRECT_CIRCLE
-            raise self._refusal(line, f"a circle with {error.found}", error.bound, remedy) from None
+            raise self._refusal(line, error.found, error.bound, remedy) from None
         self._trace.widen(tolerance_mm=off_mm)
         return list(map(tuple, points.tolist()))
 
@@ -523,7 +536,7 @@ class _Program:
             return "no drilling cycle is on yet"
         if name not in CYCLES:
             bound = f"one of {', '.join(CYCLES)}, INIT, OFF"
-            raise self._unread(line, "CYCLE", rest, bound, "have the holes written as GOTO")
+            raise self._unread(line, "CYCLE", rest, bound, HOLES)
         self._scale(line)
         lengths, rate = self._cycle_settings(line, name, settings)
         self._cycle = self._cycle_of(line, name, lengths, rate)
@@ -541,29 +554,33 @@ class _Program:
         lengths: dict[str, float] = {}
         rate = None
         if len(settings) % 2:
-            raise self._refusal(
-                line, f"CYCLE/{name} with {len(settings)} settings", "pairs of name and number", "complete it"
-            )
+            found = f"CYCLE/{name} with {settings[-1]} alone at its end"
+            raise self._refusal(line, found, "pairs of name and number", "complete the line")
         for key, text in zip(map(_upper, settings[::2]), settings[1::2], strict=True):
-            if key in FEED_UNITS and rate is None:
-                rate = self._rate_of(line, "CYCLE", key, text)
-            elif key in CYCLE_KEYS and CYCLE_KEYS[key] not in lengths:
-                lengths[CYCLE_KEYS[key]] = self._number(line, f"CYCLE/{name}", key, text) * self._mm
+            length = CYCLE_KEYS.get(key)
+            if length is None and key not in FEED_UNITS:
+                bound = f"with {', '.join((*CYCLE_KEYS, *FEED_UNITS))} alone"
+                raise self._refusal(line, f"CYCLE/{name} with {key}", bound, HOLES)
+            if length in lengths or (length is None and rate is not None):
+                bound = "given once: RAPTO is CLEAR, INCR is STEP, and there is one feed"
+                raise self._refusal(line, f"CYCLE/{name} with {key} again", bound, "remove one of the two")
+            if length is None:
+                rate = self._rate_of(line, f"CYCLE/{name}", key, text)
             else:
-                bound = f"each once of {', '.join((*CYCLE_KEYS, *FEED_UNITS))}"
-                raise self._refusal(line, f"CYCLE/{name} with {key}", bound, "have the holes written as GOTO")
+                lengths[length] = self._number(line, f"CYCLE/{name}", key, text) * self._mm
         return lengths, rate
 
     def _cycle_of(self, line: int, name: str, lengths: dict[str, float], rate: _Rate | None) -> _Cycle:
         """Judges the lengths of a cycle together."""
-        if "depth" not in lengths or "clearance" not in lengths:
-            found, bound = f"CYCLE/{name} without one of them", "with depth FEDTO and clearance RAPTO (CLEAR)"
-            raise self._refusal(line, found, bound, "add it, or have the holes written as GOTO")
-        if lengths.keys() & _PECKING not in CYCLES[name]:
-            pecks = "without pecks" if name == "DRILL" else "with 1STPECK and SUBPECK, or with INCR (STEP)"
-            raise self._refusal(
-                line, f"CYCLE/{name} with other pecks", pecks, "have the holes written as GOTO"
-            )
+        for length, key in (("depth", "FEDTO"), ("clearance", "RAPTO")):
+            if length not in lengths:
+                bound = f"with {key}: {CYCLE_LENGTHS[key]}"
+                raise self._refusal(line, f"CYCLE/{name} without {key}", bound, f"add it, or {HOLES}")
+        given = lengths.keys() & _PECKING
+        if given not in CYCLES[name]:
+            found = " and ".join(key for key, length in CYCLE_KEYS.items() if length in given) or "no peck"
+            bound = "without pecks" if name == "DRILL" else "with 1STPECK and SUBPECK, or with INCR or STEP"
+            raise self._refusal(line, f"CYCLE/{name} with {found}", bound, HOLES)
         depth, clearance = lengths["depth"], lengths["clearance"]
         every = lengths.get("increment", depth)
         cycle = _Cycle(
@@ -574,18 +591,18 @@ class _Program:
             step=lengths.get("step", every),
             rate=rate,
         )
+        first, step = ("INCR", "INCR") if "increment" in lengths else ("1STPECK", "SUBPECK")
         bounds = (
             ("FEDTO", depth, PECK_MIN_MM, DEPTH_MAX_MM),
             ("RAPTO", clearance, 0.0, DEPTH_MAX_MM),
             ("RTRCTO", cycle.retract, clearance, DEPTH_MAX_MM),
-            ("the first peck", cycle.first, PECK_MIN_MM, DEPTH_MAX_MM),
-            ("each further peck", cycle.step, PECK_MIN_MM, DEPTH_MAX_MM),
+            (first, cycle.first, PECK_MIN_MM, DEPTH_MAX_MM),
+            (step, cycle.step, PECK_MIN_MM, DEPTH_MAX_MM),
         )
         for key, value, low, high in bounds:
             if not (low <= value <= high):
-                found, bound = f"CYCLE/{name}: {key} {value:.6g} mm", f"{low:g} to {high:g} mm"
-                remedy = "lengths are measured from the point, the depth as a positive number"
-                raise self._refusal(line, found, bound, remedy)
+                found, bound = f"CYCLE/{name} with {key} {value:.6g} mm", f"{low:g} to {high:g} mm"
+                raise self._refusal(line, found, bound, f"{key} is {CYCLE_LENGTHS[key]}: correct it")
         return cycle
 
     def _drill(self, line: int, cycle: _Cycle, point: Point, axis: Point) -> str:
@@ -637,9 +654,9 @@ class _Program:
         values = [token for token in tokens if _ONE.fullmatch(token)]
         if not (len(values) == 1 and len(units) <= 1 and len(units) + 1 == len(tokens)):
             bound = f"one number and one of {', '.join(FEED_UNITS)}"
-            raise self._unread(line, "FEDRAT", rest, bound)
+            raise self._unread(line, "FEDRAT", rest, bound, "have the feed written per minute or revolution")
         if not units and self._feed_unit is None:
-            bound = f"with one of {', '.join(FEED_UNITS)}: no FEDRAT before has said"
+            bound = f"with one of {', '.join(FEED_UNITS)}: no FEDRAT before has one"
             raise self._unread(line, "FEDRAT", rest, bound, "add the unit of the feed")
         self._feed_unit = unit = units[0] if units else str(self._feed_unit)
         self._rate = self._rate_of(line, "FEDRAT", unit, values[0])
@@ -664,7 +681,12 @@ class _Program:
         low, high = FEED_MM_S
         if not (low <= feed_mm_s <= high):
             found, bound = f"a feed of {feed_mm_s:.6g} mm/s", f"{low:g} to {high:g} mm/s"
-            raise self._refusal(line, found, bound, "correct it, or the speed of the spindle")
+            raise self._refusal(
+                line,
+                found,
+                bound,
+                "correct it, or the speed of the spindle" if rate.per_revolution else "correct it",
+            )
         return feed_mm_s
 
     def spindl(self, _line: int, rest: str) -> str:
@@ -717,7 +739,7 @@ class _Program:
     def csys(self, line: int, rest: str) -> str:
         values = self._numbers(line, "CSYS", rest, (12,), "12 numbers, three rows of a transform")
         if values != _IDENTITY and not self._world:
-            bound = "the identity, or behind TRNTYP/WORLD: are coordinates in this system, or in the world?"
+            bound = "the identity, or behind TRNTYP/WORLD: else coordinates may be in this system"
             raise self._unread(
                 line, "CSYS", rest, bound, "have the file written in world coordinates, with TRNTYP/WORLD"
             )
@@ -769,8 +791,8 @@ class _Program:
         tool, *settings = [token.strip() for token in rest.split(",")]
         keys = [_upper(key) for key in settings[::2]]
         if len(settings) % 2 or not (LOAD_KEYS.issuperset(keys) and keys.count("LENGTH") <= 1):
-            bound = f"a tool, then pairs of {', '.join(sorted(LOAD_KEYS))} and number"
-            raise self._unread(line, major, rest, bound, "drop what says nothing of the tool's length")
+            bound = f"a tool, then pairs of a number and one of {', '.join(sorted(LOAD_KEYS))}, LENGTH once"
+            raise self._unread(line, major, rest, bound, "complete the pairs, and drop all others")
         length_mm = None
         if "LENGTH" in keys:
             text = settings[1::2][keys.index("LENGTH")]
@@ -785,7 +807,7 @@ class _Program:
 
     def _tool_name(self, line: int, major: str, name: str) -> str:
         if not (0 < len(name) <= NAME_MAX):
-            raise self._unread(line, major, name, f"a tool of 1 to {NAME_MAX} characters", "name the tool")
+            raise self._unread(line, major, name, f"a tool of 1 to {NAME_MAX} characters", "rename the tool")
         return name
 
     def _mount(self, line: int, tool: str, length_mm: float | None) -> None:

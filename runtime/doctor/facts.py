@@ -108,11 +108,11 @@ class CanInterface:
 
     Attributes:
         name: of the interface.
-        virtual: it has no hardware (vcan).
+        virtual: it is known to have no hardware (vcan, vxcan).
         up: it is switched on.
         mtu: bytes of its longest frame: 16, or 72 with CAN FD.
         queue_frames: length of its transmit queue (``txqueuelen``).
-        detail: of its controller; None where it has none, or nothing told.
+        detail: of its controller; None where it has none, or nothing is said of it.
     """
 
     name: str

@@ -25,6 +25,8 @@ VCAN: Final = "ip link add dev {name} type vcan && ip link set {name} up"
 _MODES: Final = "ip link set {name} down && ip link set {name} up type can"
 _WIRING: Final = "look at wiring, termination, the bit rate of both sides, and whether the controller is on"
 
+_NO_IP: Final = "see why ip says nothing (package iproute2)"
+
 _SOCKET_REMEDIES: Final = {
     SocketRefusal.NO_CAN: "load it as root, where the kernel has it: modprobe can && modprobe can-raw",
     SocketRefusal.NO_RAW: "load it as root: modprobe can-raw",
@@ -122,11 +124,10 @@ def _words(text: str) -> Callable[[CanInterface], str]:
 
 
 def _switched_on(one: CanInterface) -> str:
-    if one.virtual:
+    if one.detail is None:
         return f"as root: ip link set {one.name} up"
-    rate = one.detail.bitrate_bit_s if one.detail else None
-    told = rate or "RATE (the controller's, bit/s)"
-    return f"as root: ip link set {one.name} up txqueuelen {QUEUE_MAX} type can bitrate {told}"
+    rate = one.detail.bitrate_bit_s or "RATE (the controller's, bit/s)"
+    return f"as root: ip link set {one.name} up txqueuelen {QUEUE_MAX} type can bitrate {rate}"
 
 
 def _restarted(one: CanInterface) -> str:
@@ -185,7 +186,7 @@ RULES: Final = (
         _fd_on,
     ),
     InterfaceRule(
-        lambda one, _: one.virtual or 1 <= one.queue_frames <= QUEUE_MAX,
+        lambda one, _: one.virtual or (None if one.detail is None else 1 <= one.queue_frames <= QUEUE_MAX),
         Condition.WARNING,
         f"txqueuelen 1 to {QUEUE_MAX}: what is queued delays a stop",
         _words(f"as root: ip link set {{name}} txqueuelen {QUEUE_MAX}"),
@@ -237,11 +238,12 @@ def _interface(one: CanInterface, examined: Examined, *, used: bool, no_detail: 
         failed = any(rule.otherwise is Condition.FAIL for rule in broken)
         state = Condition.FAIL if failed and used else Condition.WARNING
         bound = "; ".join(rule.bound for rule in broken)
-        return Finding(name, state, found, bound, "; ".join(rule.remedy(one) for rule in broken))
+        remedies = [_NO_IP] * bool(no_detail) + [rule.remedy(one) for rule in broken]
+        return Finding(name, state, found, bound, "; ".join(remedies))
     if unsaid:
         bound = "; ".join(rule.bound for rule in unsaid)
         why = no_detail or "ip -details does not say all of it"
-        remedy = "install iproute2" if no_detail else "look at: ip -details -statistics link show"
+        remedy = _NO_IP if no_detail else "look at: ip -details -statistics link show"
         return Finding(name, Condition.UNKNOWN, f"{found}; {why}", bound, remedy)
     bound = "up" if one.virtual else "up, error-active, short transmit queue"
     return Finding(name, Condition.OK, found, bound)
@@ -249,7 +251,7 @@ def _interface(one: CanInterface, examined: Examined, *, used: bool, no_detail: 
 
 def _shown(one: CanInterface) -> str:
     """Everything that is known of it, on one line."""
-    parts = ["virtual" if one.virtual else "hardware", "up" if one.up else "down"]
+    parts = ["virtual"] * one.virtual + ["up" if one.up else "down"]
     detail = one.detail
     if detail is not None:
         rate = None if detail.bitrate_bit_s is None else f"{detail.bitrate_bit_s} bit/s"

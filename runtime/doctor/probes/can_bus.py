@@ -6,10 +6,11 @@ import os
 import socket
 import stat
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from shutil import which
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import can
 
@@ -110,19 +111,19 @@ def ip_text() -> str:
 def interfaces(
     _examined: Examined, net: Path = NET, asked: Callable[[], str] = ip_text
 ) -> Interfaces | Unknown:
-    """All CAN interfaces of the kernel; ``ip`` is asked only where one of them has hardware."""
+    """All CAN interfaces of the kernel; ``ip`` is asked only where there is one."""
     try:
         folders = sorted(net.iterdir())
     except OSError as error:
         return Unknown(f"{net} cannot be read: {error.strerror}")
     found = [one for folder in folders if (one := _interface(folder)) is not None][:INTERFACES_MAX]
-    if not any(not one.virtual for one in found):
-        return Interfaces(tuple(found))
+    if not found:
+        return Interfaces(())
     try:
-        details = details_of(asked())
+        told = kinds_of(asked())
     except NoDetailError as error:
         return Interfaces(tuple(found), str(error))
-    return Interfaces(tuple(_with_detail(one, details) for one in found))
+    return Interfaces(tuple(_completed(one, told.get(one.name)) for one in found))
 
 
 def _interface(folder: Path) -> CanInterface | None:
@@ -132,16 +133,21 @@ def _interface(folder: Path) -> CanInterface | None:
     )
     if kind != ARPHRD_CAN or flags is None or mtu is None or queue is None:
         return None
-    virtual = "/virtual/" in f"{os.path.realpath(folder)}/"
-    return CanInterface(folder.name, virtual, bool(flags & IFF_UP), mtu, queue, None)
+    # An adapter on a serial line lies among the virtual devices of sysfs as well: which it is says ip alone.
+    return CanInterface(folder.name, False, bool(flags & IFF_UP), mtu, queue, None)
 
 
-def _with_detail(one: CanInterface, details: Mapping[str, LinkDetail]) -> CanInterface:
-    return CanInterface(one.name, one.virtual, one.up, one.mtu, one.queue_frames, details.get(one.name))
+Kind = LinkDetail | Literal["virtual"]
 
 
-def details_of(text: str) -> dict[str, LinkDetail]:
-    """The CAN controllers in what ``ip -details -json link`` prints; what is not as expected is None.
+def _completed(one: CanInterface, kind: Kind | None) -> CanInterface:
+    """With what ``ip`` says of it."""
+    detail = kind if isinstance(kind, LinkDetail) else None
+    return replace(one, virtual=kind == "virtual", detail=detail)
+
+
+def kinds_of(text: str) -> dict[str, Kind]:
+    """The CAN interfaces in what ``ip -details -json link`` prints; what is not as expected is None.
 
     Raises:
         NoDetailError: it is no such list.
@@ -152,12 +158,15 @@ def details_of(text: str) -> dict[str, LinkDetail]:
         raise NoDetailError("what ip says is no JSON") from None
     if not isinstance(links, list):
         raise NoDetailError("what ip says is no list")
-    told = ((_member(link, "ifname"), _member(link, "linkinfo")) for link in links)
-    return {
-        name: _detail(_member(info, "info_data"))
-        for name, info in told
-        if isinstance(name, str) and _member(info, "info_kind") == "can"
-    }
+    told: dict[str, Kind] = {}
+    for link in links:
+        name, info = _member(link, "ifname"), _member(link, "linkinfo")
+        kind = _member(info, "info_kind")
+        if isinstance(name, str) and kind == "can":
+            told[name] = _detail(_member(info, "info_data"))
+        elif isinstance(name, str) and kind in ("vcan", "vxcan"):
+            told[name] = "virtual"
+    return told
 
 
 def _detail(data: Any) -> LinkDetail:

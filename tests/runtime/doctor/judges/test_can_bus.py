@@ -50,7 +50,7 @@ FAULTS = {
         "ip link set can0 up txqueuelen 10 type can bitrate 1000000",
     ),
     "down and never set up": (
-        replace(GOOD, up=False, detail=None),
+        replace(GOOD, up=False, detail=replace(DETAIL, state="STOPPED", bitrate_bit_s=None)),
         Condition.FAIL,
         "bitrate RATE (the controller's, bit/s)",
     ),
@@ -77,7 +77,6 @@ def test_a_good_interface_is_good(one):
     found = interface(one)
     assert (found.state, found.remedy) == (Condition.OK, "")
     for value in (
-        "hardware",
         "up",
         "ERROR-ACTIVE",
         "1000000 bit/s",
@@ -144,7 +143,16 @@ def test_hardware_of_which_nothing_is_said_is_unknown_with_the_reason():
     found = interface(replace(GOOD, detail=None), no_detail="there is no ip program")
     assert found.state is Condition.UNKNOWN
     assert "there is no ip program" in found.found
-    assert found.remedy == "install iproute2"
+    assert "iproute2" in found.remedy
+
+
+@pytest.mark.parametrize("queue", [10, 1000])
+def test_without_a_word_of_ip_an_interface_may_be_virtual_and_its_queue_right(queue):
+    one = replace(GOOD, detail=None, queue_frames=queue)
+    assert interface(one, no_detail="there is no ip program").state is Condition.UNKNOWN
+    down = interface(replace(one, up=False), no_detail="there is no ip program")
+    assert down.state is Condition.FAIL
+    assert down.remedy.startswith("see why ip says nothing (package iproute2); as root: ip link set can0 up")
 
 
 @given(

@@ -19,8 +19,8 @@ from cutgate.runtime.doctor.probes import can_bus
 from cutgate.runtime.doctor.probes.can_bus import (
     NoDetailError,
     backend,
-    details_of,
     interfaces,
+    kinds_of,
     local_bus,
     raw_socket,
 )
@@ -47,6 +47,8 @@ CAN0 = {
 }
 """As iproute2 6.1 prints a CAN controller."""
 
+VCAN0 = {"ifname": "vcan0", "txqlen": 1000, "link_type": "can", "linkinfo": {"info_kind": "vcan"}}
+
 
 def never():
     raise AssertionError("ip must not be asked")
@@ -72,7 +74,7 @@ def net(tmp_path):
 
 
 def test_interfaces_are_told_by_sysfs_and_controllers_by_ip(net):
-    facts = interfaces(HERE, net, lambda: json.dumps([{"ifname": "eth0"}, CAN0]))
+    facts = interfaces(HERE, net, lambda: json.dumps([{"ifname": "eth0"}, CAN0, VCAN0]))
     can0, vcan0 = facts.found
     assert (can0.name, can0.virtual, can0.up, can0.mtu, can0.queue_frames) == ("can0", False, True, 16, 10)
     assert can0.detail == LinkDetail(
@@ -82,11 +84,19 @@ def test_interfaces_are_told_by_sysfs_and_controllers_by_ip(net):
     assert facts.no_detail == ""
 
 
-def test_ip_is_not_asked_where_nothing_has_a_controller(net):
+def test_ip_is_not_asked_where_there_is_no_can(net):
     (net / "can0").unlink()
-    assert [one.name for one in interfaces(HERE, net, never).found] == ["vcan0"]
     (net / "vcan0").unlink()
     assert interfaces(HERE, net, never).found == ()
+
+
+def test_an_interface_is_virtual_only_if_ip_says_so(net):
+    """A serial adapter lies among the virtual devices of sysfs too."""
+    facts = interfaces(HERE, net, lambda: "[]")
+    assert [(one.name, one.virtual, one.detail) for one in facts.found] == [
+        ("can0", False, None),
+        ("vcan0", False, None),
+    ]
 
 
 def test_without_ip_what_sysfs_says_stays_and_the_reason_is_told(net):
@@ -102,7 +112,7 @@ def test_without_ip_what_sysfs_says_stays_and_the_reason_is_told(net):
 
 def test_an_interface_that_is_half_gone_is_none(net):
     (net / "can0" / "mtu").unlink()
-    assert [one.name for one in interfaces(HERE, net, never).found] == ["vcan0"]
+    assert [one.name for one in interfaces(HERE, net, lambda: "[]").found] == ["vcan0"]
 
 
 def test_a_kernel_without_sysfs_is_unknown(tmp_path):
@@ -123,7 +133,7 @@ json_values = st.recursive(
 
 @given(json_values)
 def test_whatever_ip_says_is_a_detail_or_none(info):
-    told = details_of(
+    told = kinds_of(
         json.dumps([{"ifname": "can0", "linkinfo": {"info_kind": "can", "info_data": info}}, info])
     )
     detail = told["can0"]
@@ -134,13 +144,13 @@ def test_whatever_ip_says_is_a_detail_or_none(info):
 
 def test_nesting_without_end_is_no_answer():
     with pytest.raises(NoDetailError):
-        details_of("[" * 200_000)
+        kinds_of("[" * 200_000)
 
 
 def test_a_fixed_bit_rate_stands_in_another_place():
     data = {"bitrate": 500000, "state": "STOPPED"}
     link = {"ifname": "can1", "linkinfo": {"info_kind": "can", "info_data": data}}
-    assert details_of(json.dumps([link]))["can1"].bitrate_bit_s == 500000
+    assert kinds_of(json.dumps([link]))["can1"].bitrate_bit_s == 500000
 
 
 @pytest.mark.processes
@@ -149,7 +159,7 @@ def test_the_ip_of_this_machine_answers_in_a_form_that_is_read():
         text = can_bus.ip_text()
     except NoDetailError as error:
         pytest.skip(str(error))
-    details_of(text)
+    kinds_of(text)
     assert "lo" in [link["ifname"] for link in json.loads(text)]
 
 

@@ -23,11 +23,14 @@ from PIL import Image
 
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
+from cutgate.runtime.commands.verify_picture import figure_of
+from cutgate.runtime.commands.verify_scene import scene
 from cutgate.runtime.kinematics.arm import TrueArm
 from cutgate.runtime.library.printed import printed_distance
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.verification import certified, stocco
+from cutgate.runtime.verification.placing.guidance import guide
 from cutgate.runtime.verification.problem import Arm, Deadband, Problem
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.verdict import ARM_BOUNDARIES, WRIST_BOUNDARIES, Verdict
@@ -224,6 +227,19 @@ def curves(
             )
 
 
+def verdict_of_the_first() -> Figure:
+    """What ``cutgate verify --plot`` draws of the hip stem where the bone first stands."""
+    robot = load_robot(ROOT / "examples" / "robot.toml").value
+    placed = load_registration(ROOT / "examples" / "registration-first.json")
+    plan = load_plan(ROOT / "examples" / "hip-stem.plan.json")
+    prepared = prepare(plan, placed, robot, now=datetime.now(UTC), clock_skew_s=0.0)
+    problem, verdict = hip_stem("first")
+    guidance = guide(problem, verdict, prepared.quantise)
+    title = f"{plan.value.id}, registration {placed.value.id}"
+    figure: Figure = figure_of(scene(problem, verdict, guidance, title))
+    return figure
+
+
 TABLE_1: Final = (
     (765.299, 90.0, "strokes tangential, near the outer circle"),
     (274.514, 90.0, "strokes tangential, near the inner circle"),
@@ -335,6 +351,7 @@ PICTURES: Final = {
     "clearance-along-path.png": clearance_along_path,
     "table-1.png": table_1,
     "printed-equations.png": printed_equations,
+    "verify-hip-stem.png": verdict_of_the_first,
 }
 
 

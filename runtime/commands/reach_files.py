@@ -53,15 +53,19 @@ def files_for(out: Path | None, *, json: bool) -> dict[str, Path]:
     return files
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a whole file or none: beside it first, then into its place."""
+def write_whole(path: Path, content: bytes, option: str = "--out") -> None:
+    """Writes a whole file or none: beside it first, then into its place.
+
+    Raises:
+        InputError: it cannot be written; names the option that asked for it.
+    """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         beside.write_bytes(content)
         beside.replace(path)
     except OSError as error:
         raise InputError(
-            path, "--out", None, f"cannot be written ({error.strerror})", "name another"
+            path, option, None, f"cannot be written ({error.strerror})", "name another"
         ) from None
     finally:
         beside.unlink(missing_ok=True)

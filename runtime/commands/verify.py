@@ -35,6 +35,7 @@ from cutgate.runtime.commands.verdict_view import (
     print_verdict,
     where_facts,
 )
+from cutgate.runtime.commands.verify_plot import PlotOption, save_plots
 from cutgate.runtime.plan.load import PLANS, load_plans, load_registration, single_tool
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.plan.registration import checked as checked_points
@@ -224,10 +225,10 @@ class _Judged:
         return cls(prepared, checked, placed, cautions(checked.problem, checked.verdict, placed))
 
 
-def _document(judged: _Judged) -> dict[str, Any]:
+def _document(judged: _Judged, guidance: Guidance | None) -> dict[str, Any]:
     """The verdict's document, with where the cut lies and what looks wrong."""
-    prepared, checked = judged.prepared, judged.checked
-    problem, verdict, guidance = checked.problem, checked.verdict, _guidance(checked, prepared)
+    checked = judged.checked
+    problem, verdict = checked.problem, checked.verdict
     document = verdict_document(
         verdict,
         poses=checked.poses,
@@ -240,15 +241,16 @@ def _document(judged: _Judged) -> dict[str, Any]:
     known = described(document, problem, verdict, found, judged.placed)
     error = tolerated(problem, verdict)
     known["registration_error"] = None if error is None else asdict(error)
-    return with_tool_path(known, problem, prepared.plan.value.cut)
+    return with_tool_path(known, problem, judged.prepared.plan.value.cut)
 
 
-def _guidance(checked: Checked, prepared: Prepared) -> Guidance | None:
+def _guidance(judged: _Judged) -> Guidance | None:
     """How to move the bone, where the certified method does not admit the path."""
+    checked = judged.checked
     if checked.verdict.admissible or checked.verdict.method != Method.certified:
         return None
     with working("looking for the smallest move of the bone"):
-        return guide(checked.problem, checked.verdict, prepared.quantise)
+        return guide(checked.problem, checked.verdict, judged.prepared.quantise)
 
 
 def verify(
@@ -274,6 +276,7 @@ def verify(
     certificate: Annotated[
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
+    plot: PlotOption = None,
     method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show the digests and every worst place as well.")
@@ -294,16 +297,20 @@ def verify(
     reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
     told = _explain if explain else None
     tools = read(path, robot, registration, tool_length_mm, feed_mm_s, settings, reading=reading, told=told)
-    if certificate is not None:
+    if certificate is not None or plot:
         one(tools)
     asked = AskedTurns(q0_turns, roll_turns)
     judged = [_Judged.of(prepared, method, asked, settings) for prepared in tools]
     if certificate is not None:
         _write_proof(certificate, judged[0].checked.problem, judged[0].checked.verdict)
     if json:
-        echo(document_text(whole([_document(each) for each in judged])))
+        guides = [_guidance(each) for each in judged]
+        found = [_document(each, guidance) for each, guidance in zip(judged, guides, strict=True)]
+        echo(document_text(whole(found)))
     else:
-        _print(judged, verbose=verbose)
+        guides = _print(judged, verbose=verbose)
+    if plot:
+        save_plots(plot, judged[0].checked.problem, judged[0].checked.verdict, guides[0], judged[0].prepared)
     admissible = all(each.checked.verdict.admissible for each in judged)
     raise typer.Exit(ADMISSIBLE if admissible else INADMISSIBLE)
 
@@ -313,31 +320,33 @@ def _explain(line: int, text: str) -> None:
     echo(f"line {line}: {printable(text)}")
 
 
-def _print(judged: Sequence[_Judged], *, verbose: bool) -> None:
-    """Each tool's verdict, under a title where there are several; then how many are admissible."""
-    console, count = output(), len(judged)
+def _print(judged: Sequence[_Judged], *, verbose: bool) -> list[Guidance | None]:
+    """Each tool's verdict, under a title where there are several; then how many are admissible. Where to move the bone for each."""
+    console, count, guides = output(), len(judged), []
     for number, each in enumerate(judged, start=1):
         if count > 1:
             console.rule(printable(title(each.prepared.plan.value.cut, number, count)), align="left")
-        _print_one(console, each, verbose=verbose)
+        guides.append(_print_one(console, each, verbose=verbose))
     if count > 1:
         good = sum(each.checked.verdict.admissible for each in judged)
         console.rule(align="left")
         console.print(
             f"{good} of {count} tools' paths are admissible; `cutgate run` takes a path of one tool."
         )
+    return guides
 
 
-def _print_one(console: Console, each: _Judged, *, verbose: bool) -> None:
+def _print_one(console: Console, each: _Judged, *, verbose: bool) -> Guidance | None:
     checked, verdict = each.checked, each.checked.verdict
     facts = _facts(each.prepared, checked, each.placed, every_place=verbose)
     print_verdict(console, verdict, checked.digests, facts, hashes=verbose)
     print_cautions(console, each.cautions)
     print_tolerated(console, tolerated(checked.problem, verdict))
     print_other_elbow(console, other_elbow(checked.problem, verdict))
-    guidance = _guidance(checked, each.prepared)
+    guidance = _guidance(each)
     print_cautions(console, cautions_of_move(guidance))
     print_end(console, verdict, guidance)
+    return guidance
 
 
 def _facts(

@@ -327,4 +327,4 @@ def _data(shown: Scene) -> str:
         ],
     }
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    return text.replace("&", r"\u0026").replace("<", r"\u003c").replace(">", r"\u003e")
+    return text.replace("<", r"\u003c")

@@ -28,6 +28,7 @@ PIECES_MAX: Final = 2000
 ARC_POINTS: Final = 361
 ON_LINE_MM: Final = 1e-6
 SAME_ROLL_RAD: Final = 0.01
+SMALLEST: Final = 1e-300
 
 LETTERS: Final = dict(
     zip(BOUNDARIES, ("I", "O", "L", "R", "T", "B", "W-", "W+", "P-", "P+", "V"), strict=True)
@@ -158,7 +159,7 @@ def scene(problem: Problem, verdict: Verdict, guidance: Guidance | None, title: 
     radii = (bounding[0].radius, bounding[1].radius) if bounding else None
     if path.off_mm:
         notes.append(
-            f"The path is drawn with {len(path.pose)} points; what is left out is off it by at most {path.off_mm:.2g} mm."
+            f"The path is drawn with {len(path.pose)} points; what is left out is off it by at most {math.ceil(path.off_mm * 1000.0) / 1000.0:g} mm."
         )
     if geometry.tilt.any():
         notes.append("The slide leans: x and y are where the column is at slide height 0.")
@@ -285,8 +286,8 @@ def _drawn(geometry: Geometry, points: Points, pose: Floats) -> Drawn:
 def thinned(drawn: Drawn, lines: Floats, most: int = VERTICES_MAX) -> tuple[Drawn, Floats]:
     """The same with fewer points, at most so many, and how far the others are off.
 
-    Every second point is left out where it is near the line between its neighbours, and again, until few enough are
-    left; each round moves the drawn line by no more than the farthest of those left out.
+    Every second point is left out where it is near the line between its neighbours, and again, with a tolerance that
+    grows where too few are, until few enough are left.
 
     Args:
         drawn: n points.
@@ -294,24 +295,32 @@ def thinned(drawn: Drawn, lines: Floats, most: int = VERTICES_MAX) -> tuple[Draw
         most: so many points at most, 2 or more.
     """
     places = np.concatenate((drawn.above, drawn.side), axis=1)
-    kept, off, tolerance = np.arange(len(places)), 0.0, 0.001
+    kept, tolerance = np.arange(len(places)), 0.001
     while len(kept) > most:
         middle = np.arange(1, len(kept) - 1, 2)
         begin, point, end = (places[kept[middle + step]] for step in (-1, 0, 1))
-        chord = end - begin
-        square = np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-300)
-        foot = np.clip(np.einsum("ij,ij->i", point - begin, chord) / square, 0.0, 1.0)
-        away = np.linalg.norm(point - begin - foot[:, None] * chord, axis=1)
-        near = away <= tolerance
-        if np.count_nonzero(near) * 20 < len(middle):
+        away = _from_line(point, begin, end)
+        near = np.flatnonzero(away <= tolerance)
+        if len(near) * 20 < len(middle):
             tolerance *= 2.0
             continue
-        leave = np.flatnonzero(near)
-        leave = leave[np.argsort(away[leave], kind="stable")][: len(kept) - most]
-        off += float(away[leave].max())
+        leave = near[np.argsort(away[near], kind="stable")][: len(kept) - most]
         kept = np.delete(kept, middle[leave])
+    # A line's distance from a line is largest at its ends, so that of the points bounds that of all between them.
+    line = np.repeat(np.arange(len(kept) - 1), np.diff(kept))
+    off = _from_line(places[:-1], places[kept[line]], places[kept[line + 1]])
+    off_mm = float(off.max()) if len(kept) < len(places) else 0.0
     least = np.minimum.reduceat(lines, kept[:-1], axis=1) if len(lines) else lines[:, : len(kept) - 1]
-    return Drawn(drawn.above[kept], drawn.side[kept], drawn.pose[kept], off), least
+    return Drawn(drawn.above[kept], drawn.side[kept], drawn.pose[kept], off_mm), least
+
+
+def _from_line(points: Floats, begin: Floats, end: Floats) -> Floats:
+    """Distance of each point from its straight line between two others, shape (m,)."""
+    chord = end - begin
+    square = np.maximum(np.einsum("ij,ij->i", chord, chord), SMALLEST)
+    foot = np.clip(np.einsum("ij,ij->i", points - begin, chord) / square, 0.0, 1.0)
+    out: Floats = np.linalg.norm(points - begin - foot[:, None] * chord, axis=1)
+    return out
 
 
 def _worst(geometry: Geometry, segments: Segments, verdict: Verdict) -> tuple[Worst, ...]:

@@ -211,17 +211,17 @@ def arc_points(arc: Arc, inward_mm: float = 0.0) -> Floats:
 def deadband_lines(geometry: Geometry, arcs: Sequence[Arc]) -> list[Floats]:
     """Where a wrist centre is just the deadband away from the workspace's boundary, as lines of points, shape (m, 2).
 
-    Such points lie on an arc about the same centre as one of the boundary's, or on a circle about its end; of these the
-    signed distance tells which do.
+    Such points lie on arcs about the same centres as the boundary's: all its corners are convex, being those of the
+    joints' rectangle. Of the points of these arcs the signed distance tells which are on the line.
     """
-    keep, lines = geometry.arm_mm, []
-    ends = [Arc(x, y, keep, 0.0, math.tau) for arc in arcs for x, y in arc.ends if arc.span < math.tau]
-    candidates = [arc_points(arc, inward) for arc in arcs for inward in (keep, -keep) if arc.radius > inward]
-    for points in (*candidates, *map(arc_points, ends)):
+    keep = geometry.arm_mm
+    lines: list[Floats] = []
+    for arc, inward in ((arc, inward) for arc in arcs for inward in (keep, -keep) if arc.radius > inward):
+        points = arc_points(arc, inward)
         on = np.abs(signed_distance(points, geometry.workspace) - keep) <= ON_LINE_MM
         changes = np.flatnonzero(np.diff(on.astype(np.int8))) + 1
-        lines += [part for part, kept in zip(np.split(points, changes), np.split(on, changes), strict=True)
-                  if kept[0] and len(part) > 1]  # fmt: skip
+        parts = zip(np.split(points, changes), np.split(on, changes), strict=True)
+        lines += [part for part, kept in parts if kept[0] and len(part) > 1]
     return lines
 
 

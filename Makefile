@@ -120,12 +120,12 @@ install:
 	$(PIP) --no-build-isolation --no-index --editable .
 
 # Rewrites both locks from pyproject.toml, keeping what fits; they name versions and hashes, never an address.
-# requirements.txt is what runs beside a controller, requirements-dev.txt all of it with pictures and development.
+# requirements.txt is what runs beside a controller, requirements-dev.txt all of it with pictures, HDF5 and development.
 COMPILE := pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 	--no-emit-find-links --no-header --no-annotate pyproject.toml
 lock: $(VENV)-lock/ready
 	$(VENV)-lock/bin/uv $(COMPILE) --output-file requirements.txt
-	$(VENV)-lock/bin/uv $(COMPILE) --constraint requirements.txt --extra pictures --extra dev \
+	$(VENV)-lock/bin/uv $(COMPILE) --constraint requirements.txt --extra pictures --extra h5 --extra dev \
 		--output-file requirements-dev.txt
 
 $(VENV)-lock/ready:

@@ -17,6 +17,12 @@ from cutgate.config.model import Robot, Site
 from cutgate.config.screen import printable
 from cutgate.runtime.commands.reach_files import files_for, save
 from cutgate.runtime.commands.reach_picture import between, height, signed
+from cutgate.runtime.commands.registration_options import (
+    DirectionOption,
+    FrameOption,
+    ResidualOption,
+    TakenAtOption,
+)
 from cutgate.runtime.commands.screen import echo, messages, output, working
 from cutgate.runtime.commands.tool_path_options import (
     ArcToleranceOption,
@@ -25,8 +31,9 @@ from cutgate.runtime.commands.tool_path_options import (
     RotaryOption,
 )
 from cutgate.runtime.commands.verify import PLAN_HELP, RegistrationOption, RobotOption
-from cutgate.runtime.plan.load import load_plan, load_registration
+from cutgate.runtime.plan.load import load_placed, load_plan
 from cutgate.runtime.plan.prepare import Prepared, prepare
+from cutgate.runtime.plan.registrations.declared import Declared
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.verification.bounds.geometry import canonical
 from cutgate.runtime.verification.placing import reach
@@ -120,6 +127,10 @@ def reach_command(
     cores: Annotated[
         int | None, typer.Option(min=1, max=256, help="Processes; all cores if left out.")
     ] = None,
+    registration_frame: FrameOption = None,
+    registration_direction: DirectionOption = None,
+    taken_at: TakenAtOption = None,
+    registration_residual_mm: ResidualOption = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Map where the bone could stand so that the whole cut path keeps its distance from every limit.
@@ -129,7 +140,8 @@ def reach_command(
     yaws = None if yaw_deg is None else _values(yaw_deg, "--yaw-deg", -180.0, 180.0)
     lifts = None if lift_mm is None else _values(lift_mm, "--lift-mm", -2000.0, 2000.0)
     arm = load_robot(robot)
-    placed = load_registration(registration) if registration else None
+    declared = Declared(registration_frame, registration_direction, taken_at, registration_residual_mm)
+    placed = load_placed(registration, declared)
     now, skew_s = datetime.now(UTC), Site().clock_skew_s
     reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
     wanted = load_plan(plan, reading=reading)

@@ -7,6 +7,12 @@ import typer
 
 from cutgate.config.load import InputError, read_bytes
 from cutgate.config.screen import printable
+from cutgate.runtime.commands.registration_options import (
+    DirectionOption,
+    FrameOption,
+    ResidualOption,
+    TakenAtOption,
+)
 from cutgate.runtime.commands.screen import output, working
 from cutgate.runtime.commands.tool_path_options import (
     ArcToleranceOption,
@@ -23,6 +29,7 @@ from cutgate.runtime.commands.verify import (
     one,
     read,
 )
+from cutgate.runtime.plan.registrations.declared import Declared
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.verification import certificate as proofs
 from cutgate.runtime.verification.recorded import off_line_problem
@@ -44,13 +51,20 @@ def recheck(
     rotary: RotaryOption = None,
     arc_tolerance_mm: ArcToleranceOption = ARC_TOLERANCE_MM,
     axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
+    registration_frame: FrameOption = None,
+    registration_direction: DirectionOption = None,
+    taken_at: TakenAtOption = None,
+    registration_residual_mm: ResidualOption = None,
 ) -> None:
     """Check the proof that a whole cut path is admissible, interval by interval, without a search.
 
     Exit code: 0 the proof holds, 1 it does not prove this path admissible, 2 refused input.
     """
+    declared = Declared(registration_frame, registration_direction, taken_at, registration_residual_mm)
     reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
-    prepared = one(read(path, robot, registration, tool_length_mm, feed_mm_s, reading=reading))
+    prepared = one(
+        read(path, robot, registration, tool_length_mm, feed_mm_s, reading=reading, declared=declared)
+    )
     try:
         proof = proofs.Certificate.parse(
             read_bytes(certificate, remedy="it holds something else; name a proof")

@@ -16,6 +16,13 @@ from cutgate.config.screen import printable
 from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED
 from cutgate.runtime.audit.directory import Previous
+from cutgate.runtime.commands.registration_options import (
+    DirectionOption,
+    FrameOption,
+    ResidualOption,
+    TakenAtOption,
+    how_read,
+)
 from cutgate.runtime.commands.screen import delivered, working
 from cutgate.runtime.commands.session_view import SessionView, run_document, stopped
 from cutgate.runtime.commands.tool_path_options import (
@@ -34,6 +41,7 @@ from cutgate.runtime.commands.verify import (
 )
 from cutgate.runtime.interlock.phases import ENDINGS
 from cutgate.runtime.interlock.state import Interlock
+from cutgate.runtime.plan.registrations.declared import Declared
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.session.check import Check
 from cutgate.runtime.session.conduct import conduct
@@ -96,6 +104,10 @@ def run(
     axis_tolerance_deg: AxisToleranceOption = AXIS_TOLERANCE_DEG,
     q0_turns: Q0TurnsOption = None,
     roll_turns: RollTurnsOption = None,
+    registration_frame: FrameOption = None,
+    registration_direction: DirectionOption = None,
+    taken_at: TakenAtOption = None,
+    registration_residual_mm: ResidualOption = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Verify the path against the controller on the bus, permit it, start it, watch it to its end.
@@ -107,9 +119,19 @@ def run(
     """
     try:
         with working(f"reading {path}"):
+            declared = Declared(
+                registration_frame, registration_direction, taken_at, registration_residual_mm
+            )
             reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
             files = read_files(
-                path, robot, registration, site, feed_mm_s, reading=reading, allow_simulated=allow_simulated
+                path,
+                robot,
+                registration,
+                site,
+                feed_mm_s,
+                reading=reading,
+                allow_simulated=allow_simulated,
+                declared=declared,
             )
             secret = _key(key, files)
             asked = AskedTurns(q0_turns, roll_turns)
@@ -120,6 +142,8 @@ def run(
     fd = fd or files.settings.bus.fd
     with SessionView(quiet_output=json) as view, signals_wake(view.interrupted) as signals:
         view.note(f"key fingerprint {job.key_fingerprint}: the controller's key must have the same")
+        if how := how_read(files.prepared.registration):
+            view.note(f"registration read {how}")
         view.check_points(job.check_points)
         if job.simulation_allowed_by:
             view.note(f"simulation: a simulated controller is allowed by {job.simulation_allowed_by}", BAD)

@@ -17,6 +17,13 @@ from cutgate.config.model import Site
 from cutgate.config.records import calibration_record, limits_record
 from cutgate.config.screen import printable
 from cutgate.protocol.records import digest
+from cutgate.runtime.commands.registration_options import (
+    DirectionOption,
+    FrameOption,
+    ResidualOption,
+    TakenAtOption,
+    how_read,
+)
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.commands.tool_path_options import (
     ArcToleranceOption,
@@ -36,9 +43,10 @@ from cutgate.runtime.commands.verdict_view import (
     where_facts,
 )
 from cutgate.runtime.commands.verify_plot import PlotOption, save_plots
-from cutgate.runtime.plan.load import PLANS, load_plans, load_registration, single_tool
+from cutgate.runtime.plan.load import PLANS, load_placed, load_plans, single_tool
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.plan.registration import checked as checked_points
+from cutgate.runtime.plan.registrations.declared import NOTHING, Declared
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, PLAIN, Reading, Told
 from cutgate.runtime.verification import certified, stocco
 from cutgate.runtime.verification.advice import Guidance
@@ -65,7 +73,9 @@ ADMISSIBLE, INADMISSIBLE = 0, 1
 
 PLAN_HELP = f"Plan (.json), tool path (.csv: x,y,z,i,j,k) or example ({', '.join(PLANS.names)})."
 ROBOT_HELP = f"robot.toml or preset ({', '.join(PRESETS.names)})"
-REGISTRATION_HELP = "Where the bone stands: registration.json or an example's"
+REGISTRATION_HELP = (
+    "Where the bone stands: registration.json, an example's, or another program's (.tfm, .h5, .txt, .mat)"
+)
 
 PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help=PLAN_HELP)]
 RobotOption = Annotated[Path, typer.Option(help=f"The robot's description: {ROBOT_HELP}.")]
@@ -141,6 +151,7 @@ def read(
     site: Site | None = None,
     *,
     reading: Reading = PLAIN,
+    declared: Declared = NOTHING,
     told: Told | None = None,
 ) -> tuple[Prepared, ...]:
     """Reads the files and prepares the paths that the controller would be given, one for each tool of a tool path.
@@ -159,7 +170,7 @@ def read(
             reading=reading,
             told=told,
         )
-        placed = load_registration(registration) if registration else None
+        placed = load_placed(registration, declared)
         return tuple(
             prepare(
                 plan,
@@ -277,6 +288,10 @@ def verify(
         Path | None, typer.Option(help="Write the proof of an admissible verdict here; see `recheck`.")
     ] = None,
     plot: PlotOption = None,
+    registration_frame: FrameOption = None,
+    registration_direction: DirectionOption = None,
+    taken_at: TakenAtOption = None,
+    registration_residual_mm: ResidualOption = None,
     method: Annotated[Method, typer.Option(help="The gate uses certified.")] = Method.certified,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show the digests and every worst place as well.")
@@ -294,9 +309,20 @@ def verify(
     if explain and json:
         raise typer.BadParameter("one JSON document leaves no room for --explain")
     settings = load_site(site).value if site else Site()
+    declared = Declared(registration_frame, registration_direction, taken_at, registration_residual_mm)
     reading = Reading(cutcom_is_tool_centre, rotary, arc_tolerance_mm, axis_tolerance_deg)
     told = _explain if explain else None
-    tools = read(path, robot, registration, tool_length_mm, feed_mm_s, settings, reading=reading, told=told)
+    tools = read(
+        path,
+        robot,
+        registration,
+        tool_length_mm,
+        feed_mm_s,
+        settings,
+        reading=reading,
+        declared=declared,
+        told=told,
+    )
     if certificate is not None or plot:
         one(tools)
     asked = AskedTurns(q0_turns, roll_turns)
@@ -361,6 +387,8 @@ def _facts(
         if registration
         else "none given: identity",
     }
+    if how := how_read(registration):
+        facts["read as"] = how
     if placed:
         facts["CT"] = f"{prepared.ct_link}; registration residual {placed.residual_mm:g} mm rms"
         facts |= check_point_facts(placed.check_points)

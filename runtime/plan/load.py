@@ -1,6 +1,5 @@
 """Plan, tool path and registration files, by their extension."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +10,7 @@ from cutgate.config.constants import CONSTANTS
 from cutgate.config.load import (
     DEFAULT_LIMIT,
     EXAMPLES,
+    SETTINGS_LIMIT,
     InputError,
     Loaded,
     Shipped,
@@ -23,15 +23,20 @@ from cutgate.config.load import (
 from cutgate.protocol.arrays import Floats
 from cutgate.runtime.plan.model import Plan, PlanDocument
 from cutgate.runtime.plan.poses import poses_of, shorter, table_of
-from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.registration import Registration, finer_than_a_microsecond
+from cutgate.runtime.plan.registrations.declared import NOTHING, Declared, refuse_declared
+from cutgate.runtime.plan.registrations.foreign import FOREIGN_EXTENSIONS, Converted, converted
 from cutgate.runtime.plan.toolpath.languages import EXTENSIONS, check_declared, language_of
 from cutgate.runtime.plan.toolpath.model import PLAIN, Cut, Reading, Told
 
 PLAN_EXTENSIONS: Final = (".json", *EXTENSIONS)
-REGISTRATION_EXTENSIONS: Final = (".json",)
+REGISTRATION_EXTENSIONS: Final = (".json", *FOREIGN_EXTENSIONS)
 PLANS: Final = Shipped(EXAMPLES, "", ".plan.json", "an example")
 REGISTRATIONS: Final = Shipped(EXAMPLES, "registration-", ".json", "an example")
 DEFAULT_POSE_LIMIT: Final = int(CONSTANTS["pose_limit"].default)
+_SMALLER: Final = (
+    "a rigid registration is far smaller: name a file of one; a B-spline or displacement field is none"
+)
 BESIDE_POSES: Final = 1_000
 """Brackets, braces, colons and commas of a plan that are not its poses': fewer than a hundred, and what its names hold."""
 
@@ -75,13 +80,22 @@ def _read(path: str | Path, size_limit: int) -> tuple[Path, bytes]:
     return found, read_bytes(found, size_limit)
 
 
-def load_registration(path: str | Path) -> Loaded[Registration]:
-    """A registration (``.json``), or else the example of that name; read once.
+def load_registration(path: str | Path, declared: Declared = NOTHING) -> Loaded[Registration]:
+    """A registration (``.json``), one of another program (`Converted`), or else the example of that name; read once.
+
+    Args:
+        path: see above.
+        declared: what a file of another program does not say.
 
     Raises:
-        InputError: names file, key, value and bound.
+        InputError: names file, key or line, value and bound; or the option that is missing, or means nothing.
     """
     path = _found(path, REGISTRATIONS, REGISTRATION_EXTENSIONS, "a registration")
+    if path.suffix.lower() in FOREIGN_EXTENSIONS:
+        source = read_bytes(path, SETTINGS_LIMIT, _SMALLER)
+        data = converted(path, source, declared)
+        return Converted(registration_from_bytes(path, data), data, path, source, declared)
+    refuse_declared(declared, f"{path} says it itself", "drop the option, or correct the file")
     data = read_settings(path)
     return Loaded(new_registration(path, data), data, path)
 
@@ -97,9 +111,21 @@ def new_registration(path: Path, data: bytes) -> Registration:
     return registration
 
 
+def load_placed(path: str | Path | None, declared: Declared = NOTHING) -> Loaded[Registration] | None:
+    """The same; None where no registration is named, and then nothing may be declared of one.
+
+    Raises:
+        InputError: as ``load_registration``.
+    """
+    if path is None:
+        refuse_declared(declared, "no registration is given", "name the file with --registration")
+        return None
+    return load_registration(path, declared)
+
+
 def _check_time(path: Path, created_utc: str) -> None:
-    """Refuses a time that would not be told apart from another one: it is known, and compared, to the microsecond."""
-    if re.search(r"[.,]\d{7}", created_utc):
+    """Refuses a time that would not be told apart from another one."""
+    if finer_than_a_microsecond(created_utc):
         bound = "at most six digits behind the second"
         raise InputError(path, "created_utc", created_utc, bound, "leave the other digits out")
 

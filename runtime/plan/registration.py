@@ -4,6 +4,7 @@ A pose in implant coordinates reaches the robot frame as ``R_p = R_T_CT * CT_T_I
 """
 
 import hashlib
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
@@ -19,7 +20,7 @@ from cutgate.runtime.kinematics.landmarks import CheckPoints, PointResidual, res
 from cutgate.runtime.plan.transform import TRANSLATION_MM, Transform
 
 
-def _utc(text: str) -> str:
+def utc_time(text: str) -> str:
     """Refuses what is not an ISO-8601 time in UTC."""
     try:
         moment = datetime.fromisoformat(text)
@@ -42,6 +43,11 @@ def _in_utc(moment: datetime) -> str:
         return f": write {moment.astimezone(UTC).isoformat().replace('+00:00', 'Z')}"
     except OverflowError:
         return ""
+
+
+def finer_than_a_microsecond(created_utc: str) -> bool:
+    """Whether a time would not be told apart from another one: it is known, and compared, to the microsecond."""
+    return re.search(r"[.,]\d{7}", created_utc) is not None
 
 
 PointName = Annotated[str, Strict(), Field(min_length=1, max_length=64)]
@@ -78,7 +84,7 @@ class Registration(Strictly):
     id: Text
     R_T_CT: Transform
     residual_rms_mm: Annotated[Real, Field(ge=0, le=100)]
-    created_utc: Annotated[str, Strict(), AfterValidator(_utc)]
+    created_utc: Annotated[str, Strict(), AfterValidator(utc_time)]
     ct_id: Text | None = None
     check_points: Annotated[
         tuple[CheckPoint, ...], Field(max_length=CHECK_POINTS_MAX), AfterValidator(_told_apart)

@@ -31,7 +31,7 @@ def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]
         )
     error = float(np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max())
     if not (error <= RIGID):
-        remedy = _too_few_decimals(matrix[:3, :3], error) or "no scaling, no shear"
+        remedy = too_few_decimals(matrix[:3, :3], error) or "no scaling, no shear"
         raise broken(f"orthonormal to {RIGID:g}", remedy, found=f"off by {error:.3g}")
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not (determinant > 0):
@@ -39,7 +39,7 @@ def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]
     return rows
 
 
-def _too_few_decimals(rotation: Floats, error: float) -> str:
+def too_few_decimals(rotation: Floats, error: float) -> str:
     """What to do about a rotation that was rounded too far; empty where its decimals do not explain the error.
 
     Entries that are off by half a unit of the last decimal each make products of columns that are off by at most

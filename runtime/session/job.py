@@ -17,6 +17,7 @@ from cutgate.runtime.kinematics.landmarks import CheckPoints
 from cutgate.runtime.plan.load import load_plan, load_registration
 from cutgate.runtime.plan.prepare import Prepared, prepare, with_branch
 from cutgate.runtime.plan.registration import Registration, checked
+from cutgate.runtime.plan.registrations.declared import NOTHING, Declared
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reading
 from cutgate.runtime.verification.asked import BEST, AskedTurns, in_branch
 from cutgate.runtime.verification.decide import decide
@@ -84,6 +85,7 @@ def read_files(
     *,
     reading: Reading = PLAIN,
     allow_simulated: bool = False,
+    declared: Declared = NOTHING,
 ) -> InputFiles:
     """Read and check every input file.
 
@@ -92,7 +94,7 @@ def read_files(
     """
     arm = load_robot(robot)
     settings = load_site(site) if site else None
-    placed = load_registration(registration)
+    placed = load_registration(registration, declared)
     chosen = settings.value if settings else Site()
     size_limit = chosen.files.file_size_limit_mb * BYTES_PER_MB
     limit = chosen.files.pose_limit

@@ -11,12 +11,15 @@ from cutgate.runtime.audit import names
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.audit.names import READING
+from cutgate.runtime.plan.registrations.foreign import Converted
 from cutgate.runtime.plan.toolpath.languages import language_of
 from cutgate.runtime.plan.toolpath.model import as_words
 from cutgate.runtime.session.job import VERIFIER, InputFiles
 from cutgate.runtime.session.journal import plain
 from cutgate.runtime.verification.asked import AskedTurns
 
+DECLARED: Final = "registration declared"
+"""Name of record 0's option that says how a registration of another program was read."""
 BRANCH: Final = "joint branch"
 """Name of record 0's option that says which turns were asked for; the path and the permit hold the branch itself."""
 
@@ -62,6 +65,10 @@ def new_log(
     log.attach(f"{names.PLAN}{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)
     if prepared.registration is not None:
         log.attach(f"{names.REGISTRATION}.json", "application/json", prepared.registration.data)
+        if isinstance(prepared.registration, Converted):
+            suffix = prepared.registration.path.suffix.lower()
+            source = prepared.registration.source
+            log.attach(f"{names.REGISTRATION_SOURCE}{suffix}", "application/octet-stream", source)
     log.attach(names.ROBOT, "application/toml", files.robot.data)
     if files.site is not None:
         log.attach(names.SITE, "application/toml", files.site.data)
@@ -72,11 +79,13 @@ def new_log(
 
 
 def _options(files: InputFiles, bus: str, asked: AskedTurns) -> tuple[tuple[str, str], ...]:
-    """What record 0 says of the bus, of a joint branch that was asked for, and of a simulation where one is allowed."""
+    """What record 0 says: the bus; a joint branch that was asked for; how a registration was read; an allowed simulation."""
     allowed_by = files.simulation_allowed_by
     allowed = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
     branch = ((BRANCH, f"asked for: {asked}"),) if str(asked) else ()
-    return (("bus", plain(bus)), *branch, *_reading(files), *allowed)
+    placed = files.prepared.registration
+    declared = ((DECLARED, plain(str(placed.declared))),) if isinstance(placed, Converted) else ()
+    return (("bus", plain(bus)), *branch, *declared, *_reading(files), *allowed)
 
 
 def _reading(files: InputFiles) -> tuple[tuple[str, str], ...]:

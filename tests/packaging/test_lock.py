@@ -14,7 +14,7 @@ from cutgate import __version__
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-LOCKS = {"requirements.txt": (), "requirements-dev.txt": ("pictures", "dev")}
+LOCKS = {"requirements.txt": (), "requirements-dev.txt": ("pictures", "h5", "dev")}
 """Each lock and the extras that it is for."""
 
 locks = pytest.mark.parametrize("lock", LOCKS)

@@ -122,6 +122,48 @@ def test_check_points_are_shown_and_one_that_is_off_is_warned_of(cutgate, verdic
     assert verdict(PLAN, *MOUNTED)[1].check_points == []
 
 
+def test_a_registration_of_another_program_is_read_as_it_is_declared_and_that_is_shown(
+    cutgate, verdict, tmp_path
+):
+    matrix = np.array(json.loads(SECOND.read_text(encoding="utf-8"))["R_T_CT"])
+    file = tmp_path / "slicer.tfm"
+    inverse = np.linalg.inv(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+    numbers = " ".join(map(repr, [*inverse[:3, :3].ravel().tolist(), *inverse[:3, 3].tolist()]))
+    file.write_text(
+        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
+        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n",
+        encoding="utf-8",
+    )
+    options = ["--registration-frame", "ras", "--registration-direction", "robot-to-ct"]
+    options += ["--taken-at", "2026-01-15T08:02:11Z", "--registration-residual-mm", "0.31"]
+    given = [PLAN, *MOUNTED, "--registration", file]
+    code, found = verdict(*given, *options)
+    _, same = verdict(PLAN, *MOUNTED, "--registration", SECOND)
+    assert (code, found.verdict) == (0, "admissible")
+    for name, boundary in found.boundaries.items():
+        assert boundary.clearance == pytest.approx(same.boundaries[name].clearance, abs=1e-4)
+    _, told, _ = cutgate("verify", *given, *options)
+    told = " ".join(told.split())
+    assert "inverted, for it takes robot to CT; x and y of the CT reversed (plan RAS, file LPS)" in told
+    assert "registration residual 0.31 mm rms" in told
+    proof = tmp_path / "proof"
+    assert cutgate("verify", *given, *options, "--certificate", proof)[0] == 0
+    assert cutgate("recheck", proof, *given, *options)[0] == 0
+    code, out, said = cutgate("verify", *given)
+    said = " ".join(said.split())
+    assert (code, out) == (2, "")
+    for option in options[::2]:
+        assert f"{option}: is needed with" in said
+    code, _, said = cutgate(
+        "verify", PLAN, *MOUNTED, "--registration", SECOND, "--taken-at", "2026-01-15T08:02:11Z"
+    )
+    assert code == 2
+    assert "must be left out" in " ".join(said.split())
+    code, _, said = cutgate("reach", *given)
+    assert code == 2
+    assert "--registration-frame: is needed with" in " ".join(said.split())
+
+
 def test_a_refusal_says_what_the_other_elbow_would_before_any_move_is_proposed(cutgate, verdict, tmp_path):
     """A shoulder that stops at 0 deg cannot cut this path with its right elbow, and could with its left one."""
     robot, path = tmp_path / "robot.toml", tmp_path / "path.csv"
@@ -325,7 +367,7 @@ BAD = {
     "registration as plan": ([FIRST, *MOUNTED], ["schema", "cutgate.registration/1", "cutgate.plan/1"]),
     "G-code": (["path.ngc", *MOUNTED], ["path.ngc", ".ngc", ".json or .csv"]),
     "APT": (["path.apt", *MOUNTED], ["path.apt", ".apt"]),
-    "ITK transform": ([PLAN, *MOUNTED, "--registration", "r.tfm"], ["r.tfm", ".tfm", ".json"]),
+    "another extension": ([PLAN, *MOUNTED, "--registration", "r.xfm"], ["r.xfm", ".xfm", ".json"]),
     "another tool": ([PLAN, *MOUNTED, "--tool-length-mm", "150"], ["tool_length_mm", "160", "150"]),
     "another feed": ([PLAN, *MOUNTED, "--feed-mm-s", "5"], ["feed_mm_s", "20", "5 mm/s"]),
     "no robot": ([PLAN], ["--robot"]),

@@ -318,7 +318,7 @@ def test_a_bad_tool_path_is_refused_naming_line_value_and_bound(text, parts):
     assert all(part in message for part in ("some.csv", *parts)), message
 
 
-@pytest.mark.parametrize("name", ["p.txt", "p", "p.step", "p.json.gz"])
+@pytest.mark.parametrize("name", ["p.doc", "p", "p.step", "p.json.gz"])
 @pytest.mark.parametrize("there", [True, False])
 def test_another_extension_is_refused_naming_the_accepted_ones(name, there, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -327,7 +327,8 @@ def test_another_extension_is_refused_naming_the_accepted_ones(name, there, tmp_
     message = message_of(lambda: load_plan(name))
     assert name in message
     assert f"must be {' or '.join(PLAN_EXTENSIONS)} for a plan or tool path" in message
-    assert "must be .json for a registration" in message_of(lambda: load_registration(name))
+    accepted = "must be .json or .tfm or .txt or .mat or .h5 for a registration"
+    assert accepted in message_of(lambda: load_registration(name))
 
 
 EXAMPLES = [

@@ -1,0 +1,1 @@
+"""Tests of registrations that other programs wrote."""

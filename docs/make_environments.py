@@ -138,6 +138,7 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
             ["reach", *plan, *second, "--step-mm", "400", "--cores", "1", "--out", "{fresh}/map.csv"],
             0,
         ),
+        "register": (["register", str(files / "landmarks.csv"), "--out", "{fresh}/registration.json"], 0),
         "example": (["example", "{fresh}/example"], 0),
         "key new": (["key", "new", "{fresh}/key"], 0),
         "key fingerprint": (["key", "fingerprint", str(files / "site.key")], 0),
@@ -487,8 +488,9 @@ def costs(files: Path) -> list[str]:
 
 
 def made(files: Path) -> None:
-    """A log, a key and a proof to work on."""
+    """A log, a key, a proof and landmarks to work on."""
     session_log(files)
+    (files / "landmarks.csv").write_text(LANDMARKS, encoding="utf-8")
     new_key(files)
     robot = ["--robot", str(EXAMPLES / "robot.toml")]
     placed = ["--registration", str(EXAMPLES / "registration-second.json")]
@@ -500,6 +502,13 @@ def made(files: Path) -> None:
     ]
     subprocess.run([*command, *placed, "--certificate", files / "proof"], check=True, capture_output=True)
 
+
+LANDMARKS: Final = """id,ct_x,ct_y,ct_z,robot_x,robot_y,robot_z,use
+P1,40,-30,10,640,-30,210,fit
+P2,-35,-28,5,565,-28,205,fit
+P3,2,45,-12,602,45,188,fit
+P4,5,3,60,605,3,260,check
+"""
 
 INTRODUCTION: Final = """# Surroundings
 

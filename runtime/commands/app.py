@@ -21,6 +21,10 @@ COMMANDS: Final = {
         "verify",
         "Check off-line whether a whole cut path keeps its distance from every limit of the robot.",
     ),
+    "register": (
+        "register",
+        "Register the bone: fit CT to robot coordinates by landmarks touched with the probe, and write the registration.",
+    ),
     "recheck": (
         "recheck",
         "Check the proof that a whole cut path is admissible, interval by interval, without a search.",

@@ -275,8 +275,8 @@ def check_points(state: Interlock, _now_s: float) -> Permissive:
 
 
 CHECK_POINTS_MISSING = (
-    "touch {} more landmarks with the probe and write them into check_points of the registration "
-    "(docs/files.md)"
+    "touch {} more landmarks with the probe and write them into check_points of the registration, or register again with them "
+    "held out of the fit (cutgate register, docs/files.md)"
 )
 CHECK_POINT_OFF = (
     "touch the point again; if it stays off, check the registration's units, direction and frame (LPS or RAS), or "

@@ -7,7 +7,7 @@ import hashlib
 import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, Strict
@@ -50,7 +50,8 @@ def finer_than_a_microsecond(created_utc: str) -> bool:
     return re.search(r"[.,]\d{7}", created_utc) is not None
 
 
-PointName = Annotated[str, Strict(), Field(min_length=1, max_length=64)]
+POINT_NAME_MAX: Final = 64
+PointName = Annotated[str, Strict(), Field(min_length=1, max_length=POINT_NAME_MAX)]
 Coordinate = Annotated[Real, Field(ge=-TRANSLATION_MM, le=TRANSLATION_MM)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 

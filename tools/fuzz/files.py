@@ -15,6 +15,10 @@ from cutgate.runtime.plan.load import plan_from_bytes, plans_from_bytes, registr
 from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.prepare import prepare
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.registrations.declared import CtFrame, Declared, TransformDirection
+from cutgate.runtime.plan.registrations.foreign import converted
+from cutgate.runtime.plan.registrations.from_landmarks import registered, registration_of
+from cutgate.runtime.plan.registrations.landmarks_csv import read_landmarks
 from cutgate.runtime.plan.toolpath.model import Reading
 from tests.runtime.audit.build import inputs
 from tools.fuzz.harness import Family, attempt, choose, expect
@@ -102,6 +106,25 @@ def _registration(data: bytes) -> None:
     _quantised(PLAN, inputs().plan, Loaded(value, data, Path("registration.json")))
 
 
+def _foreign(name: str) -> Callable[[bytes], None]:
+    """A registration of another program; HDF5 is read by a library of its own, whose search this is not."""
+
+    def read(data: bytes) -> None:
+        _registration(converted(Path(name), data, DECLARED))
+
+    return read
+
+
+def _landmarks(data: bytes) -> None:
+    found = registered("landmarks.csv", read_landmarks("landmarks.csv", data))
+    expect(not found.fit.mirrored and found.fit.rms_mm <= 100.0, "a fit can be believed")
+    value = registration_from_bytes(
+        Path("landmarks.csv"), registration_of(found, "fuzz", None, "2026-01-01T00:00:00Z")
+    )
+    expect(len(value.check_points) < len(found.landmarks), "some landmarks are fitted")
+
+
+DECLARED = Declared(CtFrame.RAS, TransformDirection.ROBOT_TO_CT, "2026-01-01T00:00:00Z", 0.2)
 FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
     ("robot.toml", _robot),
     ("site.toml", _site),
@@ -109,6 +132,9 @@ FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
     ("path.csv", _csv),
     ("registration.json", _registration),
     ("path.apt", _apt),
+    ("registration.tfm", _foreign("registration.tfm")),
+    ("registration.txt", _foreign("registration.txt")),
+    ("landmarks.csv", _landmarks),
 )
 PLAN = plan_from_bytes(Path("plan.csv"), inputs().plan)
 REGISTRATION = Loaded(
@@ -187,6 +213,28 @@ PLAN_JSON: dict[str, Any] = {
 }
 
 
+CHECK_POINTS = b'"check_points": [{"id": "P1", "ct_mm": [1, 2, 3], "robot_mm": [501, 52, 123]}]'
+TRANSFORMS = b"""#Insight Transform File V1.0
+#Transform 0
+Transform: CompositeTransform_double_3_3
+#Transform 1
+Transform: Euler3DTransform_double_3_3
+Parameters: 0.1 0.2 0.3 1 2 3
+FixedParameters: 4 5 6 1
+#Transform 2
+Transform: VersorRigid3DTransform_double_3_3
+Parameters: 0 0 0.19866933079506122 500 50 120
+FixedParameters: 1 2 3
+"""
+LANDMARKS = b"""id,ct_x,ct_y,ct_z,robot_x,robot_y,robot_z,use
+P1,40,-30,10,640,-30,210,fit
+P2,-35,-28,5,565,-28,205,fit
+P3,2,45,-12,602,45,188,fit
+P4,5,3,60,605,3,260,fit
+P5,-20,10,33,580,10,233,check
+"""
+
+
 def _seeds() -> Iterator[bytes]:
     i = inputs()
     site = (
@@ -205,6 +253,10 @@ def _seeds() -> Iterator[bytes]:
         ("path.apt", APT.replace(b"\n", b"\r\n").replace(b"UNITS/MM", b"UNIT/INCH").replace(b"160.", b"6.")),
         ("registration.json", i.registration),
         ("registration.json", i.registration.replace(b'"id"', b'"ct_id": "ct", "id"')),
+        ("registration.json", i.registration.replace(b'"id"', CHECK_POINTS + b', "id"')),
+        ("registration.tfm", TRANSFORMS),
+        ("registration.txt", b"1 0 0 500\n0,1,0,50\n0 0 1 120\n0 0 0 1\n"),
+        ("landmarks.csv", LANDMARKS),
     )
     names = [name for name, _ in FILES]
     for name, content in examples:

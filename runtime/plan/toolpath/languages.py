@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from cutgate.config.refusal import InputError
+from cutgate.runtime.plan.toolpath import gcode
 from cutgate.runtime.plan.toolpath.apt import read_apt
 from cutgate.runtime.plan.toolpath.csv import read_csv
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reader, Reading
@@ -43,6 +44,7 @@ LANGUAGES: Final = (
         read_apt,
         declared=frozenset({"cutcom_is_tool_centre", "arc_tolerance_mm"}),
     ),
+    Language("G-code", gcode.EXTENSIONS, gcode.read_gcode, gcode.DECLARED),
 )
 
 EXTENSIONS: Final = tuple(extension for language in LANGUAGES for extension in language.extensions)

@@ -29,7 +29,7 @@ EXTENSIONS: Final = (".ngc", ".nc", ".gcode", ".tap")
 DECLARED: Final = frozenset({"rotary", "arc_tolerance_mm", "axis_tolerance_deg"})
 
 INCH_MM: Final = 25.4
-WORK_PER_POSE: Final = 64
+WORK_PER_POSE: Final = 128
 """So many characters may be executed for each pose that a path may have; a program may loop without a move."""
 TOLERANCE_MIN: Final = 1e-6
 TOLERANCE_MAX: Final = 10.0
@@ -199,11 +199,13 @@ class Machine:
 
     def angles(self, block: Block) -> dict[str, float | None]:
         """The rotary axes after a block, deg."""
+        return self.motion.turned(self.rotary(block), absolute=self.modal.absolute)
+
+    @staticmethod
+    def rotary(block: Block) -> dict[str, float]:
+        """The rotary words of a block, deg."""
         values = block.values
-        if not values:
-            return self.motion.turned({}, absolute=True)
-        letters = {letter: values.pop(letter) for letter in ROTARY if letter in values}
-        return self.motion.turned(letters, absolute=self.modal.absolute)
+        return {letter: values.pop(letter) for letter in ROTARY if letter in values} if values else {}
 
     @staticmethod
     def _known(letter: str, at: float | None) -> float:
@@ -440,8 +442,9 @@ def _cancel_motion(machine: Machine, block: Block, code: str) -> None:
 
 def _home(machine: Machine, block: Block, code: str) -> None:  # noqa: ARG001 - an `Act`
     """By way of the block's point, at which nothing is cut, to where the machine has its home."""
-    machine.target(block)
-    machine.angles(block)
+    for letter in LINEAR:
+        block.take(letter)
+    machine.motion.turned(machine.rotary(block), absolute=True)
     machine.motion.home()
 
 

@@ -90,6 +90,7 @@ class Motion:
         """The tool goes home, by way of a point that cuts nothing."""
         self.homed = self.homed or self.traced
         self.lose()
+        self._angles = dict.fromkeys(self._angles)
 
     def has_length(self, length_mm: float) -> None:
         """The file says how long the tool is."""

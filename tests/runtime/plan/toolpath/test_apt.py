@@ -140,7 +140,7 @@ def respelled(draw, lines):
 
 
 @given(st.data())
-@settings(deadline=None)
+@settings(deadline=None, max_examples=60)
 def test_spelling_changes_nothing(data):
     lines, cuts = data.draw(written())
     assume(any(len(rows) > 1 for rows in cuts))
@@ -149,7 +149,7 @@ def test_spelling_changes_nothing(data):
 
 
 @given(written(reach=390))
-@settings(deadline=None)
+@settings(deadline=None, max_examples=60)
 def test_a_file_in_inches_is_that_of_mm_times_25_4(case):
     lines, cuts = case
     assume(all(len(rows) > 1 for rows in cuts))
@@ -187,7 +187,7 @@ def off_polyline(points, corners):
     tolerance=st.sampled_from([0.001, 0.01, 0.5]),
     given_radius=st.booleans(),
 )
-@settings(deadline=None)
+@settings(deadline=None, max_examples=60)
 def test_the_chords_of_a_circle_are_within_the_tolerance_of_it(
     centre, radius, sweep, axis, begin, tolerance, given_radius
 ):
@@ -504,6 +504,8 @@ def test_the_axis_of_a_section_is_the_third_column_of_its_coordinate_system():
     lines = ["TRNTYP/WORLD,0,0,0", TURNED_CSYS]
     assert (cut_of(*lines, "GOTO/0,0,0,1,0,0", TURNED_CSYS, "GOTO/1,0,0").axes == SIDE).all()
     assert refused(program(*lines, "GOTO/0,0,0")).key == "line 4"
+    identity = "CSYS/1,0,0,0,0,1,0,0,0,0,1,0"
+    assert refused(program(*lines, "GOTO/0,0,0,1,0,0", identity, "GOTO/1,0,0")).key == "line 6"
     assert tips(*lines, *[f"{point},1,0,0" for point in POINTS]) == [[0, 0, 0], [1, 0, 0]], "coordinates stay"
 
 

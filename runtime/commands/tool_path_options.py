@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from cutgate.runtime.plan.toolpath.model import TOLERANCES
+
 CutcomOption = Annotated[
     bool,
     typer.Option(
@@ -20,14 +22,16 @@ RotaryOption = Annotated[
 ArcToleranceOption = Annotated[
     float,
     typer.Option(
-        min=0.0001, max=1.0, help="How far chords may be off an arc of the file; widens the deadbands."
+        min=TOLERANCES[0],
+        max=TOLERANCES[1],
+        help="How far chords may be off an arc of the file; widens the deadbands.",
     ),
 ]
 AxisToleranceOption = Annotated[
     float,
     typer.Option(
-        min=0.0001,
-        max=1.0,
+        min=TOLERANCES[0],
+        max=TOLERANCES[1],
         help="How far great circles may be off a turn of machine axes; widens the deadbands.",
     ),
 ]

@@ -136,7 +136,7 @@ def _widened(robot: Robot, path: FilePath, data: bytes, reading: Reading) -> Rob
         return robot
     try:
         return widened(robot, plan_from_bytes(path, data, reading=reading).cut)
-    except ValueError as error:
+    except (InputError, ValueError) as error:
         raise ReplayError(f"attachment {path}: {error}") from None
 
 

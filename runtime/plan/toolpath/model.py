@@ -18,6 +18,8 @@ Told = Callable[[int, str], None]
 
 ARC_TOLERANCE_MM: Final = 0.01
 AXIS_TOLERANCE_DEG: Final = 0.01
+TOLERANCES: Final = (0.0001, 1.0)
+"""Least and largest that may be declared: smaller ones would cut a path into pieces without end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +31,21 @@ class Reading:
         rotary: convention of the rotary words, such as ``xyzac``; None where none was declared.
         arc_tolerance_mm: chords replace an arc no further off than this.
         axis_tolerance_deg: great circles replace a turn of machine axes no further off than this.
+
+    Raises:
+        ValueError: a tolerance is beyond its bounds, ``TOLERANCES``.
     """
 
     cutcom_is_tool_centre: bool = False
     rotary: str | None = None
     arc_tolerance_mm: float = ARC_TOLERANCE_MM
     axis_tolerance_deg: float = AXIS_TOLERANCE_DEG
+
+    def __post_init__(self) -> None:
+        least, most = TOLERANCES
+        for name in ("arc_tolerance_mm", "axis_tolerance_deg"):
+            if not (least <= getattr(self, name) <= most):
+                raise ValueError(f"{name} is {getattr(self, name)!r}, must be {least:g} to {most:g}")
 
 
 PLAIN: Final = Reading()
@@ -57,12 +68,11 @@ def of_words(text: str) -> Reading:
     found = {name: json.loads(value) for name, _, value in pairs}
     if not (len(found) == len(pairs) and found.keys() <= set(_NAMES)):
         raise ValueError(f"{text!r} says no reading of a tool path")
-    reading = replace(PLAIN, **found)
-    for name in _NAMES:
-        usual, value = getattr(PLAIN, name), getattr(reading, name)
+    for name, value in found.items():
+        usual = getattr(PLAIN, name)
         if type(value) is not type(usual) and not (usual is None and type(value) is str):
             raise ValueError(f"{name} of the reading of a tool path is {value!r}")
-    return reading
+    return replace(PLAIN, **found)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from cutgate.runtime.plan.registrations.declared import CtFrame, Declared, Trans
 from cutgate.runtime.plan.registrations.foreign import converted
 from cutgate.runtime.plan.registrations.from_landmarks import registered, registration_of
 from cutgate.runtime.plan.registrations.landmarks_csv import read_landmarks
+from cutgate.runtime.plan.toolpath.gcode import read_gcode
 from cutgate.runtime.plan.toolpath.model import Reading
 from tests.runtime.audit.build import inputs
 from tools.fuzz.harness import Family, attempt, choose, expect
@@ -27,6 +28,8 @@ NOW = datetime(2026, 9, 1, tzinfo=UTC)
 POSE_LIMIT = 5000
 EXPANDED_LIMIT = 1000
 """Poses of a language in which a line may stand for many."""
+PROGRAM_LIMIT = 200
+"""Poses of a program, in which a few lines may make many, and so what may be executed of it."""
 
 
 def check(data: bytes) -> None:
@@ -78,6 +81,7 @@ def _quantised(plan: Plan, data: bytes, registration: Loaded[Registration]) -> N
 
 
 def _apt(data: bytes) -> None:
+def _gcode(data: bytes) -> None:
     """Every pose of every tool, and what is told of the lines."""
     told: list[int] = []
 
@@ -96,6 +100,15 @@ def _apt(data: bytes) -> None:
         )
         expect(plan.cut is not None and set(plan.cut.lines.tolist()) <= set(told), "a pose has its line")
     _quantised(plans[0], data, REGISTRATION)
+        expect(0 < len(text) <= 240, "what is told is short, and something")
+
+    path = read_gcode("path.ngc", data, Reading(rotary="xyzac"), PROGRAM_LIMIT, hear)
+    expect(sum(len(cut.tips_mm) for cut in path.cuts) <= PROGRAM_LIMIT, "the limit of poses holds")
+    for cut in path.cuts:
+        expect(bool(np.isfinite(cut.tips_mm).all()), "every pose is finite")
+        expect(bool((abs(np.linalg.norm(cut.axes, axis=1) - 1.0) < 1e-9).all()), "an axis is a unit vector")
+        expect(set(cut.lines.tolist()) <= set(told), "a pose has a line that is told of")
+        expect(bool((cut.feeds_mm_s[np.isfinite(cut.feeds_mm_s)] > 0.0).all()), "a feed moves")
 
 
 def _registration(data: bytes) -> None:
@@ -135,6 +148,7 @@ FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
     ("registration.tfm", _foreign("registration.tfm")),
     ("registration.txt", _foreign("registration.txt")),
     ("landmarks.csv", _landmarks),
+    ("path.ngc", _gcode),
 )
 PLAN = plan_from_bytes(Path("plan.csv"), inputs().plan)
 REGISTRATION = Loaded(
@@ -198,6 +212,33 @@ CYCLE/DEEP2,FEDTO,9.,1STPECK,5.,SUBPECK,2.,MMPR,.05,RAPTO,3.,RTRCTO,20.
 GOTO/5.,5.,0
 CYCLE/OFF
 FINI
+GCODE = b"""%
+N10 G21 G90 G94 G17 (every kind of motion) F600
+o<hole> sub
+#3=[#1 + 2 * ABS[SIN[30] - #2]] #<_last>=#3
+G99 G83 X#3 Y0 R2 Z-3 Q1.5 ; pecks
+G80
+o<hole> endsub [#3 / 2]
+T1 M6
+G43.1 Z160.
+M428
+G0 X0 Y0 Z10 A-30 C0
+G1 X10 C5
+#<n>=0
+o1 while [#<n> LT 2]
+o2 if [#<n> EQ 0]
+G2 X12 Y0 R5
+o2 else
+G91 G3 X-2 I-1 J0 Z.5 P2
+G90
+o2 endif
+#<n>=[#<n> + 1]
+o1 endwhile
+o<hole> call [1] [2]
+G93 G1 X1 F20
+G28
+M30
+%
 """
 PLAN_JSON: dict[str, Any] = {
     "schema": "cutgate.plan/1",
@@ -251,6 +292,9 @@ def _seeds() -> Iterator[bytes]:
         ("path.csv", i.plan.replace(b"\n", b"\r\n")),
         ("path.apt", APT),
         ("path.apt", APT.replace(b"\n", b"\r\n").replace(b"UNITS/MM", b"UNIT/INCH").replace(b"160.", b"6.")),
+        ("path.ngc", GCODE),
+        ("path.ngc", GCODE.replace(b"\n", b"\r\n").replace(b"G21", b"G20").replace(b"G80", b"G80 #9=1/7")),
+        ("path.ngc", b"G21 F9\nG0 X0 Y0 Z0\no1 do\nG91 G1 X1 (a)\no1 while [1]\nM2"),
         ("registration.json", i.registration),
         ("registration.json", i.registration.replace(b'"id"', b'"ct_id": "ct", "id"')),
         ("registration.json", i.registration.replace(b'"id"', CHECK_POINTS + b', "id"')),

@@ -80,8 +80,24 @@ def _quantised(plan: Plan, data: bytes, registration: Loaded[Registration]) -> N
         expect(wire.Path.parse(prepared.path.body()) == prepared.path, "a path can be sent")
 
 
-def _apt(data: bytes) -> None:
 def _gcode(data: bytes) -> None:
+    """Every pose of every tool, and what is told of the lines."""
+    told: list[int] = []
+
+    def hear(line: int, text: str) -> None:
+        told.append(line)
+        expect(0 < len(text) <= 240, "what is told is short, and something")
+
+    path = read_gcode("path.ngc", data, Reading(rotary="xyzac"), PROGRAM_LIMIT, hear)
+    expect(sum(len(cut.tips_mm) for cut in path.cuts) <= PROGRAM_LIMIT, "the limit of poses holds")
+    for cut in path.cuts:
+        expect(bool(np.isfinite(cut.tips_mm).all()), "every pose is finite")
+        expect(bool((abs(np.linalg.norm(cut.axes, axis=1) - 1.0) < 1e-9).all()), "an axis is a unit vector")
+        expect(set(cut.lines.tolist()) <= set(told), "a pose has a line that is told of")
+        expect(bool((cut.feeds_mm_s[np.isfinite(cut.feeds_mm_s)] > 0.0).all()), "a feed moves")
+
+
+def _apt(data: bytes) -> None:
     """Every pose of every tool, and what is told of the lines."""
     told: list[int] = []
 
@@ -100,15 +116,6 @@ def _gcode(data: bytes) -> None:
         )
         expect(plan.cut is not None and set(plan.cut.lines.tolist()) <= set(told), "a pose has its line")
     _quantised(plans[0], data, REGISTRATION)
-        expect(0 < len(text) <= 240, "what is told is short, and something")
-
-    path = read_gcode("path.ngc", data, Reading(rotary="xyzac"), PROGRAM_LIMIT, hear)
-    expect(sum(len(cut.tips_mm) for cut in path.cuts) <= PROGRAM_LIMIT, "the limit of poses holds")
-    for cut in path.cuts:
-        expect(bool(np.isfinite(cut.tips_mm).all()), "every pose is finite")
-        expect(bool((abs(np.linalg.norm(cut.axes, axis=1) - 1.0) < 1e-9).all()), "an axis is a unit vector")
-        expect(set(cut.lines.tolist()) <= set(told), "a pose has a line that is told of")
-        expect(bool((cut.feeds_mm_s[np.isfinite(cut.feeds_mm_s)] > 0.0).all()), "a feed moves")
 
 
 def _registration(data: bytes) -> None:
@@ -145,10 +152,10 @@ FILES: tuple[tuple[str, Callable[[bytes], None]], ...] = (
     ("path.csv", _csv),
     ("registration.json", _registration),
     ("path.apt", _apt),
+    ("path.ngc", _gcode),
     ("registration.tfm", _foreign("registration.tfm")),
     ("registration.txt", _foreign("registration.txt")),
     ("landmarks.csv", _landmarks),
-    ("path.ngc", _gcode),
 )
 PLAN = plan_from_bytes(Path("plan.csv"), inputs().plan)
 REGISTRATION = Loaded(
@@ -187,31 +194,6 @@ wrist_deg = 2.0
 path_tolerance_mm = 0.1
 path_tolerance_deg = 0.1
 """
-APT = b"""$$ every kind of motion
-PARTNO/1
-UNITS/MM
-LOADTL/1,LENGTH,160.
-TRNTYP/WORLD,0,0,0
-CSYS/0,0,1.,0,1.,0,0,0,0,1.,0,0
-FEDRAT/600.,MMPM
-FROM/40.,0,0,1.,0,0
-RAPID
-GOTO/10.,.5,-2.E0,1.,0,0
-GODLTA/-1.,0,0
-CUTCOM/LEFT
-CIRCLE/9.,5.5,-2.,1.,0,0,5.
-GOTO/9.,10.5,$
--2.
-CUTCOM/OFF
-GOHOME
-load / tool,2
-CSYS/1.,0,0,0,0,1.,0,0,0,0,1.,0
-SPINDL/1200,RPM,CLW
-GOTO/0,0,20.,0,0,1.
-CYCLE/DEEP2,FEDTO,9.,1STPECK,5.,SUBPECK,2.,MMPR,.05,RAPTO,3.,RTRCTO,20.
-GOTO/5.,5.,0
-CYCLE/OFF
-FINI
 GCODE = b"""%
 N10 G21 G90 G94 G17 (every kind of motion) F600
 o<hole> sub
@@ -239,6 +221,32 @@ G93 G1 X1 F20
 G28
 M30
 %
+"""
+APT = b"""$$ every kind of motion
+PARTNO/1
+UNITS/MM
+LOADTL/1,LENGTH,160.
+TRNTYP/WORLD,0,0,0
+CSYS/0,0,1.,0,1.,0,0,0,0,1.,0,0
+FEDRAT/600.,MMPM
+FROM/40.,0,0,1.,0,0
+RAPID
+GOTO/10.,.5,-2.E0,1.,0,0
+GODLTA/-1.,0,0
+CUTCOM/LEFT
+CIRCLE/9.,5.5,-2.,1.,0,0,5.
+GOTO/9.,10.5,$
+-2.
+CUTCOM/OFF
+GOHOME
+load / tool,2
+CSYS/1.,0,0,0,0,1.,0,0,0,0,1.,0
+SPINDL/1200,RPM,CLW
+GOTO/0,0,20.,0,0,1.
+CYCLE/DEEP2,FEDTO,9.,1STPECK,5.,SUBPECK,2.,MMPR,.05,RAPTO,3.,RTRCTO,20.
+GOTO/5.,5.,0
+CYCLE/OFF
+FINI
 """
 PLAN_JSON: dict[str, Any] = {
     "schema": "cutgate.plan/1",

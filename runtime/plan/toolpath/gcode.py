@@ -21,7 +21,7 @@ from cutgate.runtime.plan.toolpath.circular import CircularMove
 from cutgate.runtime.plan.toolpath.cycles import PECKING, Hole
 from cutgate.runtime.plan.toolpath.expressions import GcodeError, Parameters, integer
 from cutgate.runtime.plan.toolpath.model import Reading, Told, ToolPath
-from cutgate.runtime.plan.toolpath.motion import LINEAR, ROTARY, Feed, Motion, Tip, same_direction
+from cutgate.runtime.plan.toolpath.motion import LINEAR, ROTARY, Feed, Tip, ToolMotion, same_direction
 from cutgate.runtime.plan.toolpath.program import Program
 from cutgate.runtime.plan.toolpath.trace import Trace
 
@@ -89,7 +89,7 @@ class Machine:
 
     def __init__(self, trace: Trace, reading: Reading) -> None:
         self.modal = Modal()
-        self.motion = Motion(trace, reading)
+        self.motion = ToolMotion(trace, reading)
         self.trace = trace
 
     def execute(self, block: Block) -> list[str]:
@@ -574,7 +574,7 @@ def _use_length(machine: Machine, length: str) -> None:
         bound = "before the tool's first position: coordinates above it are another point's"
         raise GcodeError(f"tool length {length}", bound, "write it before the first X Y Z")
     if not modal.length:
-        machine.motion.lose()
+        machine.motion.lose_height()
     modal.length = modal.tool_length = length
 
 

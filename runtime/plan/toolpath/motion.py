@@ -40,7 +40,7 @@ def convention_of(name: str | None) -> RotaryConvention | None:
     return CONVENTIONS[name]
 
 
-class Motion:
+class ToolMotion:
     """The tool's place, and its moves.
 
     Args:
@@ -78,6 +78,10 @@ class Motion:
     def lose(self) -> None:
         """The tool is somewhere that the file does not say; its rotary axes are where they were."""
         self.tip = [None, None, None]
+
+    def lose_height(self) -> None:
+        """A tool length is added to Z from now on, or another one: the same Z is another height."""
+        self.tip = [*self.tip[:2], None]
 
     def mount(self, tool: str) -> None:
         """Another tool: neither its place nor that of the rotary axes is known."""

@@ -365,7 +365,7 @@ BAD = {
     "plan as registration": ([PLAN, *MOUNTED, "--registration", SHORT], ["schema", "cutgate.plan/1"]),
     "long plan as robot": ([PLAN, "--robot", PLAN], ["hip-stem.plan.json", "size", "<= 100000 bytes"]),
     "registration as plan": ([FIRST, *MOUNTED], ["schema", "cutgate.registration/1", "cutgate.plan/1"]),
-    "G-code": (["path.ngc", *MOUNTED], ["path.ngc", ".ngc", ".json or .csv"]),
+    "G-code": (["path.ngc", *MOUNTED], ["path.ngc", "no such file"]),
     "APT": (["path.apt", *MOUNTED], ["path.apt", ".apt"]),
     "another extension": ([PLAN, *MOUNTED, "--registration", "r.xfm"], ["r.xfm", ".xfm", ".json"]),
     "another tool": ([PLAN, *MOUNTED, "--tool-length-mm", "150"], ["tool_length_mm", "160", "150"]),

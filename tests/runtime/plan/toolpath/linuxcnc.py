@@ -48,7 +48,11 @@ def interpreted(program: str, folder: Path) -> tuple[list[Move], bool]:
     ):
         (folder / name).write_text(text, encoding="utf-8")
     command = [str(interpreter()), "-g", "-t", "tools.tbl", "-v", "parameters.var", "program.ngc"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=5, check=False)
+    # It maps its tool table into a file at home: two at once would share it.
+    home = {**os.environ, "HOME": str(folder)}
+    done = subprocess.run(
+        command, cwd=folder, env=home, capture_output=True, text=True, timeout=60, check=False
+    )
     return list(_moves(done.stdout)), "PROGRAM_END()" in done.stdout
 
 

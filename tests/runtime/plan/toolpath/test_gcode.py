@@ -308,7 +308,10 @@ def test_tool_words_that_do_not_fit(program: str, line: int, part: str):
 def test_a_length_named_before_the_first_position_is_taken():
     cut = cut_of(f"T1 M6\nG43\nG43 H1 G0 G90\n{HEAD}G1 X1\nG49\nM2")
     assert (cut.tool, cut.tool_length_mm, len(cut.tips_mm)) == ("1", None, 2)
-    assert len(cut_of("G21 G0 X0 Y0\nG43.1 Z10\nG0 X0 Y0 Z0\nG1 X1 F1\nM2").tips_mm) == 2
+    cut = cut_of("T1 M6\nG21 G0 X3 Y4\nG43 Z5 H1\nG1 X1 F1\nM2")
+    assert cut.tips_mm.tolist() == [[3, 4, 5], [1, 4, 5]]
+    refused("T1 M6\nG21 G0 X3 Y4\nG43 H1\nG1 X1 F1\nM2", 4, "Z is not known")
+    refused("T1 M6\nG21 G0 Z5\nG43 H1\nG0 X1 Y1\nG1 X1 F1\nM2", 5, "Z is not known")
 
 
 def test_a_return_home_ends_the_part_of_a_tool():

@@ -69,5 +69,6 @@ def test_a_letter_is_used_once():
     block = block_of("X1")
     assert block.take("X") == 1.0
     assert block.take("X") is None
+    assert block_of("P2").need("P", "G4") == 2.0
     with pytest.raises(GcodeError, match="G4 without P"):
         block.need("P", "G4")

@@ -129,6 +129,7 @@ def test_an_expression_has_the_value_that_its_tree_has(term: Term):
         ("SQRT[[3]*[3]]", 3),
         ("-SIN[30]", -0.5),
         ("--2", 2),
+        ("+[1]", 1),
     ],
 )
 def test_values_that_linuxcnc_gives(text: str, value: float):

@@ -54,6 +54,10 @@ terminal (the enabling device) and then start in the second one. Afterwards:
 
   cutgate audit show logs/*.mcap
   cutgate audit verify logs/*.mcap
+
+Where something does not work, and before there is a robot:
+
+  cutgate doctor --site site.toml --key site.key --log-dir logs
 """
 
 

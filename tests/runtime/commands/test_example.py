@@ -36,6 +36,12 @@ def commands(verb):
     return [shlex.split(line)[1:] for line in lines if line.startswith(f"  cutgate {verb} ")]
 
 
+def test_what_to_look_at_first_is_told_with_options_that_there_are():
+    (words,) = commands("doctor")
+    named = cli.load("doctor").make_context("doctor", words[1:]).params
+    assert [str(named[option]) for option in ("site", "key", "log_dir")] == ["site.toml", "site.key", "logs"]
+
+
 @pytest.mark.parametrize("there", [False, True])
 def test_all_files_are_written_and_can_be_read(there, tmp_path, capsys):
     folder = tmp_path / "a" / "b"

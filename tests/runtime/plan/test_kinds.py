@@ -1,11 +1,13 @@
 """Which kind a file is, by extension and schema, and that it is read as a session reads it."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from cutgate.config.load import EXAMPLES, SETTINGS_LIMIT, InputError
 from cutgate.config.model import FilesSettings
+from cutgate.runtime.plan import kinds
 from cutgate.runtime.plan.kinds import described
 
 LIMITS = FilesSettings()
@@ -91,3 +93,21 @@ def test_a_settings_file_that_is_too_large_is_not_taken_for_one(tmp_path, name):
     (tmp_path / name).write_text(json.dumps(document) + " " * SETTINGS_LIMIT, encoding="utf-8")
     with pytest.raises(InputError, match=r"size is|schema is \"cutgate\.registration/1\", must be"):
         described(tmp_path / name, LIMITS)
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_up_to_its_limit_a_registration_is_one(tmp_path, more):
+    data = (EXAMPLES / "registration-first.json").read_bytes()
+    (tmp_path / "r.json").write_bytes(data + b" " * (SETTINGS_LIMIT - len(data) + more))
+    if not more:
+        assert described(tmp_path / "r.json", LIMITS) == "registration example-first"
+        return
+    with pytest.raises(InputError):
+        described(tmp_path / "r.json", LIMITS)
+
+
+def test_the_tools_of_a_tool_path_are_counted(monkeypatch, tmp_path):
+    (tmp_path / "a.csv").write_text("", encoding="utf-8")
+    parts = tuple(SimpleNamespace(id="a", tips_mm=[0] * count) for count in (3, 4))
+    monkeypatch.setattr(kinds, "plans_from_bytes", lambda *_: parts)
+    assert described(tmp_path / "a.csv", LIMITS) == "tool path a, 7 poses, 2 tools"

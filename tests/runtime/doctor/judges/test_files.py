@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.config.model import LogSettings, Site, TimingSettings
+from cutgate.config.records import timing_record
 from cutgate.config.refusal import FileProblem
 from cutgate.runtime.doctor.examined import Examined
 from cutgate.runtime.doctor.facts import Delays, FreeSpace, KeyFile, LogFolder
@@ -20,6 +21,7 @@ from cutgate.runtime.doctor.judges.files import (
     judge_space,
     needed_bytes,
 )
+from cutgate.runtime.session.space import space
 
 HERE = Examined(Site(), None)
 PROBLEM = FileProblem("site.key", "mode", "0644", "without access by others (0600)", "chmod 600")
@@ -83,6 +85,21 @@ def test_an_hour_is_asked_for_and_less_than_the_wait_for_an_operator_is_a_failur
         found = only(judge_space(FreeSpace("/data", free), HERE))
         assert found.state is state
         assert "/data" in found.found
+
+
+def test_what_is_asked_for_is_twice_what_a_session_takes():
+    site = Site(timing=TimingSettings(heartbeat_ms=50, timeout_ms=500), log=LogSettings(chunk_period_ms=200))
+    examined = Examined(site, None, "socketcan", "can0")
+    taken = space(3600, timing_record(site), chunk_period_s=0.2, interface="can0")
+    assert needed_bytes(examined, HOUR_S) == 2 * (taken.log + taken.frames)
+
+
+def test_free_and_missing_space_are_told_in_megabytes():
+    hour = needed_bytes(HERE, HOUR_S)
+    found = only(judge_space(FreeSpace("/data", hour - 250_000_000), HERE))
+    assert found.found == f"{(hour - 250_000_000) / 1e6:.0f} MB free on the disk of /data"
+    assert found.bound.startswith(f">= {hour / 1e6:.0f} MB: ")
+    assert found.remedy.startswith("free 250 MB there")
 
 
 def test_half_the_heartbeat_takes_twice_the_space():

@@ -38,6 +38,7 @@ def test_the_interpreter(version, required, state):
         (">=2.2", "2.10", Condition.OK),  # numbers, not text
         (">=2.10", "2.2", Condition.FAIL),
         (">=2.2", "2.2rc1", Condition.FAIL),
+        (">=2.2", "2.3rc1", Condition.OK),  # pip has been told to install it
         (">=2.2", None, Condition.FAIL),
         ("", "1", Condition.OK),
         (">=2.2", "of today", Condition.UNKNOWN),
@@ -48,6 +49,15 @@ def test_a_package(required, version, state):
     assert (found.name, found.state) == ("package numpy", state)
     assert ("requirements.txt" in found.remedy) is (state is not Condition.OK)
     assert found.bound
+
+
+def test_a_package_is_told_with_what_is_asked_of_it():
+    facts = (PackageFound("a", ">=1", "2"), PackageFound("b", "", "2"), PackageFound("c", "", None))
+    assert [(one.found, one.bound) for one in judge_packages(facts, "cutgate")] == [
+        ("2", ">=1"),
+        ("2", "installed"),
+        ("not installed", "installed"),
+    ]
 
 
 def test_every_package_has_its_line():
@@ -65,6 +75,7 @@ def test_every_package_has_its_line():
     ("facts", "states"),
     [
         (ProgramFiles(9, (), ()), (Condition.OK, Condition.OK)),
+        (ProgramFiles(1, (), ()), (Condition.OK, Condition.OK)),
         (ProgramFiles(9, ("a",), ()), (Condition.FAIL, Condition.OK)),
         (ProgramFiles(9, (), ("a",)), (Condition.OK, Condition.FAIL)),
         (ProgramFiles(9, (), None), (Condition.OK, Condition.UNKNOWN)),
@@ -75,6 +86,14 @@ def test_its_files(facts, states):
     found = tuple(judge_files(facts, "cutgate"))
     assert tuple(one.state for one in found) == states
     assert all(bool(one.remedy) is (one.state is not Condition.OK) for one in found)
+
+
+def test_its_files_are_told():
+    def told(*facts):
+        return [one.found for one in judge_files(ProgramFiles(*facts), "cutgate")]
+
+    assert told(1, (), ()) == ["1 readable", "1 by their SHA-256"]
+    assert told(9, ("a",), ("b",)) == ["not readable: a", "altered: b"]
 
 
 def test_where_its_code_comes_from():

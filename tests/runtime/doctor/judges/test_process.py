@@ -78,6 +78,18 @@ def test_a_clock_source(current, state):
         assert "there is tsc" in found.remedy
 
 
+@pytest.mark.parametrize(
+    "current", ["xen", "hyperv_clocksource_tsc_page", "timebase", "riscv_clocksource", "tod"]
+)
+def test_clock_sources_of_other_machines_are_as_good(current):
+    assert only(judge_clock_source(ClockSource(current, (current,)), HERE)).state is Condition.OK
+
+
+@pytest.mark.parametrize("current", ["hyperv_clocksource_msr", "i8253", "pit"])
+def test_what_is_slow_to_read_is_so_everywhere(current):
+    assert only(judge_clock_source(ClockSource(current, (current,)), HERE)).state is Condition.WARNING
+
+
 def test_a_better_clock_source_is_named_only_where_there_is_one():
     assert "no better one" in only(judge_clock_source(ClockSource("hpet", ("hpet", "acpi_pm")), HERE)).remedy
 

@@ -31,8 +31,8 @@ class Probed(Generic[E, F]):
         """Look, and judge; what could not be found is unknown."""
         try:
             facts = self.probe(examined)
-        except OSError as error:
-            facts = Unknown(f"could not be looked at: {error.strerror or error}")
+        except (OSError, ValueError) as error:  # ValueError: a null character in a name
+            facts = Unknown(f"could not be looked at: {getattr(error, 'strerror', None) or error}")
         if isinstance(facts, Unknown):
             return (Finding(self.name, Condition.UNKNOWN, facts.why, self.bound, facts.remedy),)
         return self.judge(facts, examined)

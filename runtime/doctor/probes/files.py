@@ -50,8 +50,8 @@ def log_folder(examined: Examined) -> LogFolder:
             withdrawn_list(directory)
     except InputError as error:
         return LogFolder(str(directory), os.path.isdir(directory), error.problems[0], None)  # noqa: PTH112
-    except OSError as error:
-        found, bound = error.strerror or str(error), "a directory that can be reached"
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        found, bound = getattr(error, "strerror", None) or str(error), "a directory that can be reached"
         remedy = "let this user enter what is above it, or name another with --log-dir"
         problem = FileProblem(str(directory), "log directory", found, bound, remedy)
         return LogFolder(str(directory), True, problem, None)

@@ -1,5 +1,7 @@
 """A check looks, then judges; what cannot be found is unknown and never good."""
 
+import pytest
+
 from cutgate.runtime.doctor.checks import Probed, findings
 from cutgate.runtime.doctor.examined import Examined
 from cutgate.runtime.doctor.facts import Unknown
@@ -16,6 +18,10 @@ def failing(_examined):
     raise PermissionError(13, "Permission denied")
 
 
+def nameless(_examined):
+    raise ValueError("embedded null byte")
+
+
 def test_facts_are_judged():
     assert list(findings([Probed("a", "b", str.upper, judged)], "x")) == [
         Finding("a", Condition.OK, "X of x", "b")
@@ -27,9 +33,10 @@ def test_what_a_probe_cannot_know_is_unknown_with_its_reason():
     assert list(findings([check], "x")) == [Finding("a", Condition.UNKNOWN, "asleep", "b", "wake it")]
 
 
-def test_a_probe_that_fails_ends_nothing():
-    (found, after) = findings([Probed("a", "b", failing, judged), Probed("c", "d", str.upper, judged)], "x")
-    assert (found.state, found.found) == (Condition.UNKNOWN, "could not be looked at: Permission denied")
+@pytest.mark.parametrize(("probe", "why"), [(failing, "Permission denied"), (nameless, "embedded null byte")])
+def test_a_probe_that_fails_ends_nothing(probe, why):
+    (found, after) = findings([Probed("a", "b", probe, judged), Probed("c", "d", str.upper, judged)], "x")
+    assert (found.state, found.found) == (Condition.UNKNOWN, f"could not be looked at: {why}")
     assert after.state is Condition.OK
 
 

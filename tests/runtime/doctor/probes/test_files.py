@@ -131,6 +131,10 @@ def test_a_file_is_no_folder_and_holds_none(tmp_path):
     assert folder(tmp_path / "file" / "logs").problem is not None
 
 
+def test_a_name_that_is_none_is_refused():
+    assert "null" in folder(Path("a\0b")).problem.value
+
+
 @root_only
 def test_what_may_not_be_written_is_refused(place):
     (place / "logs").mkdir(mode=0o700)

@@ -72,7 +72,7 @@ def judge_local(facts: LocalBus, examined: Examined) -> Iterable[Finding]:
         yield Finding("local virtual bus", Condition.OK, f"serving at {facts.path}", bound)
         return
     state = Condition.FAIL if needed else Condition.OK
-    found = facts.refused if facts.there and facts.refused else f"nobody serves at {facts.path}"
+    found = facts.refused or f"nobody serves at {facts.path}"
     named = "" if examined.channel == LOCAL_CHANNEL else f" --socket {facts.path}"
     start = f"start it: cutgate bus serve{named}; or name the controller's bus with --interface and --channel"
     if facts.there:

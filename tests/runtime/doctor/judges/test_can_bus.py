@@ -127,7 +127,8 @@ def test_fd_needs_an_interface_that_carries_it():
 
 def test_a_virtual_interface_needs_nothing_but_to_be_up():
     vcan = replace(CAN0, channel="vcan0")
-    assert interface(VCAN, vcan).state is Condition.OK
+    assert (interface(VCAN, vcan).state, interface(VCAN, vcan).bound) == (Condition.OK, "up")
+    assert interface(GOOD).bound.startswith("up, error-active")
     found = interface(replace(VCAN, up=False), vcan)
     assert (found.state, found.remedy) == (Condition.FAIL, "as root: ip link set vcan0 up")
 
@@ -239,6 +240,8 @@ def test_a_raw_socket_that_is_refused(refused):
     (needed,), (not_needed,) = (judge_socket(RawSocket(refused), one) for one in (CAN0, LOCAL))
     assert (needed.state, not_needed.state) == (Condition.FAIL, Condition.WARNING)
     assert needed.found == not_needed.found == refused.value
+    assert "for a controller" in not_needed.bound
+    assert "for a controller" not in needed.bound
     assert needed.remedy
     assert (needed.remedy.count("modprobe") > 0) is (refused is not SocketRefusal.FORBIDDEN)
 
@@ -271,6 +274,8 @@ def test_the_local_bus_must_serve_where_it_is_used(facts, state, remedy):
     assert used.remedy.startswith(remedy)
     assert bool(used.remedy) is bool(remedy)
     assert (unused.state, unused.remedy, unused.bound) == (Condition.OK, "", "not needed")
+    serving = state is Condition.OK
+    assert used.found == (facts.refused or f"{'serving' if serving else 'nobody serves'} at /run/bus0.sock")
 
 
 def test_a_hub_of_another_socket_is_started_there():

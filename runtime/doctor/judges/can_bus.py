@@ -1,5 +1,6 @@
 """Whether the bus of a session could be opened, and would carry it."""
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -73,7 +74,7 @@ def judge_local(facts: LocalBus, examined: Examined) -> Iterable[Finding]:
         return
     state = Condition.FAIL if needed else Condition.OK
     found = facts.refused or f"nobody serves at {facts.path}"
-    named = "" if examined.channel == LOCAL_CHANNEL else f" --socket {facts.path}"
+    named = "" if examined.channel == LOCAL_CHANNEL else f" --socket {shlex.quote(facts.path)}"
     start = f"start it: cutgate bus serve{named}; or name the controller's bus with --interface and --channel"
     if facts.there:
         start = f"end who serves there, if anybody does, and {start}"

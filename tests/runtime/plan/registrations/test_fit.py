@@ -88,6 +88,16 @@ def test_the_scale_that_would_fit_is_found(seed, factor):
     assert rigid_fit(ct, factor * robot).scale == pytest.approx(factor, rel=1e-6)
 
 
+@given(seed=SEEDS, mirror=st.booleans(), noise_mm=st.floats(0.0, 3.0))
+def test_the_scale_is_that_of_least_squares_under_the_rotation_that_was_found(seed, mirror, noise_mm):
+    """Of a mirror image as well, whose best rotation is a bad one."""
+    ct, robot, _, _ = case(seed, noise_mm, least=5)
+    robot = robot * (1, 1, -1) if mirror else robot
+    found = rigid_fit(ct, robot)
+    turned = (ct - ct.mean(axis=0)) @ found.transform[:3, :3].T
+    assert found.scale == pytest.approx(float((turned * robot).sum() / (turned * turned).sum()), rel=1e-9)
+
+
 @given(seed=SEEDS, off_mm=st.floats(0.0, 50.0))
 def test_the_spread_is_the_distance_from_the_nearest_line(seed, off_mm):
     """Points two by two at either side of a line, so far off it; longer along it than across."""

@@ -14,7 +14,7 @@ ADMISSIBLE: Final = "admissible"
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Travelled:
     """Of the moves that cut, or of those that position: how many straight segments, and their lengths."""
 
     segments: int
@@ -22,22 +22,22 @@ class Way:
     wrist_length_mm: float
 
 
-def ways(problem: Problem, cut: Cut) -> tuple[Way, Way]:
+def travelled(problem: Problem, cut: Cut) -> tuple[Travelled, Travelled]:
     """What is cut, and what is only positioned, of a tool's path."""
     geometry, segments = canonical(problem)
     tips = lengths(problem.tips_mm[1:] - problem.tips_mm[:-1])
     wrists = wrist_lengths(segments, geometry.tool_mm)
 
-    def way(chosen: Flags) -> Way:
-        return Way(int(chosen.sum()), float(tips[chosen].sum()), float(wrists[chosen].sum()))
+    def those(chosen: Flags) -> Travelled:
+        return Travelled(int(chosen.sum()), float(tips[chosen].sum()), float(wrists[chosen].sum()))
 
     positioning = cut.positioning[1:]
-    return way(~positioning), way(positioning)
+    return those(~positioning), those(positioning)
 
 
 def facts(problem: Problem, cut: Cut, feed_mm_s: float) -> dict[str, str]:
     """Label and value."""
-    cutting, positioning = ways(problem, cut)
+    cutting, positioning = travelled(problem, cut)
     told = {"tool path": f"{_name(cut)}, {_where(cut)}"}
     told["cutting"] = f"{cutting.segments} segments, tip {cutting.tip_length_mm:.1f} mm"
     if positioning.segments:
@@ -79,7 +79,7 @@ def with_tool_path(document: dict[str, Any], problem: Problem, cut: Cut | None) 
     """A verdict's document with what the tool path's file says; ``path`` has the lengths of what is cut alone."""
     if cut is None:
         return document
-    cutting, positioning = ways(problem, cut)
+    cutting, positioning = travelled(problem, cut)
     path = {
         **document["path"],
         "tip_length_mm": cutting.tip_length_mm,

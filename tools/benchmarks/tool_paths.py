@@ -16,7 +16,7 @@ from pages import Rows, document, show
 from cutgate.config.load import InputError, load_robot
 from cutgate.config.model import Robot
 from cutgate.protocol.records import Path as WirePath
-from cutgate.runtime.commands.tool_path_view import ways
+from cutgate.runtime.commands.tool_path_view import travelled
 from cutgate.runtime.plan.load import DEFAULT_POSE_LIMIT, plans_from_bytes
 from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.prepare import widened
@@ -72,7 +72,7 @@ def readings() -> Rows:
             yield (name, f"{size / 1e3:.0f}", f"refused: {refusal}", *[""] * 9)
             continue
         seconds = time.perf_counter() - began
-        both = [ways(_problem(plan, TOOLS_MM[0]), _cut(plan)) for plan in plans]
+        both = [travelled(_problem(plan, TOOLS_MM[0]), _cut(plan)) for plan in plans]
         tips = np.concatenate([plan.tips_mm for plan in plans])
         box = [
             f"{low:.2f} to {high:.2f}" for low, high in zip(tips.min(axis=0), tips.max(axis=0), strict=True)
@@ -80,7 +80,7 @@ def readings() -> Rows:
         yield (
             name, f"{size / 1e3:.0f}", f"{seconds * 1e3:.0f} ms", f"{size / seconds / 1e6:.1f}", str(len(plans)),
             str(sum(cut.segments for cut, _ in both)), f"{sum(cut.tip_length_mm for cut, _ in both):.1f}",
-            str(sum(way.segments for _, way in both)), f"{sum(way.tip_length_mm for _, way in both):.1f}",
+            str(sum(other.segments for _, other in both)), f"{sum(other.tip_length_mm for _, other in both):.1f}",
             *box,
         )  # fmt: skip
 
@@ -108,7 +108,7 @@ def _judged(plan: Plan, tool_mm: float) -> str:
     elapsed_ms = (time.perf_counter() - began) * 1e3
     violated = [name for name, found in verdict.boundaries.items() if found.violated]
     told = "admissible" if verdict.admissible else f"inadmissible ({', '.join(violated) or 'speed'})"
-    return f"{ways(problem, _cut(plan))[0].wrist_length_mm:.0f} mm, {told}, {elapsed_ms:.0f} ms"
+    return f"{travelled(problem, _cut(plan))[0].wrist_length_mm:.0f} mm, {told}, {elapsed_ms:.0f} ms"
 
 
 def _problem(plan: Plan, tool_mm: float) -> Problem:

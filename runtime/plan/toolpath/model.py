@@ -64,7 +64,7 @@ def of_words(text: str) -> Reading:
     Raises:
         ValueError: the text is none of `as_words`.
     """
-    pairs = [word.partition("=") for word in text.split()]
+    pairs = [pair.partition("=") for pair in text.split()]
     found = {name: json.loads(value) for name, _, value in pairs}
     if not (len(found) == len(pairs) and found.keys() <= set(_NAMES)):
         raise ValueError(f"{text!r} says no reading of a tool path")

@@ -117,7 +117,7 @@ class OtherElbowPart(Part):
     text: Annotated[str, Field(min_length=1)]
 
 
-class WayPart(Part):
+class TravelledPart(Part):
     segments: Annotated[int, Field(ge=0)]
     tip_length_mm: Annotated[Real, Field(ge=0)]
     wrist_length_mm: Annotated[Real, Field(ge=0)]
@@ -126,8 +126,8 @@ class WayPart(Part):
 class ToolPathPart(Part):
     tool: str
     lines: tuple[int, int]
-    cutting: WayPart
-    positioning: WayPart
+    cutting: TravelledPart
+    positioning: TravelledPart
     feeds_mm_s: tuple[Real, Real] | None
     tolerance_mm: Annotated[Real, Field(ge=0)]
     tolerance_deg: Annotated[Real, Field(ge=0)]

@@ -2,11 +2,11 @@
 
 import pytest
 
-from cutgate.runtime.plan.toolpath.blocks import LINE_MAX, Block, bare, read_block
+from cutgate.runtime.plan.toolpath.blocks import LINE_MAX, ProgramBlock, bare, read_block
 from cutgate.runtime.plan.toolpath.expressions import GcodeError, Parameters
 
 
-def block_of(line: str, parameters: Parameters | None = None) -> Block:
+def block_of(line: str, parameters: Parameters | None = None) -> ProgramBlock:
     return read_block(bare(line), parameters or Parameters())
 
 

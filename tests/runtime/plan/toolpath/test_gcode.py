@@ -379,15 +379,6 @@ def test_without_a_convention_rotary_words_are_refused_and_all_are_listed():
     refused("G21\nM2", 0, "--rotary abc", "xyzac, xyzbc", reading=Reading(rotary="abc"))
 
 
-def test_tolerances_are_bounded():
-    for reading in (
-        Reading(arc_tolerance_mm=0.0),
-        Reading(axis_tolerance_deg=math.nan),
-        Reading(axis_tolerance_deg=99),
-    ):
-        refused(f"{HEAD}M2", 0, "tolerance", reading=reading)
-
-
 # ------------------------------------------------------------- work and limits
 
 

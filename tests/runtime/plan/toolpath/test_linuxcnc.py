@@ -57,7 +57,7 @@ def test_the_impeller_by_its_coordinates(tmp_path):
     text = tool_path("impeller-7bl-xyzac.ngc").read_text()
     moves, ended = interpreted("G21\n" + text.replace("M428", "").replace("M429", ""), tmp_path)
     assert ended
-    (cut,) = path_of(text, Reading(rotary="xyzac", axis_tolerance_deg=10.0)).cuts
+    (cut,) = path_of(text, Reading(rotary="xyzac", axis_tolerance_deg=1.0)).cuts
     assert sum(move.feeds for move in moves) == 4306
     ends = np.append(np.diff(cut.lines) > 0, True)
     whole = replace(cut, tips_mm=cut.tips_mm[ends], positioning=cut.positioning[ends], lines=cut.lines[ends])

@@ -30,7 +30,7 @@ _FOREIGN: Final = {
 
 
 @dataclass(slots=True)
-class ProgramBlock:
+class GcodeBlock:
     """One line.
 
     Attributes:
@@ -84,7 +84,7 @@ def _removed(match: re.Match[str]) -> str:
     return ""
 
 
-def read_block(text: str, parameters: Parameters) -> ProgramBlock:
+def read_block(text: str, parameters: Parameters) -> GcodeBlock:
     """The words of a bare line; assignments in it hold from the next line on.
 
     Raises:
@@ -93,7 +93,7 @@ def read_block(text: str, parameters: Parameters) -> ProgramBlock:
     sequence = _SEQUENCE.match(text)
     if sequence:
         text = text[sequence.end() :]
-    block = ProgramBlock()
+    block = GcodeBlock()
     if _PLAIN.fullmatch(text):
         for letter, number in _PAIR.findall(text):
             _put(block, letter, float(number))
@@ -124,7 +124,7 @@ def _assignment(scanner: Scanner) -> tuple[int | str, float]:
     return key, scanner.value()
 
 
-def _put(block: ProgramBlock, letter: str, value: float) -> None:
+def _put(block: GcodeBlock, letter: str, value: float) -> None:
     if letter in "GM":
         block.codes.append(_code(letter, value))
         return

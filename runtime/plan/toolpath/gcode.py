@@ -16,7 +16,7 @@ import numpy as np
 
 from cutgate.config.load import decode
 from cutgate.config.refusal import InputError
-from cutgate.runtime.plan.toolpath.blocks import ProgramBlock, read_block
+from cutgate.runtime.plan.toolpath.blocks import GcodeBlock, read_block
 from cutgate.runtime.plan.toolpath.circular import CircularMove
 from cutgate.runtime.plan.toolpath.cycles import PECKING, Hole
 from cutgate.runtime.plan.toolpath.expressions import GcodeError, Parameters, integer
@@ -89,7 +89,7 @@ class Machine:
         self.motion = ToolMotion(trace, reading)
         self.trace = trace
 
-    def execute(self, block: ProgramBlock) -> list[str]:
+    def execute(self, block: GcodeBlock) -> list[str]:
         """One block; what was understood of it.
 
         Raises:
@@ -115,7 +115,7 @@ class Machine:
             )
         return [f"{row.code} {row.meaning}" for row in rows]
 
-    def _rows(self, block: ProgramBlock) -> list["Row"]:
+    def _rows(self, block: GcodeBlock) -> list["Row"]:
         """The rows of a block's codes, in the order in which they act."""
         rows = []
         for code in block.codes:
@@ -133,7 +133,7 @@ class Machine:
             _check_shared(block, rows)
         return rows
 
-    def _numbers(self, block: ProgramBlock) -> None:
+    def _numbers(self, block: GcodeBlock) -> None:
         """F, S and T."""
         values, modal = block.values, self.modal
         if "F" in values:
@@ -151,7 +151,7 @@ class Machine:
                 raise GcodeError(f"T{number}", ">= 0", "correct the tool")
             modal.waiting = str(number)
 
-    def _implied(self, block: ProgramBlock) -> None:
+    def _implied(self, block: GcodeBlock) -> None:
         """Axis words without a motion word: the motion that holds."""
         if not block.values.keys() & _AXES:
             return
@@ -171,12 +171,12 @@ class Machine:
             return 1.0
         return self.modal.unit_mm
 
-    def length(self, block: ProgramBlock, letter: str) -> float | None:
+    def length(self, block: GcodeBlock, letter: str) -> float | None:
         """The value of a letter that is a length, mm."""
         value = block.take(letter)
         return None if value is None else value * self.unit_mm()
 
-    def target(self, block: ProgramBlock) -> tuple[Tip, int]:
+    def target(self, block: GcodeBlock) -> tuple[Tip, int]:
         """Where X, Y and Z of a block lead, mm, and how many of them it has.
 
         Raises:
@@ -194,12 +194,12 @@ class Machine:
                 count += 1
         return tip, count
 
-    def angles(self, block: ProgramBlock) -> dict[str, float | None]:
+    def angles(self, block: GcodeBlock) -> dict[str, float | None]:
         """The rotary axes after a block, deg."""
         return self.motion.turned(self.rotary(block), absolute=self.modal.absolute)
 
     @staticmethod
-    def rotary(block: ProgramBlock) -> dict[str, float]:
+    def rotary(block: GcodeBlock) -> dict[str, float]:
         """The rotary words of a block, deg."""
         values = block.values
         return {letter: values.pop(letter) for letter in ROTARY if letter in values} if values else {}
@@ -249,7 +249,7 @@ class Machine:
         return (lambda mm: mm * rate) if modal.feed_mode == "G93" else (lambda _mm: rate)
 
 
-def _check_shared(block: ProgramBlock, rows: list["Row"]) -> None:
+def _check_shared(block: GcodeBlock, rows: list["Row"]) -> None:
     """Refuses two words that would take the same letters."""
     axes = [row.code for row in rows if row.moves]
     if len(axes) > 1:
@@ -259,7 +259,7 @@ def _check_shared(block: ProgramBlock, rows: list["Row"]) -> None:
         raise GcodeError(f"P with {' and '.join(dwells)}", "of one word only", "part the line")
 
 
-Act = Callable[[Machine, ProgramBlock, str], None]
+Act = Callable[[Machine, GcodeBlock, str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +284,7 @@ class Row:
 # -------------------------------------------------------------------- motion
 
 
-def _straight(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _straight(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal, motion = machine.modal, machine.motion
     modal.motion = code
     tip, count = machine.target(block)
@@ -294,7 +294,7 @@ def _straight(machine: Machine, block: ProgramBlock, code: str) -> None:
     motion.straight(tip, angles, machine.feed() if code == "G1" else None, named=count == 3)
 
 
-def _arc(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _arc(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal = machine.modal
     modal.motion = code
     start = np.array(machine.here())
@@ -322,7 +322,7 @@ def _arc(machine: Machine, block: ProgramBlock, code: str) -> None:
         machine.trace.widen(abs(abs(radius) - float(np.linalg.norm(ends[0]))))
 
 
-def _centre(machine: Machine, block: ProgramBlock, start: np.ndarray) -> np.ndarray:
+def _centre(machine: Machine, block: GcodeBlock, start: np.ndarray) -> np.ndarray:
     """The centre of an arc from I, J and K, mm; along the normal it is where the start is."""
     modal = machine.modal
     first, second, across = PLANES[modal.plane]
@@ -362,7 +362,7 @@ def _centre_of_radius(
     return centre
 
 
-def _cycle(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _cycle(machine: Machine, block: GcodeBlock, code: str) -> None:
     """A canned cycle, at one place or at several."""
     modal = machine.modal
     if modal.feed_mode == "G93":
@@ -405,7 +405,7 @@ def _drill(machine: Machine, at: tuple[float, float], hole: Hole) -> None:
         _to(machine, at, height, feed if feeds else None)
 
 
-def _depths(machine: Machine, block: ProgramBlock, code: str, across: int) -> dict[str, float]:
+def _depths(machine: Machine, block: GcodeBlock, code: str, across: int) -> dict[str, float]:
     """R, the depth (``Z``, whatever the plane) and Q of a cycle: given, or those of the block before it; mm."""
     modal, normal = machine.modal, LINEAR[across]
     kept = modal.cycle or {}
@@ -430,14 +430,14 @@ def _to(machine: Machine, at: tuple[float, float], height: float, feed: Feed | N
     machine.motion.straight(tip, machine.motion.turned({}, absolute=True), feed)
 
 
-def _cancel_motion(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _cancel_motion(machine: Machine, block: GcodeBlock, code: str) -> None:
     if block.values.keys() & _AXES:
         raise GcodeError(f"axis words with {code}", "a motion word with them", "add G0 or G1 instead")
     machine.modal.motion = ""
     machine.modal.cycle = None
 
 
-def _home(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+def _home(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     """By way of the block's point, at which nothing is cut, to where the machine has its home."""
     for letter in LINEAR:
         block.take(letter)
@@ -449,20 +449,20 @@ def _home(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: AR
 
 
 def _setting(name: str, value: object) -> Act:
-    def act(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+    def act(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
         setattr(machine.modal, name, value)
 
     return act
 
 
-def _nothing(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _nothing(machine: Machine, block: GcodeBlock, code: str) -> None:
     """It moves nothing."""
 
 
 def _parameters(*letters: str, needed: bool = False) -> Act:
     """It moves nothing, and takes these letters."""
 
-    def act(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+    def act(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
         for letter in letters:
             value = block.need(letter, code) if needed else block.take(letter)
             if not (value is None or value >= 0.0):
@@ -471,7 +471,7 @@ def _parameters(*letters: str, needed: bool = False) -> Act:
     return act
 
 
-def _units(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _units(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal = machine.modal
     unit_mm = INCH_MM if code == "G20" else 1.0
     if modal.assumed_mm and unit_mm != 1.0:
@@ -487,13 +487,13 @@ def _units(machine: Machine, block: ProgramBlock, code: str) -> None:
     modal.unit_mm = unit_mm
 
 
-def _feed_mode(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+def _feed_mode(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     if machine.modal.feed_mode != code:
         machine.modal.feed_mode, machine.modal.feed = code, None
 
 
 def _refused(bound: str, remedy: str) -> Act:
-    def act(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+    def act(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
         raise GcodeError(code, bound, remedy)
 
     return act
@@ -519,7 +519,7 @@ _CYCLES: Final = _refused(
 )
 
 
-def _plane(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+def _plane(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     if machine.modal.plane != code:
         machine.modal.plane, machine.modal.cycle = code, None
 
@@ -527,7 +527,7 @@ def _plane(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: A
 # ------------------------------------------------------------------ tools
 
 
-def _mount(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+def _mount(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     modal = machine.modal
     if not modal.waiting:
         raise GcodeError("M6 without T", "after a T word", "say which tool")
@@ -535,7 +535,7 @@ def _mount(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: A
     machine.motion.mount(modal.tool)
 
 
-def _length_of_table(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _length_of_table(machine: Machine, block: GcodeBlock, code: str) -> None:
     """Which tool's length of the machine's table holds."""
     tool = machine.modal.tool
     number = block.take("H")
@@ -550,7 +550,7 @@ def _length_of_table(machine: Machine, block: ProgramBlock, code: str) -> None:
         machine.motion.tcp = True
 
 
-def _length_given(machine: Machine, block: ProgramBlock, code: str) -> None:
+def _length_given(machine: Machine, block: GcodeBlock, code: str) -> None:
     """The tool's length, along Z alone."""
     value = machine.length(block, "Z")
     for letter in ("X", "Y", *ROTARY):
@@ -575,7 +575,7 @@ def _use_length(machine: Machine, length: str) -> None:
     modal.length = modal.tool_length = length
 
 
-def _length_off(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+def _length_off(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     machine.motion.tcp = False
     if machine.modal.length:
         machine.modal.length = ""
@@ -583,7 +583,7 @@ def _length_off(machine: Machine, block: ProgramBlock, code: str) -> None:  # no
 
 
 def _tcp(*, on: bool) -> Act:
-    def act(machine: Machine, block: ProgramBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
+    def act(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
         machine.motion.tcp = on
 
     return act
@@ -755,5 +755,5 @@ def read_gcode(file: object, data: bytes, reading: Reading, pose_limit: int, tol
 def _execute(machine: Machine, parameters: Parameters, text: str) -> list[str]:
     """One line; a name of tool-centre-point control stands for its M word."""
     named = NAMED.get(text) if text.startswith("TRA") else None
-    block = ProgramBlock(codes=[named]) if named else read_block(text, parameters)
+    block = GcodeBlock(codes=[named]) if named else read_block(text, parameters)
     return machine.execute(block)

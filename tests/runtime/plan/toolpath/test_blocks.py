@@ -2,11 +2,11 @@
 
 import pytest
 
-from cutgate.runtime.plan.toolpath.blocks import LINE_MAX, ProgramBlock, bare, read_block
+from cutgate.runtime.plan.toolpath.blocks import LINE_MAX, GcodeBlock, bare, read_block
 from cutgate.runtime.plan.toolpath.expressions import GcodeError, Parameters
 
 
-def block_of(line: str, parameters: Parameters | None = None) -> ProgramBlock:
+def block_of(line: str, parameters: Parameters | None = None) -> GcodeBlock:
     return read_block(bare(line), parameters or Parameters())
 
 

@@ -30,7 +30,8 @@ DECLARED: Final = frozenset({"rotary", "arc_tolerance_mm", "axis_tolerance_deg"}
 
 INCH_MM: Final = 25.4
 WORK_PER_POSE: Final = 128
-"""So many characters may be executed for each pose that a path may have; a program may loop without a move."""
+WORK_MAX: Final = 32_000_000
+"""So many characters may be executed for each pose that a path may have, and in all, beside those of the file."""
 TOLD_MAX: Final = 100_000
 TOLD_CHARACTERS: Final = 240
 REPEATS_MAX: Final = 10_000
@@ -738,7 +739,7 @@ def read_gcode(file: object, data: bytes, reading: Reading, pose_limit: int, tol
     try:
         machine = Machine(trace, reading)
         parameters = Parameters()
-        program = Program(lines, parameters, len(data) + WORK_PER_POSE * pose_limit)
+        program = Program(lines, parameters, len(data) + min(WORK_PER_POSE * pose_limit, WORK_MAX))
         for text in program.blocks():
             if text:
                 machine.motion.line = program.index + 1

@@ -108,6 +108,9 @@ def test_an_expression_has_the_value_that_its_tree_has(term: Term):
         ("+3.", 3),
         ("[2**3**2]", 64),
         ("[2**-1]", 0.5),
+        ("[8/2**2]", 2),
+        ("[3*2**2]", 12),
+        ("[7MOD2**2]", 3),
         ("[-7MOD3]", 2),
         ("[7MOD-3]", 1),
         ("[1EQ1.00005]", 1),
@@ -239,6 +242,13 @@ def test_what_the_machine_keeps_is_not_set():
     for key in (0, MACHINE_FIRST, PARAMETERS_MAX + 1, "_x", "_value"):
         with pytest.raises(GcodeError):
             Parameters().set(key, 1.0)
+
+
+def test_a_name_that_the_machine_keeps_is_told_from_one_that_is_not_set():
+    with pytest.raises(GcodeError, match="the machine keeps it"):
+        Parameters().named("_x")
+    with pytest.raises(GcodeError, match="set before it is used"):
+        Parameters().named("_mine")
 
 
 def test_names_are_bounded():

@@ -32,6 +32,25 @@ def test_what_only_the_machine_knows_is_refused(code: str):
     assert "; " in text, "a remedy"
 
 
+MOVES_COORDINATES = "G10 G50 G51 G52 G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G68.2 G69 G92 G92.1 G92.2 G92.3 G43.2 G43.5"
+NEEDS_THE_MACHINE = "G7 G28.1 G30.1 G33 G33.1 G38.2 G38.3 G38.4 G38.5 G96 M50 M51 M52 M53 M60 M61 M62 M63 M64 M65 M66 M67 M68 M430"
+
+
+@pytest.mark.parametrize(
+    ("codes", "reason"),
+    [
+        (MOVES_COORDINATES, "moves the coordinates"),
+        (NEEDS_THE_MACHINE, "depends on the machine"),
+        ("G41 G41.1 G42 G42.1", "the tool's radius"),
+        ("G76 G84 G85 G86 G87 G88 G89", "one of the cycles"),
+        ("M98 M99", "another program"),
+    ],
+)
+def test_the_reason_of_a_refusal_is_that_of_the_word(codes: str, reason: str):
+    for code in codes.split():
+        refused(f"{HEAD}{code}\nM2\n", 3, f"is {code}, must be", reason)
+
+
 @given(st.integers(0, 9999), st.sampled_from("GM"))
 def test_every_word_without_a_row_is_refused(tenths: int, letter: str):
     code = f"{letter}{tenths // 10}" + (f".{tenths % 10}" if tenths % 10 else "")
@@ -130,7 +149,11 @@ def test_a_program_ends():
 
 def test_a_lone_word_moves_nothing():
     assert (
-        len(after_head("G1\nG0\nM3 S1 M8\nG4 P1\nM0\nM48\nG17 G40 G49 G54 G61\nG64 P.1 Q.1\nG1 X1").tips_mm)
+        len(
+            after_head(
+                "G1\nG0\nM3 S1 M8\nG4 P1\nM0\nM48\nG17 G40 G49 G54 G61\nG64\nG64 P.1 Q.1\nG1 X1"
+            ).tips_mm
+        )
         == 2
     )
 
@@ -204,6 +227,7 @@ def test_a_whole_circle_and_its_turns():
         ("G2 X1 E1", "E word"),
         ("G2 X2 I1 P9999999", "left of the pose limit"),
         ("G2 X0 Y0.0000005 I1", "millionth"),
+        ("G2 X0 Y0.000005 I10", "millionth"),
         ("G2 I0", "radius"),
         ("G2 X2 I1 A1", "--rotary"),
         ("G2 G4 X2 I1 P1", "P with"),

@@ -107,7 +107,7 @@ class Machine:
         for row in rows[before:]:
             row.act(self, block, row.code)
         if not any(row.moves for row in rows):
-            self._implied(block)
+            rows += self._implied(block)
         if block.values:
             letter = next(iter(block.values))
             bound = "used by a word of this line"
@@ -152,16 +152,17 @@ class Machine:
                 raise GcodeError(f"T{number}", ">= 0", "correct the tool")
             modal.waiting = str(number)
 
-    def _implied(self, block: GcodeBlock) -> None:
-        """Axis words without a motion word: the motion that holds."""
+    def _implied(self, block: GcodeBlock) -> list["Row"]:
+        """Axis words without a motion word: the motion that holds is carried out."""
         if not block.values.keys() & _AXES:
-            return
+            return []
         code = self.modal.motion
         if not code:
             raise GcodeError(
                 "axis words without a motion", "after G0, G1, G2, G3 or a cycle", "add the G word"
             )
         CODES[code].act(self, block, code)
+        return [CODES[code]]
 
     # ------------------------------------------------------------------ units
 

@@ -245,7 +245,8 @@ def _parsed(line: str) -> _Control:
     match = _O_TEXT.fullmatch(text)
     if match is None:
         bound = "O, a number or <name>, and SUB, CALL, IF, WHILE, DO, REPEAT or one of their kind"
-        raise GcodeError(f'"{text[:40]}"', bound, "correct the line")
+        remedy = "take out the program number" if text[1:].isdigit() else "correct the line"
+        raise GcodeError(f'"{text[:40]}"', bound, remedy)
     label, keyword, rest = match.groups()
     if keyword in _BARE and rest:
         raise GcodeError(f'"{rest[:40]}" after {keyword}', "nothing", "put it into a line of its own")

@@ -99,6 +99,14 @@ def test_without_a_unit_lengths_are_mm_and_that_is_told():
     refused("G0 X0 Y0 Z0\nG20\nG1 X1 F60\nM2", 2, "G20", "before the first length")
 
 
+def test_a_motion_that_goes_on_is_told():
+    remarks = {}
+    path_of(f"{HEAD}G1 X1\nY2\nM2", told=lambda line, text: remarks.update({line: text}))
+    assert remarks[3].startswith("G1 straight at the feed; tip X1 Y0 Z0")
+    assert remarks[4].startswith("G1 straight at the feed; tip X1 Y2 Z0")
+    assert remarks[5].startswith("M2 end")
+
+
 def test_what_is_told_is_bounded(monkeypatch):
     monkeypatch.setattr("cutgate.runtime.plan.toolpath.gcode.TOLD_MAX", 5)
     remarks = []

@@ -159,6 +159,7 @@ def test_percent_signs_enclose_the_program():
         ("o1 repeat [1e9]\no1 endrepeat", 1, '"]"'),
         ("o#1 if [1]\no1 endif", 1, "O, a number or <name>"),
         ("o1 jump", 1, "O1JUMP"),
+        ("O1001 (a part)", 1, "take out the program number"),
         ("o1 if [1] (open\no1 endif", 1, "parenthesis"),
         ("\n".join(f"o{n} if [1]" for n in range(NESTING_MAX + 1)), NESTING_MAX + 1, "over 10 levels"),
         ("o1 repeat [2]\no1 break\no1 endrepeat", 2, "of a REPEAT"),

@@ -137,7 +137,7 @@ SECTIONS = {"Read": readings, "Verified": verdicts}
 
 def main() -> None:
     """Print the page as it comes, and write it where asked."""
-    about = f"By `python tools/benchmarks/tool_paths.py` on {machine()}. Whose files they are, and under which licence, is not ours to repeat: they are not shipped."
+    about = f"By `make bench` on {machine()}. The files are other people's and are not shipped; compared with independent readers in tests/runtime/plan/toolpath."
     show(document("Real tool paths", about, SECTIONS), __doc__.splitlines()[0] if __doc__ else None)
 
 

@@ -188,6 +188,9 @@ def plans_from_bytes(
     language = language_of(path)
     check_declared(path, language, reading)
     if language is None:
+        if told is not None:
+            bound = f"left out: {path} is a plan, which says itself what its numbers are"
+            raise InputError("--explain", "", None, bound, "drop the option")
         return (_plan(path, data, pose_limit),)
     return tuple(_of_cut(path, cut) for cut in language.read(path, data, reading, pose_limit, told).cuts)
 

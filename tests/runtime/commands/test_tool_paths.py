@@ -130,6 +130,9 @@ def test_it_is_explained_line_by_line_before_the_verdict_and_before_a_refusal(ve
     assert (code, len(out.splitlines())) == (2, 9)
     assert "line 10 is CUTCOM/LEFT" in err
     assert verify(program(GOOD), "--explain", "--json")[0] == 2
+    code, _, err = verify("{}", "--explain", name="part.plan.json")
+    assert code == 2
+    assert "--explain: left out" in err
 
 
 def test_one_feed_holds_for_the_whole_path_and_it_is_the_slowest(verify):

@@ -18,6 +18,10 @@ PARAMETERS: Final = ("TransformParameters", "TranformParameters")
 FIXED: Final = ("TransformFixedParameters", "TranformFixedParameters")
 NUMBERS_MAX: Final = 100
 """Of one data set; a rigid transform has 12 at most."""
+BYTES_MAX: Final = 1 << 20
+"""Of one value, or of one chunk, once it is in memory: the library reserves it whole, however few are asked for."""
+STORED_MAX: Final = 4096
+"""Bytes that a data set takes in the file: a deflate stream becomes up to a thousand times as long, whatever is declared."""
 _ANEW: Final = "save the transform anew, or as text (.tfm)"
 
 
@@ -105,7 +109,24 @@ class _Reader:
         if not (member.shape is not None and len(member.shape) <= 1 and member.size <= NUMBERS_MAX):
             bound = f"a list of at most {NUMBERS_MAX} values"
             raise InputError(self._file, f"{place}/{name}", f"of shape {member.shape}", bound, _ANEW)
+        self._check_stored(member, f"{place}/{name}")
         return member
+
+    def _check_stored(self, dataset: Any, place: str) -> None:
+        """Refuses what would take far more memory to read than its few values need; nothing of it is read yet."""
+        taken = dataset.dtype.itemsize * math.prod(dataset.chunks or ())
+        stored = dataset.id.get_storage_size()
+        layout = dataset.id.get_create_plist()
+        filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
+        if not (taken <= BYTES_MAX):
+            found, bound = f"values or chunks of {taken} bytes", f"<= {BYTES_MAX} bytes"
+        elif not (stored <= STORED_MAX):
+            found, bound = f"{stored} bytes in the file", f"<= {STORED_MAX} bytes"
+        elif filters not in ([], [self._h5py.h5z.FILTER_DEFLATE]):
+            found, bound = f"packed by filters {filters}", "plain, or deflated once as ITK does it"
+        else:
+            return
+        raise InputError(self._file, place, found, bound, _ANEW)
 
     def _text(self, parent: Any, place: str) -> str:
         dataset = self._dataset(parent, TYPE, place)

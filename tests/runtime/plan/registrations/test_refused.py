@@ -1,6 +1,7 @@
 """What is no rigid registration is refused with its kind, amount and place; hostile files in bounded time."""
 
 import sys
+import zlib
 
 import h5py
 import numpy as np
@@ -241,6 +242,23 @@ def misspelt(_opened, group):
     group["TranformParameters"] = group["TransformParameters"]
 
 
+def long_type(_opened, group):
+    del group["TransformType"]
+    group.create_dataset("TransformType", (1,), "S500000000")  # never written: it takes no room in the file
+
+
+def long_chunk(_opened, group):
+    del group["TransformParameters"]
+    group.create_dataset("TransformParameters", (6,), "f8", maxshape=(None,), chunks=(2**25,))
+
+
+def long_stream(_opened, group):
+    """A chunk of six numbers whose deflate stream goes on and on: the library inflates all of it."""
+    del group["TransformParameters"]
+    numbers = group.create_dataset("TransformParameters", (6,), "f8", chunks=(6,), compression="gzip")
+    numbers.id.write_direct_chunk((0,), zlib.compress(bytes(2**23), 9))
+
+
 P, F, T = "TransformParameters", "TransformFixedParameters", "TransformType"
 BAD_HDF5 = {
     "no group": (lambda opened, _: opened.pop("TransformGroup"), "TransformGroup is missing"),
@@ -254,6 +272,10 @@ BAD_HDF5 = {
     "few": (put(P, np.zeros(5)), "5 parameters, must be 6 parameters for Euler3DTransform"),
     "many": (put(P, np.zeros(101)), "of shape (101,), must be a list of at most 100 values"),
     "a bomb": (put(P, np.zeros(2**22), compression="gzip", chunks=(2**22,)), "of shape (4194304,)"),
+    "a type of 500 MB": (long_type, "values or chunks of 500000000 bytes, must be <= 1048576 bytes"),
+    "a chunk of 268 MB": (long_chunk, "values or chunks of 268435456 bytes"),
+    "a long stream": (long_stream, "bytes in the file, must be <= 4096 bytes"),
+    "other filters": (put(P, np.zeros(6), compression="gzip", shuffle=True), "plain, or deflated once"),
     "a table": (put(P, np.zeros((2, 3))), "of shape (2, 3)"),
     "NaN": (put(P, [np.nan] * 6), "finite numbers"),
     "integers": (put(P, np.zeros(6, "i8")), "of type int64, must be numbers of 4 or 8 bytes"),
@@ -276,6 +298,16 @@ def test_hdf5_that_itk_did_not_write_is_refused_naming_the_place(tmp_path, case)
     found = altered(tmp_path, change)
     assert said in found
     assert "\x1b" not in found
+
+
+def test_numbers_that_were_deflated_as_itk_does_it_are_read(tmp_path):
+    file = written(tmp_path, euler(), ".h5")
+    as_written = load_registration(file, ALL).value
+    with h5py.File(file, "r+") as opened:
+        group = opened["TransformGroup/0"]
+        numbers = group[P][()]
+        put(P, numbers, compression="gzip")(opened, group)
+    assert load_registration(file, ALL).value == as_written
 
 
 def test_the_misspelt_names_of_earlier_versions_are_read(tmp_path):

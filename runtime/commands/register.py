@@ -15,6 +15,7 @@ from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.tables import Fitting
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
 from cutgate.runtime.plan.load import registration_from_bytes
+from cutgate.runtime.plan.registrations.foreign import NAME_MAX
 from cutgate.runtime.plan.registrations.from_landmarks import Registered, registered, registration_of
 from cutgate.runtime.plan.registrations.landmarks_csv import read_landmarks
 
@@ -44,6 +45,8 @@ def register_command(
     Exit code: 0 written, 2 refused input.
     """
     _check_names(landmarks, out)
+    _check_text("--id", landmarks.stem if name is None else name, "say --id with a name of such a length")
+    _check_text("--ct-id", ct_id, "say the plan's ct_id, or leave the option out")
     found = registered(landmarks, read_landmarks(landmarks, read_settings(landmarks)))
     now = datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
     data = registration_of(found, landmarks.stem if name is None else name, ct_id, now)
@@ -59,6 +62,12 @@ def _check_names(landmarks: Path, out: Path) -> None:
             raise InputError(
                 path, "extension", path.suffix or "missing", f"{suffix} for {what}", "name another file"
             )
+
+
+def _check_text(option: str, text: str | None, remedy: str) -> None:
+    """Refuses by the option what the registration would refuse by a key of a file that is not there yet."""
+    if text is not None and not (1 <= len(text) <= NAME_MAX):
+        raise InputError(option, "", f"{len(text)} characters", f"1 to {NAME_MAX} characters", remedy)
 
 
 def _write(out: Path, data: bytes, *, force: bool) -> None:

@@ -157,15 +157,21 @@ def test_what_the_landmarks_cannot_show_is_told(register):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--id", ""], "reg.json: id"),
-        (["--id", "x" * 201], "reg.json: id"),
-        (["--ct-id", ""], "reg.json: ct_id"),
+        (["--id", ""], "--id is 0 characters, must be 1 to 200 characters; say --id"),
+        (["--id", "x" * 201], "--id is 201 characters"),
+        (["--ct-id", ""], "--ct-id is 0 characters, must be 1 to 200 characters; say the plan's ct_id"),
     ],
 )
-def test_an_id_has_its_bounds(register, options, said):
+def test_an_id_has_its_bounds_and_its_option_is_named(register, options, said, tmp_path):
     code, _, error = register(*options)
     assert code == 2
     assert said in error
+    assert not (tmp_path / "reg.json").exists()
+
+
+def test_an_id_of_the_greatest_length_is_written(register, tmp_path):
+    assert register("--id", "x" * 200, "--ct-id", "y" * 200)[0] == 0
+    assert json.loads((tmp_path / "reg.json").read_text())["id"] == "x" * 200
 
 
 def test_names_are_data(register, tmp_path):

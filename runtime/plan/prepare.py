@@ -19,6 +19,8 @@ from cutgate.protocol.records import Path, RecordError
 from cutgate.runtime.kinematics.pose import transform_poses
 from cutgate.runtime.plan.model import Plan
 from cutgate.runtime.plan.registration import Registration
+from cutgate.runtime.plan.registrations.declared import OPTIONS
+from cutgate.runtime.plan.registrations.foreign import Converted
 from cutgate.runtime.plan.toolpath.model import Cut
 
 Link = Literal["linked", "not linked"]
@@ -208,6 +210,8 @@ def _check_age(registration: Loaded[Registration], now: datetime, clock_skew_s: 
         remedy = (
             "check the clocks of both computers, and that it is UTC: local time is converted, not relabelled"
         )
+        if isinstance(registration, Converted):
+            raise InputError(OPTIONS["taken_at"], "", found, bound, remedy)
         raise InputError(registration.path, "created_utc", found, bound, remedy)
 
 

@@ -77,7 +77,7 @@ TABLE: Final[tuple[Constant, ...]] = (
     ),
     Constant("chunk_period_ms", "ms", 1000, 100, 1000, False, "oldest unwritten record of the log"),
     Constant(
-        "check_point_tolerance_mm", "mm", 2, 0.01, 20, False,
+        "check_point_tolerance_mm", "mm", 2.0, 0.01, 20, False,
         "a check point of the registration off where the registration puts it",
     ),
     Constant("check_points_min", "points", 0, 0, CHECK_POINTS_MAX, False, "check points that a registration must have"),

@@ -53,6 +53,8 @@ class Modal:
         tool: the mounted tool, of T and M6.
         waiting: the T word that M6 will mount.
         length: the tool length word that holds, and the one that this tool has had.
+        length_due: the tool before had a length: it holds until a word says another one.
+        old_level: G98, a cycle ends where its series began; G99, at R; None before either.
         cycle: R, Z and Q of the cycle that holds, mm, and the level at which the first of the series began.
     """
 
@@ -65,11 +67,12 @@ class Modal:
     feed_mode: str = "G94"
     feed: float | None = None
     speed: float = 0.0
-    old_level: bool = False
+    old_level: bool | None = None
     tool: str = ""
     waiting: str = ""
     length: str = ""
     tool_length: str = ""
+    length_due: bool = False
     cycle: dict[str, float] | None = None
     running: bool = True
 
@@ -185,6 +188,10 @@ class Machine:
             GcodeError: a difference to what is not known.
         """
         tip, values, count = [*self.motion.tip], block.values, 0
+        if self.modal.length_due:
+            bound = "behind its own tool length word: the length of the tool before still holds"
+            remedy = f"add G43 H{self.modal.tool} (or G43.1 Z, G49) behind M6"
+            raise GcodeError(f"a move of tool {self.modal.tool}", bound, remedy)
         unit, absolute = 0.0, self.modal.absolute
         for index, letter in enumerate(LINEAR):
             if letter in values:
@@ -369,6 +376,9 @@ def _cycle(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal = machine.modal
     if modal.feed_mode == "G93":
         raise GcodeError(f"{code} in G93", "a feed per minute or revolution", "use G94")
+    if modal.old_level is None:
+        bound = "behind G98 or G99: which of them holds at first is set at the machine"
+        raise GcodeError(code, bound, "add G98 (back to where the cycle began) or G99 (back to R)")
     if modal.motion != code:
         modal.cycle = None
     first, second, across = PLANES[modal.plane]
@@ -441,9 +451,13 @@ def _cancel_motion(machine: Machine, block: GcodeBlock, code: str) -> None:
 
 def _home(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     """By way of the block's point, at which nothing is cut, to where the machine has its home."""
-    for letter in LINEAR:
-        block.take(letter)
-    machine.motion.turned(machine.rotary(block), absolute=True)
+    if machine.motion.traced and not machine.motion.homed and block.values.keys() & _AXES:
+        tip, _ = machine.target(block)
+        machine.motion.straight(tip, machine.angles(block), None)
+    else:  # from where the file has not said
+        for letter in LINEAR:
+            block.take(letter)
+        machine.motion.turned(machine.rotary(block), absolute=True)
     machine.motion.home()
 
 
@@ -533,6 +547,7 @@ def _mount(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG
     modal = machine.modal
     if not modal.waiting:
         raise GcodeError("M6 without T", "after a T word", "say which tool")
+    modal.length_due = modal.length_due or bool(modal.length)
     modal.tool, modal.length, modal.tool_length = modal.waiting, "", ""
     machine.motion.mount(modal.tool)
 
@@ -575,10 +590,12 @@ def _use_length(machine: Machine, length: str) -> None:
     if not modal.length:
         machine.motion.lose_height()
     modal.length = modal.tool_length = length
+    modal.length_due = False
 
 
 def _length_off(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`
     machine.motion.tcp = False
+    machine.modal.length_due = False
     if machine.modal.length:
         machine.modal.length = ""
         machine.motion.home()

@@ -9,7 +9,7 @@ from cutgate.runtime.plan.toolpath.model import PLAIN, Cut, Reading, ToolPath
 
 XYZAC = Reading(rotary="xyzac")
 LIMIT = 100_000
-HEAD = "G21 G90 F60\nG0 X0 Y0 Z0\n"
+HEAD = "G21 G90 G99 F60\nG0 X0 Y0 Z0\n"
 """Two lines that leave the tool at the origin, in mm and at 1 mm/s."""
 
 

@@ -294,6 +294,16 @@ def test_cycles_that_are_none(lines: str, part: str):
     refused(f"{HEAD}{lines}\nM2", 3, part)
 
 
+def test_where_a_cycle_ends_is_not_guessed():
+    refused("G21 G90 F60\nG0 X0 Y0 Z0\nG81 X1 Z-1 R1\nM2", 3, "behind G98 or G99")
+
+
+def test_a_tool_of_its_own_length_or_of_none_may_follow_one_that_had_a_length():
+    for word in ("G43", "G43.1 Z80", "G49"):
+        program = f"T1 M6 G43\n{HEAD}G1 X1\nT2 M6\n{word}\nG0 X0 Y0 Z0\nG1 X2\nM2"
+        assert len(path_of(program).cuts) == 2
+
+
 def test_a_cycle_is_over_with_another_plane_unit_or_motion():
     for between in ("G18\nX1", "G20\nF1 G81 X1", "G80\nX1", "G0 X9\nG81 X1"):
         refused(f"{HEAD}G81 X1 Z-1 R1\n{between}\nM2", 5)
@@ -319,6 +329,8 @@ def test_tools_part_the_path():
         (f"{HEAD}T1 M6\nG1 X1\nM2", 4, "X Y Z is not known"),
         ("G21 T1 M6\nG43 H2\nM2", 2, "H1, the length of the mounted tool"),
         ("G43\nM2", 1, "G43 without H"),
+        (f"T1 M6 G43\n{HEAD}G1 X1\nT2 M6\nG0 X0 Y0 Z0\nM2", 6, "its own tool length word"),
+        (f"T1 M6 G43\n{HEAD}G1 X1\nT2 M6\nT3 M6\nG0 X0 Y0 Z0\nM2", 7, "a move of tool 3"),
         ("G43 H1.5\nM2", 1, "1.5"),
         ("G43 H1\nG43.1 Z1\nM2", 2, "a tool has one length"),
         ("G43.1 Z1\nG43.1 Z2\nM2", 2, "Z1, as above"),
@@ -349,6 +361,10 @@ def test_a_length_named_before_the_first_position_is_taken():
 def test_a_return_home_ends_the_part_of_a_tool():
     cut = cut_of(f"G28 G91 Z0\n{HEAD}G1 X1\nG91 G28 Z0\nG90 G0 X5 Y5 Z5\nM2")
     assert cut.tips_mm.tolist() == [[0, 0, 0], [1, 0, 0]]
+    by_the_way = cut_of(f"{HEAD}G1 X1\nG91 G28 Z5\nM2")
+    assert by_the_way.tips_mm.tolist() == [[0, 0, 0], [1, 0, 0], [1, 0, 5]]
+    assert by_the_way.positioning.tolist() == [True, False, True]
+    assert cut_of(f"{HEAD}G1 X1\nG90 G28 X7 Z5\nM2").tips_mm[-1].tolist() == [7, 0, 5]
     assert len(path_of(f"{HEAD}G1 X1\nG28\nT1 M6\nG0 X0 Y0 Z0\nG1 X1\nM2").cuts) == 2
 
 
@@ -392,7 +408,7 @@ def test_upright_axes_need_no_control():
         ("M428\nG21 F60\nG0 X0 Y0 Z0 A1 B1\nM2", 3, "B word"),
         ("M428\nG21 F60\nG91 G0 A1\nM2", 3, "A in G91"),
         ("M428\nG21 F60\nG0 X0 Y0 Z0 A1 C0\nG2 X2 I1 A2\nM2", 4, "a constant tool axis"),
-        ("M428\nG21 F60\nG0 X0 Y0 Z0 A1 C0\nG81 X2 Z-1 R1 A2\nM2", 4, "a constant tool axis"),
+        ("M428\nG21 G99 F60\nG0 X0 Y0 Z0 A1 C0\nG81 X2 Z-1 R1 A2\nM2", 4, "a constant tool axis"),
         ("M428\nG21 F60\nG0 X0 Y0 Z0 A1 C0\nT1 M6\nG0 X0 Y0 Z0\nM2", 5, "A and C not known"),
         ("M428\nG21 F60\nG0 X0 Y0 Z0 A45 C0\nG1 X1 C99999999\nM2", 4, "pieces"),
     ],
@@ -402,7 +418,7 @@ def test_rotary_words_that_are_not_understood(program: str, line: int, part: str
 
 
 def test_arcs_and_cycles_keep_a_tilted_axis():
-    cut = cut_of("M428\nG21 F60\nG0 X0 Y0 Z0 A-30 C0\nG2 X2 I1 A-30\nG81 X3 Z-1 R1\nM2", XYZAC)
+    cut = cut_of("M428\nG21 G99 F60\nG0 X0 Y0 Z0 A-30 C0\nG2 X2 I1 A-30\nG81 X3 Z-1 R1\nM2", XYZAC)
     assert np.ptp(cut.axes, axis=0).max() == 0
 
 

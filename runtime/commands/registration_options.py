@@ -20,7 +20,11 @@ FrameOption = Annotated[
 ]
 DirectionOption = Annotated[
     TransformDirection | None,
-    typer.Option("--registration-direction", help=f"What the transform {_OF} takes to what."),
+    typer.Option(
+        "--registration-direction",
+        metavar="WAY",
+        help=f"What the transform {_OF} takes to what: ct-to-robot or robot-to-ct.",
+    ),
 ]
 TakenAtOption = Annotated[
     str | None,

@@ -15,13 +15,12 @@ CutcomOption = Annotated[
 ]
 RotaryOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="CONVENTION", help="G-code: what A, B and C turn, for example xyzac; see docs/files.md."
-    ),
+    typer.Option(metavar="AXES", help="G-code: what A, B and C turn, for example xyzac; see docs/files.md."),
 ]
 ArcToleranceOption = Annotated[
     float,
     typer.Option(
+        metavar="MM",
         min=TOLERANCES[0],
         max=TOLERANCES[1],
         help="How far chords may be off an arc of the file; widens the deadbands.",
@@ -30,6 +29,7 @@ ArcToleranceOption = Annotated[
 AxisToleranceOption = Annotated[
     float,
     typer.Option(
+        metavar="DEG",
         min=TOLERANCES[0],
         max=TOLERANCES[1],
         help="How far great circles may be off a turn of machine axes; widens the deadbands.",

@@ -71,7 +71,7 @@ from cutgate.runtime.verification.verdict import Verdict
 
 ADMISSIBLE, INADMISSIBLE = 0, 1
 
-PLAN_HELP = f"Plan (.json), tool path (.csv: x,y,z,i,j,k) or example ({', '.join(PLANS.names)})."
+PLAN_HELP = f"Plan (.json), tool path (CSV, APT/CL, G-code) or example ({', '.join(PLANS.names)})."
 ROBOT_HELP = f"robot.toml or preset ({', '.join(PRESETS.names)})"
 REGISTRATION_HELP = (
     "Where the bone stands: registration.json, an example's, or another program's (.tfm, .h5, .txt, .mat)"

@@ -55,7 +55,9 @@ class Modal:
         length: the tool length word that holds, and the one that this tool has had.
         length_due: the tool before had a length: it holds until a word says another one.
         old_level: G98, a cycle ends where its series began; G99, at R; None before either.
-        cycle: R, Z and Q of the cycle that holds, mm, and the level at which the first of the series began.
+        cycle: R, Z and Q of the cycle that holds, mm.
+        level: where the first cycle of a series began along the normal, whatever cycles it consists of, mm; None
+            outside of a series.
     """
 
     motion: str = ""
@@ -74,6 +76,7 @@ class Modal:
     tool_length: str = ""
     length_due: bool = False
     cycle: dict[str, float] | None = None
+    level: float | None = None
     running: bool = True
 
 
@@ -295,7 +298,7 @@ class Row:
 
 def _straight(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal, motion = machine.modal, machine.motion
-    modal.motion = code
+    modal.motion, modal.level = code, None
     tip, count = machine.target(block)
     angles = machine.angles(block)
     if not count and angles is motion.turned({}, absolute=True):
@@ -305,7 +308,7 @@ def _straight(machine: Machine, block: GcodeBlock, code: str) -> None:
 
 def _arc(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal = machine.modal
-    modal.motion = code
+    modal.motion, modal.level = code, None
     start = np.array(machine.here())
     tip, _ = machine.target(block)
     angles = machine.angles(block)
@@ -384,6 +387,7 @@ def _cycle(machine: Machine, block: GcodeBlock, code: str) -> None:
     first, second, across = PLANES[modal.plane]
     start = machine.here()
     depth = _depths(machine, block, code, across)
+    modal.level = began = start[across] if modal.level is None else modal.level
     block.values.pop("P", None)  # a dwell moves nothing
     repeats = integer(block.values.pop("L", 1.0), "how often")
     if not (1 <= repeats <= REPEATS_MAX):
@@ -394,16 +398,18 @@ def _cycle(machine: Machine, block: GcodeBlock, code: str) -> None:
     modal.motion, modal.cycle = code, depth
     there = (float(tip[first] or 0.0), float(tip[second] or 0.0))
     step = (0.0, 0.0) if modal.absolute else (there[0] - start[first], there[1] - start[second])
-    base = 0.0 if modal.absolute else depth["level"]
+    base = 0.0 if modal.absolute else began
     retract = base + depth["R"]
     bottom = depth["Z"] if modal.absolute else retract + depth["Z"]
     if not (retract >= bottom):
         raise GcodeError(f"R at {retract:g} mm", f">= the bottom, {bottom:g} mm", "correct R or the depth")
-    level = max(start[across], retract)
-    if level > start[across]:
-        _to(machine, (start[first], start[second]), retract, None)
-    clear = max(retract, depth["level"]) if modal.old_level else retract
-    level = max(level, depth["level"]) if modal.old_level else level
+    # A series that began below R comes to R where it stands. Else the tool stays above R on its way across, and from R
+    # or below goes to where it leaves the hole.
+    clear = max(retract, began) if modal.old_level else retract
+    level = start[across] if start[across] > retract else clear
+    if began < retract:
+        level = retract
+        _to(machine, (start[first], start[second]), level, None)
     for repeat in range(repeats):
         at = (there[0] + repeat * step[0], there[1] + repeat * step[1])
         _drill(machine, at, Hole(code, level, retract, bottom, clear, depth["Q"]))
@@ -421,7 +427,7 @@ def _depths(machine: Machine, block: GcodeBlock, code: str, across: int) -> dict
     """R, the depth (``Z``, whatever the plane) and Q of a cycle: given, or those of the block before it; mm."""
     modal, normal = machine.modal, LINEAR[across]
     kept = modal.cycle or {}
-    depth: dict[str, float] = {"Q": 0.0, "level": kept.get("level", machine.here()[across])}
+    depth: dict[str, float] = {"Q": 0.0}
     for name, letter in (("R", "R"), ("Z", normal), ("Q", "Q")):
         if letter == "Q" and code not in PECKING:
             continue
@@ -446,7 +452,7 @@ def _cancel_motion(machine: Machine, block: GcodeBlock, code: str) -> None:
     if block.values.keys() & _AXES:
         raise GcodeError(f"axis words with {code}", "a motion word with them", "add G0 or G1 instead")
     machine.modal.motion = ""
-    machine.modal.cycle = None
+    machine.modal.cycle = machine.modal.level = None
 
 
 def _home(machine: Machine, block: GcodeBlock, code: str) -> None:  # noqa: ARG001 - an `Act`

@@ -259,10 +259,17 @@ def test_cycles_as_linuxcnc_executes_them():
     assert tips(f"{high}G98 G81 X1 Y1 R2 Z-5\nX3") == [
         *(*first, (1, 1, 10), (3, 1, 10), (3, 1, 2), (3, 1, -5), (3, 1, 10))
     ]
-    # a series remembers where it began, and does not stay below
-    assert tips(f"{high}G99 G81 X1 Y1 R2 Z-5\nG98 X4") == [
-        *(*first, (1, 1, 2), (4, 1, 10), (4, 1, 2), (4, 1, -5), (4, 1, 10))
-    ]
+    # a series remembers where it began, whatever cycles it consists of
+    for following in ("G98 X4", "G98 G82 P1 X4 R2 Z-5", "G98 G83 X4 R2 Z-5 Q9"):
+        assert tips(f"{high}G99 G81 X1 Y1 R2 Z-5\n{following}") == [
+            *(*first, (1, 1, 2), (4, 1, 10), (4, 1, 2), (4, 1, -5), (4, 1, 10))
+        ]
+    # above R it stays as high as it stands
+    assert tips(f"{high}G99 G81 X1 Y1 R2 Z-5\nG98 X4 R1")[4:7] == [(1, 1, 2), (4, 1, 2), (4, 1, 1)]
+    # below R it rises on its way; where the series began below R, it comes to R before
+    assert tips(f"{high}G99 G81 X1 Y1 R2 Z-5\nX4 R6")[4:] == [(1, 1, 2), (4, 1, 6), (4, 1, -5), (4, 1, 6)]
+    assert tips(f"{high}G99 G81 X1 Y1 R2 Z-5\nG98 X4 R6")[5:7] == [(4, 1, 10), (4, 1, 6)]
+    assert tips("G99 G81 X1 R8 Z-5\nX2 R4")[3:] == [(1, 0, 8), (1, 0, 4), (2, 0, 4), (2, 0, -5), (2, 0, 4)]
     assert tips(f"{high}G91 G99 G82 P1 X1 R-2 Z-5 L2") == [
         *((0, 0, 10), (1, 0, 10), (1, 0, 8), (1, 0, 3), (1, 0, 8), (2, 0, 8), (2, 0, 3), (2, 0, 8))
     ]

@@ -65,7 +65,10 @@ def of_words(text: str) -> Reading:
         ValueError: the text is none of `as_words`.
     """
     pairs = [pair.partition("=") for pair in text.split()]
-    found = {name: json.loads(value) for name, _, value in pairs}
+    try:
+        found = {name: json.loads(value) for name, _, value in pairs}
+    except RecursionError:
+        raise ValueError("the reading of a tool path is nested without end") from None
     if not (len(found) == len(pairs) and found.keys() <= set(_NAMES)):
         raise ValueError(f"{text!r} says no reading of a tool path")
     for name, value in found.items():

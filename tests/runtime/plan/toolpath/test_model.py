@@ -38,6 +38,7 @@ def test_only_what_a_language_leaves_open_is_kept():
         "arc_tolerance_mm=1.5",
         "arc_tolerance_mm=NaN",
         "arc_tolerance_mm=true",
+        pytest.param("rotary=" + 100_000 * "[", id="nested"),
         "arc_tolerance_mm=0.1 arc_tolerance_mm=0.2",
         "cutcom_is_tool_centre=1",
         "axis_tolerance_deg=-1.0",

@@ -1,6 +1,6 @@
 """What a tool path's file says beside its poses, for people and as JSON; and one answer for all tools of a file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -112,7 +112,12 @@ def whole(documents: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "verdict": ADMISSIBLE if admissible else f"in{ADMISSIBLE}",
         "method": first["method"],
         "path": _sums([document["path"] for document in documents]),
+        "deadband": _each(max, [document["deadband"] for document in documents]),
+        "branch": None,
+        "evaluations": _sums([document["evaluations"] for document in documents]),
         "boundaries": _worst(documents),
+        "speed": _fastest([document["speed"] for document in documents]),
+        "digests": {**first["digests"], "path": None},
         "guidance": None,
         "guidance_note": "each tool's own stands under tools",
         "elapsed_ms": sum(document["elapsed_ms"] for document in documents),
@@ -121,15 +126,27 @@ def whole(documents: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _sums(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name in entries[0]:
-        values = [entry[name] for entry in entries]
-        found[name] = None if None in values else sum(values)
-    return found
+    return _each(sum, entries)
+
+
+def _each(combine: Callable[[list[Any]], Any], entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Each key's values combined; None where one of them is."""
+    columns = {name: [entry[name] for entry in entries] for name in entries[0]}
+    return {name: None if None in values else combine(values) for name, values in columns.items()}
+
+
+def _fastest(lines: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Of each joint the line with the highest peak, an undefined one before any, and the number of its part from 0."""
+    numbered = [[{**line, "part": part} for line in found] for part, found in enumerate(lines)]
+    return [max(joint, key=_peak) for joint in zip(*numbered, strict=False)]
+
+
+def _peak(line: dict[str, Any]) -> float:
+    return float("inf") if line["peak"] is None else float(line["peak"])
 
 
 def _worst(documents: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Of each boundary the entry with the least that is proved, and the number of its tool from 0."""
+    """Of each boundary the entry with the least that is proved, and the number of its part from 0."""
     worst: dict[str, Any] = {}
     for number, document in enumerate(documents):
         for name, entry in document["boundaries"].items():

@@ -84,6 +84,12 @@ class _Reader:
     def _part(self, group: Any, name: str) -> Part:
         place = f"{GROUP}/{name}"
         one = self._member(group, name, GROUP, self._h5py.Group)
+        unknown = sorted({*one} - {TYPE, *PARAMETERS, *FIXED})
+        if unknown:
+            bound = (
+                f"{TYPE}, {PARAMETERS[0]} and {FIXED[0]} alone: what else it says could change the transform"
+            )
+            raise InputError(self._file, place, shown(", ".join(unknown[:5])), bound, _ANEW)
         kind = kind_of(self._file, place, self._text(one, place))
         if kind == COMPOSITE and not {*one} & {*PARAMETERS, *FIXED}:
             return Part(place, kind, (), ())

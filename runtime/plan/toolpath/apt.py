@@ -32,7 +32,7 @@ from cutgate.config.load import decode
 from cutgate.config.refusal import InputError
 from cutgate.runtime.plan.poses import AXIS_DECIMALS, COORDINATE_MM, UNIT_AXIS, shorter
 from cutgate.runtime.plan.toolpath.circular import RADIUS_MM, CircleError, CircularMove
-from cutgate.runtime.plan.toolpath.model import Reading, Told, ToolPath
+from cutgate.runtime.plan.toolpath.model import Reading, Told, ToolPath, check_lines
 from cutgate.runtime.plan.toolpath.trace import Point, Trace
 
 INCH_MM: Final = 25.4
@@ -76,6 +76,7 @@ def read_apt(file: object, data: bytes, reading: Reading, pose_limit: int, told:
     Raises:
         InputError: names the line, what was found, what is read and what to do.
     """
+    check_lines(file, data, pose_limit)
     program = _Program(file, reading, pose_limit, told)
     return program.run(decode(file, data))
 

@@ -20,7 +20,7 @@ from cutgate.runtime.plan.toolpath.blocks import GcodeBlock, read_block
 from cutgate.runtime.plan.toolpath.circular import CircularMove
 from cutgate.runtime.plan.toolpath.cycles import PECKING, Hole
 from cutgate.runtime.plan.toolpath.expressions import GcodeError, Parameters, integer
-from cutgate.runtime.plan.toolpath.model import Reading, Told, ToolPath
+from cutgate.runtime.plan.toolpath.model import Reading, Told, ToolPath, check_lines
 from cutgate.runtime.plan.toolpath.motion import LINEAR, ROTARY, Feed, Tip, ToolMotion, same_direction
 from cutgate.runtime.plan.toolpath.program import Program
 from cutgate.runtime.plan.toolpath.trace import Trace
@@ -757,6 +757,7 @@ def read_gcode(file: object, data: bytes, reading: Reading, pose_limit: int, tol
     Raises:
         InputError: names the line, what was found, and what is accepted.
     """
+    check_lines(file, data, pose_limit)
     lines = decode(file, data).split("\n")
     trace, remarks = Trace(file, pose_limit), _Remarks(told)
     program = None

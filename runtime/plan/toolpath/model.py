@@ -18,6 +18,9 @@ Told = Callable[[int, str], None]
 
 ARC_TOLERANCE_MM: Final = 0.01
 AXIS_TOLERANCE_DEG: Final = 0.01
+LINES_PER_POSE: Final = 4
+LINES_BESIDE: Final = 10_000
+"""So many lines may a file have that lead to no pose."""
 TOLERANCES: Final = (0.0001, 1.0)
 """Least and largest that may be declared: smaller ones would cut a path into pieces without end."""
 
@@ -122,6 +125,18 @@ Reader = Callable[[object, bytes, Reading, int, Told | None], ToolPath]
 """Reads one language: takes the file for messages, the whole of its content, what was declared, the most poses of all cuts
 together, and what takes the remarks on its lines, or None where nobody wants to know. Raises ``InputError``, which names
 line, what was found and what is accepted. Nothing is skipped that could move the tool."""
+
+
+def check_lines(file: object, data: bytes, pose_limit: int) -> None:
+    """Refuses a file of far more lines than its poses need, before its lines become strings.
+
+    Raises:
+        InputError: more than ``LINES_PER_POSE`` for each pose that a path may have.
+    """
+    count, most = data.count(b"\n"), LINES_BESIDE + LINES_PER_POSE * pose_limit
+    if not (count <= most):
+        bound = f"<= {most} lines for {pose_limit} poses"
+        raise InputError(file, "", f"{count} lines", bound, "take out what moves nothing, or part the file")
 
 
 def too_many(file: object, line: int, pose_limit: int, remedy: str) -> InputError:

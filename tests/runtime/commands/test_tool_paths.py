@@ -99,6 +99,11 @@ def test_each_tool_has_a_verdict_of_its_own_and_the_worst_decides(verify):
         values = [part.boundaries[name].certified for part in parts]
         assert worst["certified"] == (None if None in values else min(values))
         assert values[worst["part"]] == worst["certified"]
+    assert document["deadband"] == json.loads(verify(program(GOOD), "--json")[1])["deadband"]
+    for joint, line in enumerate(document["speed"]):
+        peaks = [part.speed[joint].peak for part in parts]
+        assert line["peak"] == (None if None in peaks else max(peaks))
+        assert peaks[line["part"]] == line["peak"]
     code, out, _ = verify(program(GOOD, GOOD), "--json")
     assert (code, json.loads(out)["verdict"]) == (0, "admissible")
     code, out, _ = verify(program(GOOD, OUT))

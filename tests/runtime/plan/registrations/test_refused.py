@@ -282,6 +282,9 @@ BAD_HDF5 = {
     "texts": (put(P, "1 2 3 4 5 6"), "must be numbers of 4 or 8 bytes"),
     "a number as type": (put(T, [1.0]), "1 values of type float64, must be one text"),
     "another type": (put(T, ["\x1b[2JTransform"]), "must be a type of ITK"),
+    "more than a transform": (
+        lambda _, group: group.create_dataset("Extra", data=1), "is Extra, must be TransformType, TransformParameters and",
+    ),
     "external link": (linked, "TransformGroup is a link, must be there, in the file itself"),
     "soft link": (soft, "TransformGroup is a link"),
     "external data": (external, "data of another file"),

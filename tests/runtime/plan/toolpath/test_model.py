@@ -4,6 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cutgate.config.refusal import InputError
+from cutgate.runtime.plan.toolpath.apt import read_apt
+from cutgate.runtime.plan.toolpath.gcode import read_gcode
 from cutgate.runtime.plan.toolpath.model import PLAIN, Reading, as_words, of_words
 
 TOLERANCE = st.floats(0.0001, 1.0)
@@ -56,3 +59,11 @@ def test_a_tolerance_that_cuts_a_path_without_end_or_straightens_all_is_none(val
         Reading(arc_tolerance_mm=value)
     with pytest.raises(ValueError, match="axis_tolerance_deg"):
         Reading(axis_tolerance_deg=value)
+
+
+@pytest.mark.parametrize(
+    ("read", "line"), [(read_gcode, b"G0\n"), (read_apt, b"COOLNT/ON\n"), (read_apt, b"\n")]
+)
+def test_a_file_of_far_more_lines_than_poses_is_refused_before_it_is_looked_at(read, line):
+    with pytest.raises(InputError, match="10041 lines, must be <= 10040 lines for 10 poses"):
+        read("many", line * 10_041, PLAIN, 10, None)

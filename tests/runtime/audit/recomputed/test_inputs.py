@@ -24,6 +24,7 @@ from cutgate.runtime.audit.recomputed.inputs import (
 )
 from cutgate.runtime.kinematics.landmarks import NONE_ASKED
 from cutgate.runtime.plan.prepare import IDENTITY_REGISTRATION
+from cutgate.runtime.plan.toolpath.model import PLAIN, Reading
 from tests.runtime.audit.build import forge, inputs, session_log
 
 OTHER = inputs(850.0)
@@ -212,3 +213,61 @@ def test_records_of_one_kind_come_in_file_order(data):
         "sent",
         "acknowledged",
     ]
+
+
+# ---------------------------------------------------------------- how a tool path was read
+
+ARC = b"""UNITS/MM
+LOADTL/1
+FEDRAT/600.,MMPM
+GOTO/0.,0.,0.,0.5,0.,0.8660254
+CUTCOM/LEFT
+CIRCLE/5.,0.,0.,0.,0.,1.
+GOTO/10.,0.,0.,0.5,0.,0.8660254
+FINI
+"""
+CENTRE = Reading(cutcom_is_tool_centre=True)
+
+
+def told(data, words):
+    """The log whose record 0 says so of the reading of its tool path."""
+
+    def edit(record):
+        if not isinstance(record, records.AuditOpen):
+            return record
+        option = records.Option(name=names.READING, value=words)
+        return record.model_copy(update={"simulation": (*record.simulation, option)})
+
+    return read_log(forge(data, edit))
+
+
+def test_a_tool_path_is_read_as_record_0_says(data):
+    log = told(data, "cutcom_is_tool_centre=true arc_tolerance_mm=0.5")
+    assert module._reading(log) == Reading(cutcom_is_tool_centre=True, arc_tolerance_mm=0.5)
+    assert module._reading(read_log(data)) == PLAIN
+    assert inputs_of(log).widened == inputs().robot.value  # of CSV nothing is declared
+
+
+@pytest.mark.parametrize("words", ["rotary", "arc_tolerance_mm=9.5", "rotary=" + "[" * 100_000])
+def test_a_reading_that_no_session_wrote_is_no_reading(data, words):
+    with pytest.raises(ReplayError, match="record 0: "):
+        inputs_of(told(data, words))
+
+
+def test_what_chords_leave_out_of_an_arc_is_in_the_path_tolerance(data):
+    robot = inputs().robot.value
+    for tolerance_mm in (0.01, 0.2):
+        reading = replace(CENTRE, arc_tolerance_mm=tolerance_mm)
+        wider = module._widened(robot, Path("plan.apt"), ARC, reading).deadband
+        assert wider.path_tolerance_mm - robot.deadband.path_tolerance_mm == pytest.approx(tolerance_mm)
+    assert module._widened(robot, Path("plan.apt"), ARC.replace(b"CIRCLE", b"$$ "), CENTRE) == robot
+    assert module._widened(robot, Path("plan.csv"), b"", PLAIN) == robot
+    assert module._widened(robot, Path("plan.json"), b"", PLAIN) == robot
+
+
+@pytest.mark.parametrize(
+    ("content", "reading"), [(ARC, PLAIN), (b"", CENTRE), (ARC, Reading(rotary="xyzac"))]
+)
+def test_a_tool_path_that_cannot_be_read_again_gives_no_inputs(content, reading):
+    with pytest.raises(ReplayError, match=r"attachment plan.apt: "):
+        module._widened(inputs().robot.value, Path("plan.apt"), content, reading)

@@ -169,12 +169,23 @@ def test_what_means_nothing_for_a_file_may_not_be_declared_of_it(verify, options
     assert f"{options[0]}: left out: it means nothing for" in err
 
 
-def test_a_file_written_as_csv_is_the_same_path(tmp_path):
-    bent = program([*GOOD, "CIRCLE/630.,10.,200.,0.,0.,1.", goto(640, 10, 200)])
-    (plan,) = plans_from_bytes(Path("part.apt"), bent.encode())
-    (again,) = plans_from_bytes(Path("part.csv"), write_csv(plan.cut))
+BENT = program([*GOOD, "CIRCLE/630.,10.,200.,0.,0.,1.", goto(640, 10, 200)])
+TURNING = "M428\nG21 F600\nG0 X600 Y0 Z200 A-30 C0\nG1 X630 C90\nG2 X640 Y10 I10 J0\nM2\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reading"),
+    [
+        ("part.apt", BENT, Reading()),
+        ("part.ngc", TURNING, Reading(rotary="xyzac")),
+        ("part.csv", "X [in];nx;Y [in];ny;Z [in];nz\n23,5;0,6;0;0;8;0,8\n24;0,6;0;0;8;0,8\n", Reading()),
+    ],
+)
+def test_a_file_written_as_csv_is_the_same_path(name, text, reading):
+    (plan,) = plans_from_bytes(Path(name), text.encode(), reading=reading)
+    (again,) = plans_from_bytes(Path("again.csv"), write_csv(plan.cut))
     assert np.array_equal(again.tips_mm, plan.tips_mm)
-    assert np.abs(again.axes - plan.axes).max() < 1e-15
+    assert np.array_equal(again.axes, plan.axes)
 
 
 @pytest.mark.parametrize("tool_mm", [100.0, 200.0, 300.0])

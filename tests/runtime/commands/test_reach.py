@@ -2,7 +2,6 @@
 
 import base64
 import csv
-import hashlib
 import io
 import json
 import os
@@ -32,6 +31,7 @@ from cutgate.runtime.verification.placing import reach
 from cutgate.runtime.verification.placing.survey import Work
 from cutgate.runtime.verification.verdict import BOUNDARIES
 from tests.runtime.commands.contract import Hex, Name, Part, Real, Vector
+from tests.runtime.commands.page_policy import holds_to_its_own
 from tests.runtime.verification.placing.surveyed import survey
 from tests.runtime.verification.placing.test_search import strokes
 
@@ -256,15 +256,7 @@ def test_turns_and_lifts_are_read_as_list_and_as_range():
 
 
 def test_the_page_allows_its_own_script_and_style_by_their_hashes_and_nothing_else(mapped):
-    text = page(*mapped)
-    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text).group(1)
-    for kind in ("script", "style"):
-        (own,) = re.findall(rf"<{kind}>(.*?)</{kind}>", text, flags=re.DOTALL)
-        digest = base64.b64encode(hashlib.sha256(own.encode()).digest()).decode()
-        assert f"{kind}-src 'sha256-{digest}';" in policy
-    assert policy.startswith("default-src 'none';")
-    assert "unsafe" not in policy
-    assert not re.search(r"https?:|src=|href=|@import|url\(|style=| on[a-z]+=", text)
+    holds_to_its_own(page(*mapped))
 
 
 def test_what_a_file_says_turns_no_reading_direction_and_is_no_control_character(mapped):

@@ -280,6 +280,6 @@ def test_the_local_bus_must_serve_where_it_is_used(facts, state, remedy):
 
 def test_a_hub_of_another_socket_is_started_there():
     (found,) = judge_local(
-        LocalBus("/tmp/a b.sock", there=False, refused=None), replace(LOCAL, channel="/tmp/a b.sock")
+        LocalBus("/run/a b/bus.sock", there=False, refused=None), replace(LOCAL, channel="/run/a b/bus.sock")
     )
-    assert found.remedy.startswith("start it: cutgate bus serve --socket '/tmp/a b.sock';")
+    assert found.remedy.startswith("start it: cutgate bus serve --socket '/run/a b/bus.sock';")

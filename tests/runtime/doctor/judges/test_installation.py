@@ -102,10 +102,10 @@ def test_where_its_code_comes_from():
         return found
 
     assert judged().state is Condition.OK
-    assert judged(foreign=("cutgate.config (/tmp/config.py)",)).state is Condition.FAIL
-    assert "/tmp/config.py" in judged(foreign=("cutgate.config (/tmp/config.py)",)).found
-    assert judged(folders=("/tmp/lib",)).state is Condition.FAIL
-    assert "chmod go-w" in judged(folders=("/tmp/lib",)).remedy
+    assert judged(foreign=("cutgate.config (elsewhere/config.py)",)).state is Condition.FAIL
+    assert "elsewhere/config.py" in judged(foreign=("cutgate.config (elsewhere/config.py)",)).found
+    assert judged(folders=("elsewhere/lib",)).state is Condition.FAIL
+    assert "chmod go-w" in judged(folders=("elsewhere/lib",)).remedy
 
 
 def test_a_long_list_is_told_by_its_beginning():

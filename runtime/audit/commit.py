@@ -8,7 +8,7 @@ is written, synced or finished any more, because a second fsync may report succe
 import contextlib
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -75,6 +75,8 @@ class Append:
     root: bytes = EMPTY
 
 
+SIDECAR_BYTES: Final = 2048
+"""What is reserved for a log's signature; it has some 600."""
 UNNAMED: Final = Append(b"", b"")
 """Whose report it is where no commit has a name."""
 
@@ -94,10 +96,11 @@ class ReserveSpace:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """The last bytes, and what the directory's HEAD file is to say after them."""
+    """The last bytes, the signature of so many bytes with this SHA-256, and what the directory's HEAD is to say then."""
 
     log: bytes
     frames: bytes
+    sidecar: Callable[[int, bytes], bytes]
     head: bytes
 
 
@@ -106,18 +109,20 @@ Job = Append | ReserveSpace | Finish
 
 @dataclass(frozen=True, slots=True)
 class LogFiles:
-    """The open files of one log: new and empty ones, each with its name, and the directory's.
+    """The open files of one log, each with its name, and the directory's.
 
     Attributes:
-        log, frames: the log and the raw frames.
+        log, frames: the log, with record 0 in it, and the raw frames.
         locked: holds the directory's lock, under this name.
         head: what will take HEAD's place when the log is closed.
+        sidecar: what will be the log's signature then.
     """
 
-    log: tuple[int, Path]
-    frames: tuple[int, Path]
+    log: Written
+    frames: Written
     locked: tuple[int, Path]
     head: Replacement
+    sidecar: Replacement
 
 
 class Committer:
@@ -125,9 +130,9 @@ class Committer:
 
     def __init__(self, disk: Disk, files: LogFiles) -> None:
         self._disk = disk
-        self._log, self._frames = (Written(disk, *file) for file in (files.log, files.frames))
+        self._log, self._frames = files.log, files.frames
         self._locked = files.locked
-        self._head = files.head
+        self._head, self._sidecar = files.head, files.sidecar
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._events: deque[Event] = deque()
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -158,6 +163,11 @@ class Committer:
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
+    def discard(self) -> None:
+        """Give up what was to take a file's place; nothing is closed in order any more."""
+        self._head.discard()
+        self._sidecar.discard()
+
     def release(self) -> None:
         """Close the wake pipe; only after ``join`` said True."""
         os.close(self._wake_read)
@@ -171,7 +181,7 @@ class Committer:
                 pass
         except Exception as error:  # noqa: BLE001 - a thread must not die while its owner believes it runs
             self._report(LogFailed(_reason(error)))
-            self._head.discard()
+            self.discard()
         for file in (self._log, self._frames):
             with contextlib.suppress(OSError):  # the outcome is reported already; this only frees the number
                 self._disk.close(file.descriptor)
@@ -223,6 +233,7 @@ class Committer:
                 self._log.reserve(job.log),
                 self._frames.reserve(job.frames),
                 self._disk.reserve(self._head.descriptor, self._log.path, HEAD_MAX),
+                self._disk.reserve(self._sidecar.descriptor, self._log.path, SIDECAR_BYTES),
             )
         except OSError as error:
             return Reservation(_short_of(job.size, self._log.path), reserved=False, how=_reason(error))
@@ -237,6 +248,7 @@ class Committer:
         self._log.sync()
         self._frames.sync()
         self._check(enabling=True)
+        self._disk.replace(self._sidecar, job.sidecar(self._log.size, self._log.sha256))
         self._disk.replace(self._head, job.head)
         self._report(Closed())
 

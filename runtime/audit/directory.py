@@ -22,7 +22,9 @@ from typing import Any, BinaryIO, Final
 from cutgate.config.durable import left_over, replace_durably
 from cutgate.config.load import InputError
 from cutgate.config.ours import open_ours, read_ours, user
-from cutgate.runtime.audit.heads import closing_head, recoverable_head
+from cutgate.runtime.audit.heads import closing_head, recoverable
+from cutgate.runtime.audit.signing.log_key import SERIES_BYTES
+from cutgate.runtime.audit.signing.signer import SUFFIX
 
 LOCK: Final = "LOCK"
 HEAD: Final = "HEAD"
@@ -73,6 +75,10 @@ class Head:
         listed: the list of withdrawn registrations; None in a HEAD of 0.1.0, which did not say.
         time_ns: UTC nanoseconds of the last record of the session that was closed last; while a log is open, that of
             a session before. None where none was ever named, as until 0.1.
+        size, root: of the log's tree, root in hex, as ``head`` is of its chain.
+        series, epoch: of the log directory, 16 bytes, and the number of the session that has written the log; None
+            where logs are not signed.
+        before: while it is open, the log of the session before and its epoch.
     """
 
     log: str
@@ -80,6 +86,11 @@ class Head:
     closed: bool
     listed: Listed | None = None
     time_ns: int | None = None
+    size: int | None = None
+    root: str | None = None
+    series: bytes | None = None
+    epoch: int | None = None
+    before: tuple[str | None, int | None] = (None, None)
 
     def encode(self) -> bytes:
         """The file's content."""
@@ -93,6 +104,15 @@ class Head:
             content["withdrawn"] = {"lines": self.listed.lines, "sha256": self.listed.sha256}
         if self.time_ns is not None:
             content["time_ns"] = self.time_ns
+        if self.series is not None:
+            content |= {
+                "series": self.series.hex(),
+                "epoch": self.epoch,
+                "size": self.size,
+                "root": self.root,
+            }
+        if self.series is not None and not self.closed:
+            content["before"] = {"log": self.before[0], "epoch": self.before[1]}
         return json.dumps(content).encode() + b"\n"
 
     @classmethod
@@ -103,27 +123,47 @@ class Head:
             log, head, state = content["log"], content["head"], content["state"]
             listed, time_ns = content.get("withdrawn"), content.get("time_ns")
             listed = None if listed is None else Listed(listed["lines"], listed["sha256"])
+            size, root, series, epoch = (content.get(key) for key in ("size", "root", "series", "epoch"))
+            series = None if series is None else bytes.fromhex(series)
+            before = content.get("before") or {}
+            before = (before.get("log"), before.get("epoch"))
         except (KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
         named = (
             isinstance(log, str) and Path(log).name == log not in ("", "..") and isinstance(head, str | None)
         )
+        signed = series is None or (len(series) == SERIES_BYTES and _number(epoch) and epoch is not None)
+        signed = signed and _number(size) and isinstance(root, str | None)
+        signed = signed and isinstance(before[0], str | None) and _number(before[1])
         counted = listed is None or (isinstance(listed.lines, int) and isinstance(listed.sha256, str))
         timed = time_ns is None or (isinstance(time_ns, int) and 0 <= time_ns <= TIME_MAX)
-        if not (named and counted and timed):
+        if not (named and counted and timed and signed):
             raise ValueError("not a head")
-        return cls(log, head, state == "closed", listed, time_ns)
+        return cls(log, head, state == "closed", listed, time_ns, size, root, series, epoch, before)
+
+
+def _number(value: Any) -> bool:
+    """Whether it is a count, or absent."""
+    return value is None or (isinstance(value, int) and not isinstance(value, bool) and value >= 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Previous:
-    """What the directory says of the session before; ``time_ns`` as in ``Head``."""
+    """What the directory says of the session before; ``time_ns``, ``size``, ``root`` and ``series`` as in ``Head``.
+
+    Attributes:
+        epoch: the last one that a record 0 of this directory names, or may name.
+    """
 
     log: str | None = None
     head: str | None = None
     crashed: bool = False
     note: str | None = None
     time_ns: int | None = None
+    size: int | None = None
+    root: str | None = None
+    series: bytes | None = None
+    epoch: int | None = None
 
 
 # ---------------------------------------------------------------- one session at a time
@@ -184,7 +224,7 @@ def check_head(directory: Path, now_ns: int) -> None:
 
 def remove_left_over(directory: Path) -> None:
     """Remove what a session that was cut short had prepared to put in a file's place; only under the lock."""
-    for name in (HEAD, WITHDRAWN):
+    for name in (HEAD, WITHDRAWN, f"*{SUFFIX}"):
         for file in left_over(directory / name):
             with contextlib.suppress(OSError):  # it is in nobody's way
                 file.unlink()
@@ -206,7 +246,7 @@ def previous_session(directory: Path) -> Previous:
     except ValueError as error:
         return Previous(crashed=True, note=f"HEAD could not be read: {error}")
     found = _closed(directory, head) if head.closed else _crashed(directory, head)
-    return replace(found, time_ns=head.time_ns)
+    return replace(found, time_ns=head.time_ns, series=head.series)
 
 
 def check_clock(directory: Path, previous: Previous, now_ns: int) -> None:
@@ -236,20 +276,27 @@ def _closed(directory: Path, head: Head) -> Previous:
         with _log(directory, head) as file:
             found = closing_head(file)
     except (OSError, ValueError, InputError) as error:
-        return Previous(head.log, head.head, note=f"{head.log} is not what HEAD says: {_why(error)}")
-    if found != head.head:
-        note = f"{head.log} is not what HEAD says: it ends in head {found}, not {head.head}"
-        return Previous(head.log, head.head, note=note)
-    return Previous(head.log, head.head)
+        note = f"{head.log} is not what HEAD says: {_why(error)}"
+    else:
+        other = f"{head.log} is not what HEAD says: it ends in head {found}, not {head.head}"
+        note = "" if found == head.head else other
+    return Previous(head.log, head.head, note=note or None, size=head.size, root=head.root, epoch=head.epoch)
 
 
 def _crashed(directory: Path, head: Head) -> Previous:
+    """The session that was cut short; where it left no record at all, the one before it."""
     try:
         with _log(directory, head) as file:
-            return Previous(head.log, recoverable_head(file), crashed=True)
+            found = recoverable(file)
     except (OSError, ValueError, InputError) as error:
         note = f"its log could not be read: {_why(error)}"
-        return Previous(head.log, head.head, crashed=True, note=note)
+        return Previous(head.log, head.head, crashed=True, note=note, epoch=head.epoch)
+    if head.series is not None and not found.size:
+        log, epoch = head.before
+        note = f"{head.log} was begun, and cut short before its first record"
+        return Previous(log, head.head, note=note, size=head.size, root=head.root, epoch=epoch)
+    root = found.root.hex()
+    return Previous(head.log, found.head.hex(), crashed=True, size=found.size, root=root, epoch=head.epoch)
 
 
 @contextlib.contextmanager

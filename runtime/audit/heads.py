@@ -3,7 +3,7 @@
 import json
 import struct
 from io import SEEK_END, BytesIO
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -11,10 +11,11 @@ from mcap.reader import SeekingReader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
 
-from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, advance
+from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, advance, follow
 from cutgate.runtime.audit.container.raw import MAGIC, PREFIX, RECORD_MAX
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
+from cutgate.runtime.audit.tree import Tree
 
 SUMMARY_MAX: Final = 64 << 20
 """Bytes of the largest summary that is read; an hour of cutting has 2 MB of it."""
@@ -26,16 +27,31 @@ _DISLIKES: Final = (
 """What the stock reader raises on a file that is none."""
 
 
-def recoverable_head(file: BinaryIO) -> str:
-    """The chain's head over all whole chunks, in hex; the start of the chain if there are none.
+class Recoverable(NamedTuple):
+    """What is left of a log: the chain's head, and size and root of the tree, over all whole chunks."""
+
+    head: bytes
+    size: int
+    root: bytes
+
+
+def recoverable(file: BinaryIO) -> Recoverable:
+    """What is left of a log that was cut short; the start of chain and tree if nothing is.
 
     Raises:
         OSError: the file cannot be read.
     """
-    head = GENESIS
+    head, tree = GENESIS, Tree()
     for message in walk(file, Scan()):
-        head = message.advance(head)
-    return head.hex()
+        covered = message.covered
+        head = follow(head, covered)
+        tree.append(covered)
+    return Recoverable(head, tree.size, tree.root)
+
+
+def recoverable_head(file: BinaryIO) -> str:
+    """The chain's head of ``recoverable``, in hex."""
+    return recoverable(file).head.hex()
 
 
 def closing_head(file: BinaryIO) -> str:

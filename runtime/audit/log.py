@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Final, Self
@@ -47,7 +48,10 @@ from cutgate.runtime.audit.directory import (
     withdrawn_list,
 )
 from cutgate.runtime.audit.disk import Disk, SystemDisk
+from cutgate.runtime.audit.log_keys import HeldKey, held_key, put_following
+from cutgate.runtime.audit.signing.signer import Signer, sidecar_of
 from cutgate.runtime.audit.writer import LogWriter
+from cutgate.runtime.audit.written import Written
 
 CHUNK_SHARE: Final = 0.8
 """A chunk is handed over at this share of its period, so that it is written within the whole of it."""
@@ -109,6 +113,7 @@ class AuditLog:
         hand_over_after_s: so long a record waits in memory at most.
         previous: what the directory says of the session before.
         listed: how the list of withdrawn registrations stands, for HEAD; whoever adds to it says so here.
+        held: the key that signs it, and where it came from.
     """
 
     def __init__(
@@ -117,14 +122,19 @@ class AuditLog:
         candump_path: Path,
         *,
         writer: LogWriter,
+        signer: Signer,
+        held: HeldKey,
         committer: Committer,
         locked: int,
         clock: Clock,
         chunk_period_s: float,
         previous: Previous,
         listed: Listed,
+        written: int,
     ) -> None:
         self.path = path
+        self.held = held
+        self._signer = signer
         self.previous = previous
         self.listed = listed
         self.candump_path = candump_path
@@ -138,8 +148,7 @@ class AuditLog:
         self._closed = False
         self._waiting_since_s: float | None = None
         self._pending: deque[tuple[int, float]] = deque()  # end offset in the file, when handed over
-        self._handed = 0
-        self._durable = 0
+        self._handed = self._durable = written
         self._frames: list[bytes] = []
         self._frames_hash = sha256()
         self._frames_bytes = 0
@@ -151,23 +160,29 @@ class AuditLog:
         *,
         log_id: str,
         opened: OpenInfo,
+        key_file: Path | None = None,
         disk: Disk | None = None,
         clock: Clock | None = None,
         chunk_period_s: float = CONSTANTS["chunk_period_ms"].default / 1000,
     ) -> Self:
         """Lock the directory, make the files and write record 0. Waits for the disk; call it before a session.
 
+        The order is what counts: HEAD says that a log is open; record 0, which names the session's key, is durable;
+        the next session's key takes the place of this one's, which lives on in memory alone; only then comes the
+        second record. Whatever is cut short in between, no key signs two sessions and no epoch is left out.
+
         Args:
             directory: where logs are kept; made if it is missing.
             log_id: names this log; hex.
             opened: what record 0 says of the program.
+            key_file: of the log directory's key; None for where its first session has put it.
             disk: the disk operations.
             clock: the clocks.
             chunk_period_s: the longest time a record waits in memory.
 
         Raises:
             InputError: the directory cannot be used, another session holds it, what decides in it is not ours or not
-                whole, or the clock is behind the time at which a session was closed there.
+                whole, the clock is behind the time at which a session was closed there, or its key cannot be had.
         """
         disk = disk or SystemDisk()
         clock = clock or Clock()
@@ -177,7 +192,10 @@ class AuditLog:
             listed = Listed.of(withdrawn_list(directory))
             previous = previous_session(directory)
             check_clock(directory, previous, clock.utc_ns())
-            files = _create_files(disk, directory, log_id, clock.utc_ns(), previous, listed, locked)
+            held = held_key(directory, previous, key_file, disk)
+            previous = held.noted(previous)
+            begun = _Begun(log_id, opened, held, previous, listed, clock)
+            files, writer = begun.files(disk, directory, locked)
         except InputError:
             os.close(locked)
             raise
@@ -188,17 +206,19 @@ class AuditLog:
                 directory, "log directory", reason, "a directory that can be written", "free the disk"
             ) from None
         log = cls(
-            files.log[1],
-            files.frames[1],
-            writer=LogWriter(log_id, {"software": opened.software}),
+            files.log.path,
+            files.frames.path,
+            writer=writer,
+            signer=begun.signer,
+            held=held,
             committer=Committer(disk, files),
             locked=locked,
             clock=clock,
             chunk_period_s=chunk_period_s,
             previous=previous,
             listed=listed,
+            written=files.log.size,
         )
-        log.write(_open_record(log_id, opened, files.frames[1].name, previous))
         # Some viewers show nothing of a file without attachments; and a replay on another machine needs it.
         log.attach("environment.json", "application/json", _environment())
         log.commit(None)
@@ -251,7 +271,7 @@ class AuditLog:
 
         Args:
             token: names the commit in its ``Durable`` event, which then has size and root of the tree of everything
-                written so far; None asks for no name.
+                written so far, as the checkpoint signs it that is written with it; None asks for no name.
         """
         if self._stopped:
             return
@@ -354,6 +374,7 @@ class AuditLog:
         clean: bool,
     ) -> None:
         now_ns = self._clock.utc_ns()
+        self._writer.close_chunk()
         self.write(
             records.AuditClose(
                 final_state=final_state,
@@ -368,15 +389,21 @@ class AuditLog:
             log_time_ns=now_ns,
         )
         self._writer.finish()
+        tree, key = self._writer.tree, self.held.key
         head = Head(
             self.path.name,
             self._writer.head.hex(),
             closed=True,
             listed=self.listed,
             time_ns=max(now_ns, self.previous.time_ns or 0),
+            size=tree.size,
+            root=tree.root.hex(),
+            series=key.series,
+            epoch=key.epoch,
         )
         self._finished = True
-        self._committer.submit(Finish(self._writer.take(), b"".join(self._frames), head.encode()))
+        sign = partial(self._signer.sidecar, tree.size, tree.root)
+        self._committer.submit(Finish(self._writer.take(), b"".join(self._frames), sign, head.encode()))
 
     # ------------------------------------------------------------ inside
 
@@ -396,8 +423,8 @@ class AuditLog:
         data = self._writer.take()
         job = Append(data, b"".join(self._frames))
         if token is not None:
-            tree = self._writer.tree
-            job = replace(job, token=token, size=tree.size, root=tree.root)
+            size, root = self._writer.signed
+            job = replace(job, token=token, size=size, root=root)
         self._committer.submit(job)
         self._frames.clear()
         self._waiting_since_s = None
@@ -412,51 +439,87 @@ def cpu_dispatch() -> tuple[str, ...]:
     return (*extensions.get("baseline", ()), *extensions.get("found", ()))
 
 
-def _create_files(
-    disk: Disk,
-    directory: Path,
-    log_id: str,
-    utc_ns: int,
-    previous: Previous,
-    listed: Listed,
-    locked: int,
-) -> LogFiles:
-    """The two files, HEAD marked open, the next HEAD prepared, all names durable. Raises OSError."""
-    moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC)
-    name = f"{moment:%Y%m%dT%H%M%SZ}-{log_id[:8]}"
-    path, candump = directory / f"{name}.mcap", directory / f"{name}.candump.log"
-    made: list[int] = []
-    try:
-        made.extend(disk.create(file) for file in (path, candump))
-        opened = Head(path.name, previous.head, closed=False, listed=listed, time_ns=previous.time_ns)
-        disk.replace(disk.prepare(directory / HEAD), opened.encode())
-        head = disk.prepare(directory / HEAD)
-        disk.sync_directory(directory)
-    except OSError:
-        for descriptor in made:
-            with contextlib.suppress(OSError):
-                disk.close(descriptor)
-        raise
-    return LogFiles((made[0], path), (made[1], candump), (locked, directory / LOCK), head)
+@dataclass(frozen=True)
+class _Begun:
+    """A log that begins: its files, with record 0 alone in them, and the key of the next session in this one's place."""
+
+    log_id: str
+    opened: OpenInfo
+    held: HeldKey
+    previous: Previous
+    listed: Listed
+    clock: Clock
+
+    @cached_property
+    def signer(self) -> Signer:
+        """Signs it."""
+        return Signer(self.held.key, self.log_id)
+
+    def files(self, disk: Disk, directory: Path, locked: int) -> tuple[LogFiles, LogWriter]:
+        """The files, all names durable and HEAD marked open, and what goes on writing. Raises OSError, InputError."""
+        moment = datetime.fromtimestamp(self.clock.utc_ns() // 1_000_000_000, UTC)
+        name = f"{moment:%Y%m%dT%H%M%SZ}-{self.log_id[:8]}"
+        log, frames = directory / f"{name}.mcap", directory / f"{name}.candump.log"
+        with contextlib.ExitStack() as undone:
+            made = []
+            for path in (log, frames):
+                descriptor = disk.create(path)
+                undone.callback(_close, disk, descriptor)
+                made.append(Written(disk, descriptor, path))
+            disk.replace(disk.prepare(directory / HEAD), self._head(log.name).encode())
+            head = disk.prepare(directory / HEAD)
+            undone.callback(head.discard)
+            sidecar = disk.prepare(sidecar_of(log))
+            undone.callback(sidecar.discard)
+            disk.sync_directory(directory)
+            writer = LogWriter(self.log_id, {"software": self.opened.software}, self.signer)
+            now = {"log_time_ns": self.clock.utc_ns(), "monotonic_ns": self.clock.monotonic_ns()}
+            writer.add(self._record_0(frames.name), **now)
+            writer.close_chunk(signed=False)
+            made[0].append(writer.take())
+            made[0].sync()
+            put_following(self.held, disk)
+            undone.pop_all()
+        return LogFiles(made[0], made[1], (locked, directory / LOCK), head, sidecar), writer
+
+    def _head(self, log: str) -> Head:
+        before, key = self.previous, self.held.key
+        return Head(
+            log, before.head, closed=False, listed=self.listed, time_ns=before.time_ns, size=before.size,
+            root=before.root, series=key.series, epoch=key.epoch, before=(before.log, before.epoch),
+        )  # fmt: skip
+
+    def _record_0(self, candump: str) -> records.AuditOpen:
+        opened, previous, key = self.opened, self.previous, self.held.key.public
+        return records.AuditOpen(
+            log_id=self.log_id,
+            software=opened.software,
+            verifier=opened.verifier,
+            numpy=np.__version__,
+            cpu_dispatch=cpu_dispatch(),
+            candump=candump,
+            previous_log=previous.log,
+            previous_head=previous.head,
+            previous_size=previous.size,
+            previous_root=previous.root,
+            previous_epoch=previous.epoch,
+            previous_crashed=previous.crashed,
+            previous_note=previous.note,
+            simulation=tuple(records.Option(name=name, value=value) for name, value in opened.simulation),
+            account=opened.account,
+            host=opened.host,
+            operator=opened.operator,
+            series=key.series.hex(),
+            epoch=key.epoch,
+            public_key=key.public.hex(),
+            certificate=key.certificate.hex() if key.certificate else None,
+            enrolled=self.held.enrolled,
+        )
 
 
-def _open_record(log_id: str, opened: OpenInfo, candump: str, previous: Previous) -> records.AuditOpen:
-    return records.AuditOpen(
-        log_id=log_id,
-        software=opened.software,
-        verifier=opened.verifier,
-        numpy=np.__version__,
-        cpu_dispatch=cpu_dispatch(),
-        candump=candump,
-        previous_log=previous.log,
-        previous_head=previous.head,
-        previous_crashed=previous.crashed,
-        previous_note=previous.note,
-        simulation=tuple(records.Option(name=name, value=value) for name, value in opened.simulation),
-        account=opened.account,
-        host=opened.host,
-        operator=opened.operator,
-    )
+def _close(disk: Disk, descriptor: int) -> None:
+    with contextlib.suppress(OSError):  # why it is given up is known already
+        disk.close(descriptor)
 
 
 def _environment() -> bytes:

@@ -107,6 +107,10 @@ class AuditOpen(AuditRecord):
     previous_log: str | None = None
     previous_head: str | None = None
     """Head of the previous session's chain; after a crash the last recoverable one."""
+    previous_size: int | None = None
+    previous_root: str | None = None
+    """Of its tree, likewise; absent where it is not known, as before logs were signed."""
+    previous_epoch: int | None = None
     previous_crashed: bool
     previous_note: str | None = None
     simulation: tuple[Option, ...] = ()
@@ -116,6 +120,24 @@ class AuditOpen(AuditRecord):
     host: str | None = None
     operator: str | None = None
     """As he called himself."""
+    series: str | None = None
+    epoch: int | None = None
+    public_key: str | None = None
+    """The log directory's sessions, this one's number, and the key that signs this log; absent before logs were signed."""
+    certificate: str | None = None
+    """The signature of the key of the epoch before; absent where this key was enrolled."""
+    enrolled: str | None = None
+    """Why nobody certified this key."""
+
+
+class AuditCheckpoint(AuditRecord):
+    """The log's tree of all records before this one, as a signed note (``signing.checkpoint``)."""
+
+    TOPIC: ClassVar[str] = "/audit/checkpoint"
+
+    size: int
+    root: str
+    note: str
 
 
 class PermissiveValue(Entry):
@@ -532,7 +554,7 @@ class CanTransfer(LogRecord):
 
 
 MODELS: Final[tuple[type[LogRecord], ...]] = (
-    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
+    AuditOpen, AuditCheckpoint, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

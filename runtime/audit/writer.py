@@ -2,6 +2,10 @@
 
 Chunks are not compressed: what is stored is what the chain covers, a decision closes its chunk at once and small
 chunks do not compress, and recovery needs nothing but the bytes.
+
+What is signed stands in the file as it grows. Every chunk ends in a checkpoint of all records before it, but the first,
+which is record 0 alone, and the last of a closed log, which is the close record alone: the sidecar signs that. So
+whatever chunk a crash leaves as the last whole one, what stands before its checkpoint is signed.
 """
 
 from typing import Final
@@ -11,13 +15,23 @@ from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from mcap.writer import Writer as McapWriter
 
 from cutgate.runtime.audit.chain import GENESIS, ChainLink, covered, follow
-from cutgate.runtime.audit.records import AuditRecord, LogRecord, Time, title_of
+from cutgate.runtime.audit.records import (
+    AuditCheckpoint,
+    AuditRecord,
+    LogRecord,
+    Time,
+    title_of,
+)
 from cutgate.runtime.audit.schema import schema_bytes
+from cutgate.runtime.audit.signing.signer import Signer
 from cutgate.runtime.audit.tree import Tree
 
 PROFILE: Final = "cutgate.audit/1"
 METADATA: Final = "cutgate"
 CHUNK_BYTES: Final = 1 << 20
+"""A chunk with so much in it is closed."""
+_NEVER: Final = 1 << 62
+"""The library is to close none: it knows no checkpoint."""
 ENCODING: Final[str] = MessageEncoding.JSON
 SCHEMA_ENCODING: Final[str] = SchemaEncoding.JSONSchema
 
@@ -49,21 +63,30 @@ class _Buffer:
 class LogWriter:
     """One log file, in memory. Pure apart from that: no clock, no disk.
 
+    Args:
+        log_id: names the log; hex.
+        metadata: what the file says of itself beside it.
+        signer: signs its checkpoints; without one there are none, as before logs were signed.
+
     Attributes:
         head: the chain's head over all messages so far, 32 bytes.
         tree: the tree of all messages so far.
         unwritten: messages that stand in the open chunk.
     """
 
-    def __init__(self, log_id: str, metadata: dict[str, str]) -> None:
+    def __init__(self, log_id: str, metadata: dict[str, str], signer: Signer | None = None) -> None:
         self.head = GENESIS
         self.tree = Tree()
         self.unwritten = 0
+        self._signer = signer
+        self._signed = (0, self.tree.root)
+        self._stamps = (0, 0)
+        self._chunk_bytes = 0
         self._buffer = _Buffer()
         self._channels: dict[str, int] = {}
         self._mcap = McapWriter(
             self._buffer,  # type: ignore[arg-type]  # write, tell and flush are all it uses
-            chunk_size=CHUNK_BYTES,
+            chunk_size=_NEVER,
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
@@ -117,6 +140,10 @@ class LogWriter:
         self.head = follow(self.head, body)
         self.tree.append(body)
         self.unwritten += 1
+        self._stamps = (log_time_ns, monotonic_ns)
+        self._chunk_bytes += len(data)
+        if self._chunk_bytes >= CHUNK_BYTES and model is not AuditCheckpoint:
+            self.close_chunk()
 
     def attach(self, name: str, media_type: str, data: bytes, *, log_time_ns: int) -> None:
         """Add an attachment; it stands before the open chunk in the file."""
@@ -124,10 +151,28 @@ class LogWriter:
             create_time=log_time_ns, log_time=log_time_ns, name=name, media_type=media_type, data=data
         )
 
-    def close_chunk(self) -> None:
-        """End the open chunk, if it holds anything, and give out its bytes."""
+    def checkpoint(self) -> None:
+        """Sign all messages so far, in a message of their last one's times."""
+        if self._signer is None:
+            return
+        size, root = self.tree.size, self.tree.root
+        note = self._signer.checkpoint(size, root)
+        log_time_ns, monotonic_ns = self._stamps
+        record = AuditCheckpoint(size=size, root=root.hex(), note=note)
+        self.add(record, log_time_ns=log_time_ns, monotonic_ns=monotonic_ns)
+        self._signed = (size, root)
+
+    @property
+    def signed(self) -> tuple[int, bytes]:
+        """Size and root of the tree at the last checkpoint; of the whole tree where there is no signer."""
+        return (self.tree.size, self.tree.root) if self._signer is None else self._signed
+
+    def close_chunk(self, *, signed: bool = True) -> None:
+        """End the open chunk, if it holds anything, with a checkpoint unless told otherwise, and give out its bytes."""
+        if self.unwritten and signed:
+            self.checkpoint()
         self._mcap.flush()  # type: ignore[no-untyped-call]
-        self.unwritten = 0
+        self.unwritten = self._chunk_bytes = 0
 
     def finish(self) -> None:
         """End the file: last chunk, summary, footer. Nothing can be added any more."""

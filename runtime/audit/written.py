@@ -40,6 +40,11 @@ class Written:
         self._digest = sha256()
         self._remember(os.fstat(descriptor))
 
+    @property
+    def sha256(self) -> bytes:
+        """Of all bytes that were written, 32 bytes."""
+        return self._digest.digest()
+
     def append(self, data: bytes) -> None:
         """Write all bytes.
 

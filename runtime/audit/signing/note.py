@@ -112,6 +112,8 @@ def parse(note: str) -> Note:
     if not len(note) <= NOTE_MAX:
         raise NoteError(f"a note has at most {NOTE_MAX} characters, this one {len(note)}")
     text, empty, lines = note.rpartition("\n\n")
+    if not _encodable(note):
+        raise NoteError("a note is UTF-8")
     if _CONTROL.search(note) or not (text and empty and lines.endswith("\n")):
         raise NoteError("a note is text, an empty line and signature lines, without control characters")
     signatures = tuple(map(_signature, lines[:-1].split("\n")))
@@ -137,6 +139,14 @@ def verify(note: str, key: VerifierKey) -> str:
         except InvalidSignature:
             raise NoteError(f"its signature is not of the key {key.name}+{key.id.hex()}") from None
     return found.text
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _signature(line: str) -> tuple[str, bytes, bytes]:

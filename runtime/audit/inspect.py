@@ -1,13 +1,14 @@
 """Judging a log: structure, chain, attachments, raw frames, and whether two ways of reading it agree.
 
 A log is OK only if every rule holds. What is missing, at the end or beside it, makes it INCOMPLETE, anything
-inconsistent TAMPERED, and a file that is no log of ours UNREADABLE. Without signatures this finds damage and careless
-changes; whoever recomputes the whole chain is found by ``replay`` or not at all.
+inconsistent TAMPERED, and a file that is no log of ours UNREADABLE. A log that nobody signed, as before 0.2, is never
+OK: whoever takes the signatures away must not get what an old log gets. Without a pinned key the log's own is believed,
+and that is said.
 
 A log is read once from front to back, a chunk at a time. What is kept of it is where its records stand, frames apart.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from hashlib import sha256
@@ -20,8 +21,25 @@ from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
 from cutgate.runtime.audit.records import AuditClose, CanFrame
 from cutgate.runtime.audit.second_reading import read_again
+from cutgate.runtime.audit.signing.log_key import PublicLogKey
+from cutgate.runtime.audit.signing.signer import Sidecar
+from cutgate.runtime.audit.trust import (
+    CHAIN,
+    KEY_CHAIN,
+    NOBODY,
+    REPLAY,
+    SIGNATURES,
+    STEPS,
+    STRUCTURE,
+    TREE,
+    WITNESS,
+    Answer,
+    Step,
+    Trust,
+)
 from cutgate.runtime.audit.writer import PROFILE
 
+OLD_FORM: Final = "nothing of it is signed: it is of a version before logs were (old form)"
 _SHOWN: Final = 20
 _CANDUMP: Final = "candump_sha256"
 
@@ -47,6 +65,10 @@ class Report:
         messages: whole messages.
         head: the chain's head over them, hex.
         dropped_bytes: bytes after the last whole record.
+        root: of the tree of all messages, hex.
+        key: that signs the log, as its record 0 names it; None if nothing is signed.
+        signed: messages that a checkpoint in the log signs, or the signature of the closed file.
+        steps: what was asked, in the order of ``trust``.
     """
 
     status: Status
@@ -56,11 +78,26 @@ class Report:
     messages: int
     head: str
     dropped_bytes: int
+    root: str
+    key: PublicLogKey | None
+    signed: int
+    steps: tuple[Step, ...]
 
     @property
     def headline(self) -> str:
-        """The judgement in a few words; no signature is ever claimed."""
-        return "OK (unsigned)" if self.status is Status.OK else self.status.name
+        """The judgement in a few words: never OK without whose key, and which anchor."""
+        if self.status is Status.OK:
+            chain, witness = (self.step(name) for name in (KEY_CHAIN, WITNESS))
+            whose = "from the log itself" if chain.answer is Answer.NOT_CHECKED else "pinned"
+            anchor = "no anchor given" if witness.answer is Answer.NOT_CHECKED else witness.text
+            fingerprint = self.key.fingerprint if self.key else ""
+            return f"OK (signed, key {fingerprint} {whose}; {anchor})"
+        old = self.status is Status.INCOMPLETE and self.key is None and self.messages > 0
+        return f"{self.status.name} (unsigned, old form)" if old else self.status.name
+
+    def step(self, name: str) -> Step:
+        """The answer of this name."""
+        return next(step for step in self.steps if step.name == name)
 
 
 @dataclass(frozen=True)
@@ -97,42 +134,56 @@ class Log:
         return (parse_object(data) or {} for _, data in self.each(topic))
 
 
-def verify_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> Report:
+def verify_log(
+    log: bytes | BinaryIO,
+    candump: bytes | BinaryIO | None = None,
+    sidecar: bytes | None = None,
+    trust: Trust = NOBODY,
+) -> Report:
     """Judge a log; arguments and errors as ``read_log``."""
-    return read_log(log, candump).report
+    return read_log(log, candump, sidecar, trust).report
 
 
-def read_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> Log:
+def read_log(
+    log: bytes | BinaryIO,
+    candump: bytes | BinaryIO | None = None,
+    sidecar: bytes | None = None,
+    trust: Trust = NOBODY,
+) -> Log:
     """Read and judge a log. What is wrong with it is said, never raised.
 
     Args:
         log: the MCAP file, seekable; it must stay open while the result is used.
         candump: the file of raw frames beside it, or None if it is not there.
+        sidecar: the signature beside it, or None if it is not there.
+        trust: what the reviewer has from elsewhere.
 
     Raises:
         OSError: a file cannot be read.
     """
     file, frames = _opened(log), None if candump is None else _opened(candump)
-    found, judge = Scan(), Judge()
+    found, judge = Scan(), Judge(trust.anchors)
     for message in walk(file, found):
         judge.take(message)
-    content = [*judge.problems, *judge.content(found)]
-    if found.zeros and judge.last_topic == AuditClose.TOPIC:
-        content.append("zeros stand behind its close record")
-    unread, notes = (
-        ("", ()) if content or not found.finished else read_again(file, found, judge.read.digest())
-    )
+    judge.signatures.end(judge.count, judge.last_topic)
+    wrong = _Found()
+    _rules(judge, found, wrong)
+    notes = _second_reading(file, found, judge, wrong)
     damaged, lost = _candump(judge.last, frames)
-    absent = [*missing(found, judge), *lost]
-    tampered = [*content, *found.problems, *([unread] if unread else []), *damaged]
+    wrong.add(STRUCTURE, damaged)
+    altered, unsigned = _signature(file, found, judge, sidecar)
+    wrong.add(SIGNATURES, altered)
+    steps = _steps(judge, wrong, unsigned, trust)
+    absent = [*missing(found, judge), *lost, *unsigned]
     if not found.mcap or not _ours(found):
         status, reasons = Status.UNREADABLE, ["this is not an audit log of cutgate", *found.problems]
-    elif tampered:
-        status, reasons = Status.TAMPERED, tampered
+    elif wrong.texts:
+        status, reasons = Status.TAMPERED, wrong.texts
     elif absent:
         status, reasons = Status.INCOMPLETE, absent
     else:
         status, reasons = Status.OK, []
+    whole = sidecar is not None and not altered and found.finished
     report = Report(
         status=status,
         reasons=tuple(reasons[:_SHOWN]),
@@ -141,8 +192,102 @@ def read_log(log: bytes | BinaryIO, candump: bytes | BinaryIO | None = None) -> 
         messages=judge.count,
         head=judge.head.hex(),
         dropped_bytes=0 if found.torn_at is None else found.size - found.torn_at,
+        root=judge.roots.tree.root.hex(),
+        key=judge.signatures.key,
+        signed=judge.count if whole else judge.signatures.covered,
+        steps=steps,
     )
     return Log(found, report, file, tuple(judge.places))
+
+
+def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
+    """What the rules over the records find, the first bad record first."""
+    wrong.add(CHAIN if judge.unlinked else STRUCTURE, judge.problems)
+    wrong.add(TREE, filter(None, [judge.roots.wrong]))
+    wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
+    wrong.add(STRUCTURE, judge.content(found))
+    if found.zeros and judge.last_topic == AuditClose.TOPIC:
+        wrong.add(STRUCTURE, ["zeros stand behind its close record"])
+
+
+def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") -> tuple[str, ...]:
+    """What the stock reader finds in a log that is sound so far; and what it was not asked."""
+    sound = not wrong.texts
+    wrong.add(STRUCTURE, found.problems)
+    if not (found.finished and sound):
+        return ()
+    unread, notes = read_again(file, found, judge.read.digest())
+    wrong.add(STRUCTURE, filter(None, [unread]))
+    return notes
+
+
+class _Found:
+    """What is wrong, in its order, and the first of each step."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self.first: dict[str, str] = {}
+
+    def add(self, step: str, texts: Iterable[str]) -> None:
+        """Of this step; an empty list of texts says nothing."""
+        for text in texts:
+            self.texts.append(text)
+            self.first.setdefault(step, text)
+
+
+def _steps(judge: Judge, wrong: _Found, unsigned: list[str], chain: Step, witness: Step) -> tuple[Step, ...]:
+    """Every step's answer, in their order."""
+    key = judge.signatures.key
+    by = "" if key is None else f"key {key.fingerprint}, epoch {key.epoch}, of record 0"
+    sound = {
+        STRUCTURE: (Answer.YES, f"{judge.count} records"),
+        CHAIN: (Answer.YES, f"head {judge.head.hex()}"),
+        TREE: (Answer.YES, f"root {judge.roots.tree.root.hex()}"),
+        SIGNATURES: (Answer.NOT_CHECKED, unsigned[0]) if unsigned else (Answer.YES, by),
+        KEY_CHAIN: (chain.answer, chain.text),
+        WITNESS: (witness.answer, witness.text),
+        REPLAY: (Answer.NOT_CHECKED, "cutgate audit replay decides again"),
+    }
+    return tuple(
+        Step(name, Answer.NO, wrong.first[name]) if name in wrong.first else Step(name, *sound[name])
+        for name in STEPS
+    )
+
+
+def _signature(
+    file: BinaryIO, found: Scan, judge: Judge, sidecar: bytes | None
+) -> tuple[list[str], list[str]]:
+    """Whether the signature beside the log is of it: what is wrong, and what is missing."""
+    signatures = judge.signatures
+    if signatures.key is None:
+        return [], ([OLD_FORM] if judge.count else [])
+    if sidecar is None:
+        covered = f"the first {signatures.covered} of {judge.count} records are signed"
+        return [], [
+            f"the signature of the closed log is not beside it: {covered}" if found.finished else covered
+        ]
+    try:
+        signed = Sidecar.parse(sidecar)
+    except ValueError as error:
+        return [f"the signature beside it cannot be read: {error}"], []
+    file.seek(0)
+    digest = sha256()
+    while data := file.read(PIECE):
+        digest.update(data)
+    told = signatures.sidecar(signed, judge.count, judge.roots.tree.root, found.size, digest.digest())
+    return [told] if told else [], []
+
+
+def _anchored(judge: Judge, trust: Trust) -> Step:
+    """Whether every anchor is a root or head of this log."""
+    if not trust.anchors:
+        return Step(WITNESS, Answer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
+    for anchor in trust.anchors:
+        if anchor not in judge.anchors:
+            text = f"the anchor {anchor.hex()} is no root of its tree and no head of its chain"
+            return Step(WITNESS, Answer.NO, text)
+    told = ", ".join(f"{anchor.hex()} at record {judge.anchors[anchor]}" for anchor in trust.anchors)
+    return Step(WITNESS, Answer.YES, f"anchor {told}")
 
 
 def _opened(data: bytes | BinaryIO) -> BinaryIO:

@@ -8,11 +8,12 @@
 Record 0 opens the log and nothing follows its one close record, which counts all of them. Each record is a JSON object
 whose sequence is its number, and each ``/audit/`` record carries the chain's head before it. Every record of an
 attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0.
-A permit or start that names a log and its tree names this one, and the tree as it was (``roots.py``).
+A permit or start that names a log and its tree names this one, and the tree as it was (``roots.py``). Of a log that names
+a key, every chunk is signed (``signing/signatures.py``).
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from hashlib import sha256
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.records import AuditAttachment, AuditClose, AuditOpen, CanFrame
 from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.second_reading import add_message
+from cutgate.runtime.audit.signing.signatures import Signatures
 from cutgate.runtime.audit.writer import ENCODING, METADATA
 
 KEPT_MAX: Final = 1_000_000
@@ -37,10 +39,17 @@ class Judge:
         first, last: parsed record 0 and the last one; None where it is no JSON object, or none.
         places: topic, offset and size of each record that is no frame.
         problems: the first record whose place in the chain is wrong.
+        anchors: those of the ``anchors`` asked for that were found, with the number of the last record they cover.
+        signatures: the rule on what is signed.
         roots: the tree of all records so far, and the first record that names another.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, anchors: Iterable[bytes] = ()) -> None:
+        self.anchors: dict[bytes, int] = {}
+        self._sought = frozenset(anchors)
+        self.unlinked = False
+        """What is wrong first is a link of the chain."""
+        self.signatures = Signatures()
         self.head = GENESIS
         self.count = 0
         self.read = sha256()
@@ -68,9 +77,13 @@ class Judge:
         if number == 0:
             self.first, self._first_topic = record, topic
             self.roots.log_id = (record or {}).get("log_id")
+        self.signatures.take(number, topic, record or {}, self.roots.tree)
         covered = message.covered
         self.head = follow(self.head, covered)
         self.roots.take(topic, covered, message.data)
+        if self._sought:
+            found = self._sought & {self.head, self.roots.tree.root}
+            self.anchors |= dict.fromkeys(found - self.anchors.keys(), number)
         self.count += 1
         add_message(self.read, topic, message.sequence, message.data)
         self.last, self.last_topic = record, topic
@@ -88,6 +101,7 @@ class Judge:
         elif message.channel.encoding != ENCODING:
             self.problems.append(f"{place}: its encoding is not {ENCODING}")
         elif message.topic.startswith(LINKED) and record.get("prev") != self.head.hex():
+            self.unlinked = True
             self.problems.append(f"{place}: it does not follow from the records before it")
 
     def _keep(self, message: Stored, record: dict[str, Any] | None) -> None:
@@ -120,8 +134,6 @@ class Judge:
                 yield f"record {number} ({topic}) stands after the close record"
             elif count != self.count:
                 yield f"the close record counts {count} messages, the file holds {self.count}"
-        if self.roots.wrong:
-            yield self.roots.wrong
         if self._too_many:
             yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
         yield from self._attachments(found)

@@ -8,6 +8,8 @@ from typing import Final
 
 from cutgate.config.load import check_size, open_input, unreadable
 from cutgate.runtime.audit.inspect import Log, read_log
+from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, sidecar_of
+from cutgate.runtime.audit.trust import NOBODY, Trust
 
 SIZE_MAX: Final = 1 << 32
 """Bytes of the largest log that is read: four hours of cutting at the shortest heartbeat, nineteen at the usual one."""
@@ -20,8 +22,8 @@ def candump_of(log: Path) -> Path:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[Log]:
-    """The log and its judgement, with the raw frames beside it where they are; its files are open meanwhile.
+def reading(path: Path, trust: Trust = NOBODY) -> Iterator[Log]:
+    """The log and its judgement, with raw frames and signature beside it where they are; its files are open meanwhile.
 
     An error of the disk in the block is one of reading: what writes, to a terminal or a file, stands behind the block.
 
@@ -34,10 +36,21 @@ def reading(path: Path) -> Iterator[Log]:
         candump = candump_of(path)
         frames = files.enter_context(open_input(candump)) if candump.is_file() else None
         try:
-            found = read_log(log, frames)
+            found = read_log(log, frames, _sidecar(path), trust)
         except OSError as error:
             raise unreadable(path, error) from None
         try:
             yield found
         except OSError as error:  # records and attachments are read when they are asked for
             raise unreadable(path, error) from None
+
+
+def _sidecar(log: Path) -> bytes | None:
+    """The signature beside a log; None where there is none."""
+    path = sidecar_of(log)
+    if not path.is_file():
+        return None
+    with open_input(path) as file:
+        check_size(path, file.seek(0, SEEK_END), SIDECAR_MAX, _REMEDY)
+        file.seek(0)
+        return file.read()

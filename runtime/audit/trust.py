@@ -1,0 +1,98 @@
+"""What makes a log believed, in the order in which it is asked: each is yes, no, or not checked.
+
+structure, chain, tree, signatures, key chain, witness, replay. A log is OK only if none is no; what was not checked is
+said in the same breath.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from cutgate.runtime.audit.signing.log_key import PublicLogKey, chained
+
+STEPS: Final = ("structure", "chain", "tree", "signatures", "key chain", "witness", "replay")
+STRUCTURE, CHAIN, TREE, SIGNATURES, KEY_CHAIN, WITNESS, REPLAY = STEPS
+
+
+class Answer(StrEnum):
+    """Of one step."""
+
+    YES = "yes"
+    NO = "no"
+    NOT_CHECKED = "not checked"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step's answer, and what it says."""
+
+    name: str
+    answer: Answer
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.answer}{', ' if self.text else ''}{self.text}"
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """What a reviewer trusts beside the log.
+
+    Attributes:
+        pinned: the key that he has from elsewhere; None where he believes the log's own.
+        certified: keys that the logs beside this one name, by epoch, in its series.
+        anchors: roots of the tree, or heads of the chain, that he has from elsewhere, 32 bytes each.
+    """
+
+    pinned: PublicLogKey | None = None
+    certified: Mapping[int, PublicLogKey] | None = None
+    anchors: tuple[bytes, ...] = ()
+
+
+NOBODY: Final = Trust()
+
+
+def key_chain(key: PublicLogKey | None, trust: Trust) -> Step:
+    """Whether the key that signs a log is the pinned one, or one that it certifies.
+
+    Args:
+        key: of the log; None where it is not signed.
+        trust: the pinned key, and those between it and the log's.
+    """
+    pinned = trust.pinned
+    if pinned is None:
+        return Step(KEY_CHAIN, Answer.NOT_CHECKED, "no key is pinned; name one with --public-key")
+    pinned_key = f"the pinned key {pinned.fingerprint} (epoch {pinned.epoch})"
+    if key is None:
+        return Step(
+            KEY_CHAIN, Answer.NO, f"{pinned_key} has signed nothing of it: record 0 is the first without"
+        )
+    if (key.series, key.epoch, key.public) == (pinned.series, pinned.epoch, pinned.public):
+        return Step(KEY_CHAIN, Answer.YES, f"signed by {pinned_key}")
+    told = _unconnected(key, pinned, trust.certified or {})
+    if told:
+        return Step(
+            KEY_CHAIN, Answer.NO, f"{pinned_key} does not vouch for its key {key.fingerprint}: {told}"
+        )
+    return Step(KEY_CHAIN, Answer.YES, f"certified from {pinned_key} to epoch {key.epoch}")
+
+
+def _unconnected(key: PublicLogKey, pinned: PublicLogKey, certified: Mapping[int, PublicLogKey]) -> str:
+    """Why no certificates lead from the pinned key to this one; empty if they do."""
+    if key.series != pinned.series:
+        return f"it is of the series {key.series.hex()}, the pinned one of {pinned.series.hex()}"
+    if key.epoch == pinned.epoch:
+        return "it is another key of the same epoch"
+    if key.epoch < pinned.epoch:
+        return f"it is of epoch {key.epoch}, and a key certifies later ones only; pin an earlier one"
+    between = range(pinned.epoch + 1, key.epoch)
+    missing = [epoch for epoch in between if epoch not in certified]
+    if missing:
+        return (
+            f"the certificate of epoch {missing[0]} is missing ({len(missing)} in all); they stand in the logs "
+            "of the same log directory, which must lie beside it"
+        )
+    if chained(pinned, (*(certified[epoch] for epoch in between), key)) is None:
+        return "a certificate between them is missing or of another key"
+    return ""

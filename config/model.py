@@ -321,6 +321,10 @@ class LogSettings(Strictly):
     """Where session logs go and how late their records may be durable."""
 
     directory: Text = _setting("cutgate-logs", "where the logs of sessions go")
+    key_file: Text | None = _setting(
+        None,
+        "the key that signs the logs of this directory, where --log-key names none; not set: the user's state directory",
+    )
     commit_deadline_ms: Integer = _constant("commit_deadline_ms")
     checkpoint_deadline_ms: Integer = _constant("checkpoint_deadline_ms")
     chunk_period_ms: Integer = _constant("chunk_period_ms")

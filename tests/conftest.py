@@ -92,3 +92,11 @@ def _must_be_marked() -> None:
 def _marked(item: pytest.Item) -> bool:
     # make test-long runs its tests one after the other, with nothing beside them.
     return any(item.get_closest_marker(name) is not None for name in ("processes", "long"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keys that sign logs are not put among those of whoever starts the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield

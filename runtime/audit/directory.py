@@ -309,6 +309,18 @@ def _why(error: Exception) -> str:
     return error.strerror if isinstance(error, OSError) and error.strerror else str(error)
 
 
+def signed_head(directory: Path) -> Head | None:
+    """What HEAD says, for who does not hold the lock; None where there is none, or none that can be read.
+
+    Raises:
+        InputError: HEAD is not ours.
+    """
+    try:
+        return _read_head(directory)
+    except (OSError, ValueError):
+        return None
+
+
 def _read_head(directory: Path) -> Head:
     """Raises FileNotFoundError, InputError, or ValueError for what is no HEAD."""
     return Head.parse(read_ours(directory / HEAD, HEAD_MAX))

@@ -9,7 +9,7 @@ A log is read once from front to back, a chunk at a time. What is kept of it is 
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum
 from hashlib import sha256
 from io import SEEK_END, BytesIO
@@ -36,6 +36,7 @@ from cutgate.runtime.audit.trust import (
     Answer,
     Step,
     Trust,
+    key_chain,
 )
 from cutgate.runtime.audit.writer import PROFILE
 
@@ -94,6 +95,23 @@ class Report:
             return f"OK (signed, key {fingerprint} {whose}; {anchor})"
         old = self.status is Status.INCOMPLETE and self.key is None and self.messages > 0
         return f"{self.status.name} (unsigned, old form)" if old else self.status.name
+
+    def document(self) -> dict[str, Any]:
+        """For JSON: the fields, keys and roots in hex."""
+        key = self.key and {
+            "series": self.key.series.hex(),
+            "epoch": self.key.epoch,
+            "public_key": self.key.public.hex(),
+            "fingerprint": self.key.fingerprint,
+        }
+        steps = [{"step": step.name, "answer": step.answer.value, "text": step.text} for step in self.steps]
+        return {
+            **asdict(replace(self, key=None, steps=())),
+            "key": key,
+            "steps": steps,
+            "status": self.status.name,
+            "headline": self.headline,
+        }
 
     def step(self, name: str) -> Step:
         """The answer of this name."""
@@ -235,9 +253,12 @@ class _Found:
             self.first.setdefault(step, text)
 
 
-def _steps(judge: Judge, wrong: _Found, unsigned: list[str], chain: Step, witness: Step) -> tuple[Step, ...]:
-    """Every step's answer, in their order."""
+def _steps(judge: Judge, wrong: _Found, unsigned: list[str], trust: Trust) -> tuple[Step, ...]:
+    """Every step's answer, in their order; what the reviewer's own key and anchors find wrong comes last."""
     key = judge.signatures.key
+    chain, witness = key_chain(key, trust), _anchored(judge, trust)
+    for step in (chain, witness):
+        wrong.add(step.name, [step.text] if step.answer is Answer.NO else ())
     by = "" if key is None else f"key {key.fingerprint}, epoch {key.epoch}, of record 0"
     sound = {
         STRUCTURE: (Answer.YES, f"{judge.count} records"),

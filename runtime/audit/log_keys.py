@@ -18,7 +18,7 @@ from typing import Final
 from cutgate.config.durable import create_durably, left_over
 from cutgate.config.load import InputError
 from cutgate.config.ours import read_ours
-from cutgate.runtime.audit.directory import HEAD, Previous
+from cutgate.runtime.audit.directory import HEAD, Previous, signed_head
 from cutgate.runtime.audit.disk import Disk
 from cutgate.runtime.audit.signing.log_key import FILE_MAX, FIRST_EPOCH, KEY_BYTES, SERIES_BYTES, LogKey
 
@@ -117,6 +117,20 @@ def new_log_key(path: Path, *, series: bytes | None = None, epoch: int = FIRST_E
     except OSError as error:
         raise _unwritten(path, error) from None
     return key
+
+
+def to_continue(directory: Path) -> tuple[bytes, int]:
+    """Series and epoch of the next session of a log directory, whose key is lost or too old.
+
+    Raises:
+        InputError: no session was signed in it, or HEAD is not ours or cannot be read.
+    """
+    head = signed_head(directory)
+    if head is None or head.series is None or head.epoch is None:
+        bound = "HEAD of a log directory in which a session was signed"
+        remedy = "leave --continues away where none was, or name the log directory"
+        raise InputError(directory, "log directory", None, bound, remedy)
+    return head.series, head.epoch + 1
 
 
 def public_path(path: Path) -> Path:

@@ -15,6 +15,18 @@ STEPS: Final = ("structure", "chain", "tree", "signatures", "key chain", "witnes
 STRUCTURE, CHAIN, TREE, SIGNATURES, KEY_CHAIN, WITNESS, REPLAY = STEPS
 
 
+NOT_FOUND: Final = """\
+What no verification of a log can find:
+- a session that the holder of its key rewrote before anybody else saw its root: the key of a session lives in the memory
+  of its process alone, but a process that is not ours from the beginning signs what it likes;
+- words that the program itself put into an operator's mouth at the time;
+- a key that was copied while it lay on the disk, between two sessions: who has it can sign the next session in its place.
+  A disk, a snapshot or a backup keeps old key files; each signs one session only, which has been signed already;
+- the last log, cut off behind a START and called a crash, before a later session or the controller names it.
+Take the root of a log somewhere else (--anchor), pin a key (--public-key), and keep the controller's memory: it names the
+log of the last start."""
+
+
 class Answer(StrEnum):
     """Of one step."""
 

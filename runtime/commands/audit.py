@@ -15,6 +15,8 @@ from cutgate.config.screen import printable
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
+from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
+from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -48,33 +50,49 @@ class VerifyCommand(TyperCommand):
 
 
 @app.command("verify", cls=VerifyCommand)
-def verify(logs: LogFiles, *, json: Json = False) -> None:
-    """Check structure, chain and attachments of logs.
+def verify(
+    logs: LogFiles,
+    *,
+    public_key: PublicKeyOption = None,
+    anchor: AnchorOption = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Say as well what no verification of a log can find.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Check structure, chain, tree and signatures of logs, and by which key.
 
     Exit code: 0 OK, 1 INCOMPLETE, 2 TAMPERED, 3 UNREADABLE (or no such file); of several logs the worst: 2, 3, 1, 0.
     """
     told = _Documents(json=json, several=len(logs) > 1)
-    found = [_verified(log, told) for log in logs]
+    try:
+        trust = trust_of(public_key, anchor)
+    except InputError as error:
+        echo(str(error), err=True)
+        raise typer.Exit(Status.UNREADABLE) from None
+    found = [_verified(log, told, beside(trust, log)) for log in logs]
+    if explain and not json:
+        echo(NOT_FOUND)
     told.end()
     raise typer.Exit(min(found, key=VERIFY_WORST.index))
 
 
-def _verified(log: Path, told: "_Documents") -> Status:
+def _verified(log: Path, told: "_Documents", trust: Trust) -> Status:
     try:
-        with _reading(log) as read:
+        with _reading(log, trust) as read:
             report = read.report
     except InputError as error:
         echo(str(error), err=True)
         told.add({"log": str(log), "status": Status.UNREADABLE.name, "headline": str(error)})
         return Status.UNREADABLE
     if told.json:
-        document = {**asdict(report), "status": report.status.name, "headline": report.headline}
-        told.add({"log": str(log), **document})
+        told.add({"log": str(log), **report.document()})
         return report.status
     echo(f"{printable(report.headline)}: {printable(str(log))}")
     for line in (*report.reasons, *report.notes):
         echo(f"  {printable(line)}")
-    echo(f"  {report.messages} records, chain head {report.head}")
+    for step in report.steps:
+        echo(f"  {printable(str(step))}")
     if report.dropped_bytes:
         echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
     return report.status
@@ -160,11 +178,11 @@ def register(root: typer.Typer) -> None:
 
 
 @contextmanager
-def _reading(log: Path) -> Iterator[Log]:
+def _reading(log: Path, trust: Trust = NOBODY) -> Iterator[Log]:
     """The log, read with a sign of life; errors as ``reading``."""
     with ExitStack() as files:
         with working(f"reading {log}"):
-            read = files.enter_context(reading(log))
+            read = files.enter_context(reading(log, trust))
         yield read
 
 

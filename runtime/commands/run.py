@@ -15,7 +15,8 @@ from cutgate.config.load import InputError
 from cutgate.config.screen import printable
 from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.audit.configuration import ALLOW_SIMULATED
-from cutgate.runtime.audit.directory import Previous
+from cutgate.runtime.audit.log import AuditLog
+from cutgate.runtime.audit.log_keys import public_path
 from cutgate.runtime.commands.registration_options import (
     DirectionOption,
     FrameOption,
@@ -92,6 +93,10 @@ def run(
         ),
     ] = False,
     log_dir: Annotated[Path | None, typer.Option(help="Where the audit log goes.")] = None,
+    log_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The log directory's signing key; else log.key_file of site.toml."),
+    ] = None,
     operator: Annotated[
         str | None, typer.Option(callback=_name, metavar="NAME", help="Who runs the session, for the log.")
     ] = None,
@@ -152,8 +157,10 @@ def run(
         bus, name = _bus(interface, channel, files, fd=fd)
         try:
             with working(f"opening a log in {directory}; what a crash has left there is read first"):
-                log = new_log(directory, files, job.path, name, asked, operator, log_id=log_id)
-            _tell(log.previous, view)
+                log = new_log(
+                    directory, files, job.path, name, asked, operator, log_id=log_id, log_key=log_key
+                )
+            _tell(log, view)
             with working("reading the list of withdrawn registrations"):
                 listed = listed_before(log)
             against = refusal(listed, files.prepared.digests, files.registration, files.settings.clock_skew_s)
@@ -187,8 +194,14 @@ def run(
     raise typer.Exit(ENDINGS[session.state.phase].exit_code if paths.closed else STOPPED)
 
 
-def _tell(previous: Previous, view: SessionView) -> None:
-    """What is not as it should be with the session before: it is in record 0, and the operator should know."""
+def _tell(log: AuditLog, view: SessionView) -> None:
+    """A key that was enrolled, and what is not as it should be with the session before: it is in record 0 as well."""
+    previous, held = log.previous, log.held
+    if held.enrolled:
+        where = (
+            f"; its public half is in {public_path(held.path)}: keep a copy elsewhere" if held.made else ""
+        )
+        view.note(f"log key {held.key.public.fingerprint} {held.enrolled}{where}")
     if previous.crashed:
         view.note(
             f"the session before this one ({previous.log or 'its log is unknown'}) did not end in order"

@@ -33,6 +33,7 @@ def new_log(
     operator: str | None,
     *,
     log_id: bytes,
+    log_key: Path | None = None,
 ) -> AuditLog:
     """A new log, in a directory that is locked from now on. Waits for the disk.
 
@@ -44,10 +45,13 @@ def new_log(
         asked: the joint branch that was asked for.
         operator: who runs the session, as he calls himself.
         log_id: names it, 16 random bytes.
+        log_key: the file of the directory's key; else as site.toml says, or where its first session has put it.
 
     Raises:
         InputError: as ``AuditLog.create``.
     """
+    settings = files.settings.log
+    named = log_key or (Path(settings.key_file) if settings.key_file else None)
     log = AuditLog.create(
         directory,
         log_id=log_id.hex(),
@@ -59,7 +63,8 @@ def new_log(
             plain(gethostname()),
             operator,
         ),
-        chunk_period_s=files.settings.log.chunk_period_ms / 1000,
+        key_file=named,
+        chunk_period_s=settings.chunk_period_ms / 1000,
     )
     prepared = files.prepared
     log.attach(f"{names.PLAN}{prepared.plan.path.suffix}", "application/octet-stream", prepared.plan.data)

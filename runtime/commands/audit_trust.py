@@ -1,0 +1,97 @@
+"""What a reviewer brings to a log: a public key and anchors, as options; and the certificates beside the log."""
+
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from cutgate.config.load import InputError, read_bytes
+from cutgate.runtime.audit.container.scan import walk
+from cutgate.runtime.audit.container.stored import Scan
+from cutgate.runtime.audit.judge import parse_object
+from cutgate.runtime.audit.records import AuditOpen
+from cutgate.runtime.audit.signing.checkpoint import HASH_BYTES
+from cutgate.runtime.audit.signing.log_key import FILE_MAX, PublicLogKey
+from cutgate.runtime.audit.signing.note import NoteError
+from cutgate.runtime.audit.signing.signatures import key_of
+from cutgate.runtime.audit.trust import Trust
+from cutgate.runtime.audit.witness import BEGINNING
+
+LOGS_MAX: Final = 100_000
+"""Logs of a folder that are looked into for certificates."""
+
+PublicKeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--public-key", metavar="FILE", help="Believe this log key and those it certifies, none else."
+    ),
+]
+AnchorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--anchor", metavar="HEX", help="A root or head that the log must have, from elsewhere; repeatable."
+    ),
+]
+
+
+def trust_of(public_key: Path | None, anchors: list[str] | None) -> Trust:
+    """What the options say; certificates come with the log (``beside``).
+
+    Raises:
+        InputError: the file holds no public log key, or an anchor is none.
+    """
+    return Trust(
+        None if public_key is None else _pinned(public_key), None, tuple(map(_anchor, anchors or ()))
+    )
+
+
+def beside(trust: Trust, log: Path) -> Trust:
+    """With the certificates in the logs beside this one, where a key is pinned."""
+    if trust.pinned is None:
+        return trust
+    return Trust(trust.pinned, certificates(log.parent, trust.pinned.series), trust.anchors)
+
+
+def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:
+    """The keys that the logs of a folder name, by epoch. None of them is believed by that."""
+    found: dict[int, PublicLogKey] = {}
+    for path in sorted(folder.glob("*.mcap"))[:LOGS_MAX]:
+        key = _key_in(path)
+        if key is not None and key.series == series:
+            found.setdefault(key.epoch, key)
+    return found
+
+
+def _key_in(path: Path) -> PublicLogKey | None:
+    """The key that a log's record 0 names; None where there is none."""
+    try:
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            first = next(walk(BytesIO(file.read(BEGINNING)), Scan()), None)
+        if first is None or first.topic != AuditOpen.TOPIC:
+            return None
+        return key_of(parse_object(first.data) or {})
+    except (OSError, NoteError):
+        return None
+
+
+def _pinned(path: Path) -> PublicLogKey:
+    data = read_bytes(path, FILE_MAX)
+    try:
+        return PublicLogKey.parse(data)
+    except ValueError as error:
+        remedy = "name the .pub file of a log key"
+        raise InputError(path, "", None, f"no public log key: {error}", remedy) from None
+
+
+def _anchor(text: str) -> bytes:
+    try:
+        data = bytes.fromhex(text)
+    except ValueError:
+        data = b""
+    if len(data) != HASH_BYTES:
+        raise InputError("--anchor", "", text[:80], f"{2 * HASH_BYTES} hexadecimal digits", "copy it whole")
+    return data

@@ -222,8 +222,8 @@ def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
     """What the rules over the records find, the first bad record first."""
     wrong.add(CHAIN if judge.unlinked else STRUCTURE, judge.problems)
     wrong.add(TREE, filter(None, [judge.roots.wrong]))
-    wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
     wrong.add(STRUCTURE, judge.content(found))
+    wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
     if found.zeros and judge.last_topic == AuditClose.TOPIC:
         wrong.add(STRUCTURE, ["zeros stand behind its close record"])
 

@@ -41,7 +41,8 @@ from cutgate.protocol.frames import (
     RuntimeHeartbeat,
     decode_frame,
 )
-from cutgate.runtime.audit.inspect import Log, read_log
+from cutgate.runtime.audit.inspect import Log
+from tests.logs import judged
 from tests.system import children
 from tests.system.children import Script
 
@@ -582,12 +583,6 @@ def state_of(sim: Child) -> str:
     sim.listen()
     said = [line.removeprefix("state ") for line in sim.lines if line.startswith("state ")]
     return re.split("[:;]", said[-1])[0]
-
-
-def judged(path: Path) -> Log:
-    """A log, read and judged together with its raw frames."""
-    candump = path.with_suffix(".candump.log")
-    return read_log(path.read_bytes(), candump.read_bytes() if candump.exists() else None)
 
 
 def session_codes(rig: Rig) -> SessionCodes:

@@ -37,6 +37,7 @@ from cutgate.runtime.verification.approach.model import StartJoints
 from cutgate.runtime.verification.plausibility import Placed, cautions, described
 from cutgate.runtime.verification.recorded import problem_from_records
 from cutgate.runtime.verification.report.document import Digests, verdict_document
+from tests.logs import create, signer_of
 
 VERIFIER = "cutgate test"
 OPENED = OpenInfo(software="cutgate 0.1.0", verifier=VERIFIER, simulation=(("time scale", "20"),))
@@ -145,7 +146,7 @@ def decision(number: int, **changes: Any) -> records.AuditDecision:
 
 def small_log(directory: Path, *, decisions: int = 3, frames: bool = True, **options: Any) -> Paths:
     """A short log of made-up records, closed in order; with a raw frame for each decision."""
-    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, **({"clock": Ticking().clock()} | options))
+    log = create(directory, log_id=LOG_ID, opened=OPENED, **({"clock": Ticking().clock()} | options))
     log.attach("plan.csv", "text/csv", b"x,y,z\n" * 20)
     for number in range(decisions):
         log.write(records.AuditOperator(word="start", accepted=True))
@@ -161,7 +162,7 @@ def open_log(directory: Path) -> Iterator[AuditLog]:
     small_log(directory)
     later = Ticking()
     later.now_ns += 60_000_000_000
-    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=later.clock())
+    log = create(directory, log_id=LOG_ID, opened=OPENED, clock=later.clock())
     yield log
     if log.writable:
         log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
@@ -320,9 +321,8 @@ def wire_start(permit: wire.Permit, log: wire.TreeHead = wire.NO_TREE_HEAD) -> w
 
 
 def tree_head(log: AuditLog) -> wire.TreeHead:
-    """The tree of everything written so far."""
-    tree = log._writer.tree
-    return wire.TreeHead(bytes.fromhex(LOG_ID), tree.size, tree.root)
+    """The tree of everything written so far, as it was signed last."""
+    return wire.TreeHead(bytes.fromhex(LOG_ID), *log._writer.signed)
 
 
 def permit_record(
@@ -353,7 +353,7 @@ def session_log(
 ) -> Paths:
     """A log as a session writes it: admitted, cut and closed, or refused."""
     i = inputs(bone_x_mm)
-    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock(), disk=disk)
+    log = create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock(), disk=disk)
     for name, data in (
         (names.ROBOT, i.robot.data),
         ("plan.csv", i.plan),
@@ -437,15 +437,18 @@ def forge(
     edit: Edit = lambda record: record,
     attachments: Callable[[str, bytes], bytes | None] = lambda _name, data: data,
     *,
+    signed: bool = True,
     trees_again: bool = True,
 ) -> bytes:
-    """The log written again with changed records and attachments, every digest, link and count made to fit.
+    """The log written again with changed records and attachments, every digest, link, count and checkpoint made to fit.
 
+    ``signed``: with the key that signed it; without, its checkpoints stay as they are.
     ``trees_again``: what permits and starts name of the tree as well, for which the key is needed.
     """
     old = scan(data)
     log = read_log(data)
-    writer = LogWriter(log.report.log_id, {"software": old.metadata[0].metadata["software"]})
+    signer = signer_of(data) if signed else None
+    writer = LogWriter(log.report.log_id, {"software": old.metadata[0].metadata["software"]}, signer)
     changed = [(entry, attachments(entry.name, entry.data)) for entry in old.attachments]
     kept = {entry.name: content for entry, content in changed if content is not None}
     for entry, content in changed:
@@ -459,6 +462,9 @@ def forge(
         if isinstance(record, records.AuditPermit) and trees_again:
             record = trees.named_again(record)
         record = record and edit(record)
+        if isinstance(record, records.AuditCheckpoint) and signer is not None:
+            writer.checkpoint()
+            continue
         if isinstance(record, records.AuditClose):
             record = record.model_copy(update={"message_count": writer.count + 1})
         if record is not None:

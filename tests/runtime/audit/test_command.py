@@ -14,10 +14,12 @@ import pytest
 from cutgate.config.interpreter import program
 from cutgate.runtime.audit import names, records
 from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.screen import output
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
+from tests.logs import judged, signature_of
 from tests.runtime.audit.build import decision, forge, session_log, small_log
 from tests.runtime.audit.test_replay import admit, in_document
 
@@ -50,9 +52,13 @@ def changed(paths, tmp_path, data):
 # ---------------------------------------------------------------- verify
 
 
-def test_verify_prints_ok_and_claims_no_signature(capsys, admitted):
+def test_verify_prints_ok_and_names_key_and_anchor(capsys, admitted):
     code, out, _ = cutgate(capsys, "verify", admitted.log)
-    assert (code, out.splitlines()[0]) == (0, f"OK (unsigned): {admitted.log}")
+    told = (
+        rf"OK \(signed, key (?:[0-9a-f]{{4}} ?){{4}} from the log itself; no anchor given\): {admitted.log}"
+    )
+    assert code == 0
+    assert re.fullmatch(told, out.splitlines()[0])
 
 
 def test_verify_says_incomplete(capsys, admitted, tmp_path):
@@ -174,7 +180,11 @@ def test_verify_as_one_json_document(capsys, admitted):
     code, out, _ = cutgate(capsys, "verify", admitted.log, "--json")
     document = json.loads(out)
     assert code == 0
-    assert (document["status"], document["headline"], document["reasons"]) == ("OK", "OK (unsigned)", [])
+    assert (document["status"], document["headline"], document["reasons"]) == (
+        "OK",
+        judged(admitted.log).report.headline,
+        [],
+    )
 
 
 # ---------------------------------------------------------------- replay
@@ -188,7 +198,9 @@ def test_replay_of_an_admitted_session(capsys, admitted):
 
 
 def test_replay_finds_a_forged_verdict_that_verify_cannot(capsys, refused, tmp_path):
-    copy = changed(refused, tmp_path, forge(refused.log.read_bytes(), in_document(admit)))
+    data = forge(refused.log.read_bytes(), in_document(admit))
+    copy = changed(refused, tmp_path, data)
+    sidecar_of(copy).write_bytes(signature_of(data))
     assert cutgate(capsys, "verify", copy)[0] == 0
     code, out, _ = cutgate(capsys, "replay", copy)
     assert code == 1
@@ -215,7 +227,7 @@ def test_show_tells_the_story(capsys, admitted):
     code, out, _ = cutgate(capsys, "show", admitted.log)
     assert code == 0
     for text in (
-        "OK (unsigned)",
+        "OK (signed, key ",
         "time scale 20",
         "ADMISSIBLE",
         "wrist_singularity",

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from cutgate.runtime.audit.commit import (
+    SIDECAR_BYTES,
     Append,
     Closed,
     Committer,
@@ -28,6 +29,11 @@ from tests.runtime.audit.build import PATIENCE_S, WatchedDisk, hanging
 ROOT = bytes(range(32))
 
 
+def signed(size, sha256):
+    """What stands for the signature of so many bytes with this SHA-256."""
+    return f"{size} {sha256.hex()}".encode()
+
+
 class Thread:
     """A committer on files in a directory, and every event it has reported."""
 
@@ -35,10 +41,11 @@ class Thread:
         self.log_path, self.frames_path = directory / "a.mcap", directory / "a.candump.log"
         self.locked = lock(directory)
         self.files = LogFiles(
-            (disk.create(self.log_path), self.log_path),
-            (disk.create(self.frames_path), self.frames_path),
+            Written(disk, disk.create(self.log_path), self.log_path),
+            Written(disk, disk.create(self.frames_path), self.frames_path),
             (self.locked, directory / LOCK),
             disk.prepare(directory / "HEAD"),
+            disk.prepare(directory / "a.signature.json"),
         )
         self.disk = disk
         self.committer = Committer(disk, self.files)
@@ -52,7 +59,7 @@ class Thread:
                     return event
 
     def finish(self):
-        self.committer.submit(Finish(b"", b"", b"head"))
+        self.committer.submit(Finish(b"", b"", signed, b"head"))
         assert self.committer.join(PATIENCE_S)
         events = self.committer.events()
         self.committer.release()
@@ -73,7 +80,7 @@ def test_a_token_is_durable_only_after_the_sync(tmp_path):
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"abc", b"frame\n", 7, 2, ROOT))
     assert thread.wait(Durable) == Durable(7, 3, 2, ROOT)
-    assert disk.synced[thread.files.log[0]] == 3
+    assert disk.synced[thread.files.log.descriptor] == 3
     assert thread.log_path.read_bytes() == b"abc"
     assert thread.finish() == [Closed()]
     assert thread.frames_path.read_bytes() == b"frame\n"
@@ -378,11 +385,11 @@ def test_both_files_are_reserved_and_so_is_what_closing_writes(tmp_path):
     thread.committer.submit(Append(b"abc", b"frame\n"))
     thread.committer.submit(ReserveSpace(5000, 600))
     thread.wait(Reserved)
-    assert asked == [5003, 606, HEAD_MAX], "so many more bytes than are written"
+    assert asked == [5003, 606, HEAD_MAX, SIDECAR_BYTES], "so many more bytes than are written"
     thread.finish()
 
 
-@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("which", [0, 1, 2, 3])
 def test_no_space_for_any_of_them_is_no_space(tmp_path, which):
     thread = Thread(tmp_path, WatchedDisk(trouble=failing("reserve", errno.ENOSPC, after=which)))
     thread.committer.submit(ReserveSpace(4096, 4096))

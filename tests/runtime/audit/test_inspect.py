@@ -34,8 +34,10 @@ from cutgate.runtime.audit.container.raw import MAGIC
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
 from cutgate.runtime.audit.inspect import Status, read_log, verify_log
-from cutgate.runtime.audit.log import AuditLog
+from cutgate.runtime.audit.signing.log_key import LogKey
+from cutgate.runtime.audit.signing.signer import Signer
 from cutgate.runtime.audit.writer import LogWriter
+from tests.logs import create, signature_of, signer_of
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -49,6 +51,9 @@ from tests.runtime.audit.build import (
 
 FRAMES = 3 * candump.line(1_790_000_000_123_456_789, "vcan0", 0x080, bytes(range(8))).encode()
 """What ``small_log`` writes beside the log."""
+KEY = LogKey(bytes(16), 1, bytes(range(32)))
+SIGNER = Signer(KEY, "ab" * 16)
+OF_KEY = {"series": KEY.series.hex(), "epoch": 1, "public_key": KEY.public.public.hex(), "enrolled": "here"}
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +68,12 @@ def data(paths):
 
 def verified(data):
     """The judgement with the raw frames of the small log beside it."""
-    return verify_log(data, FRAMES)
+    return verify_log(data, FRAMES, signature_of(data))
+
+
+def signed_again(data):
+    """The judgement of a log without raw frames, signed by whoever has its key."""
+    return verify_log(data, b"", signature_of(data))
 
 
 def judged(data, word="", status=Status.TAMPERED):
@@ -76,9 +86,10 @@ def judged(data, word="", status=Status.TAMPERED):
 # ---------------------------------------------------------------- bytes
 
 
-def test_the_log_is_ok_and_no_signature_is_claimed(data):
+def test_the_log_is_ok_and_says_by_which_key_and_anchor(data):
     report = verified(data)
-    assert (report.status, report.headline) == (Status.OK, "OK (unsigned)")
+    told = f"OK (signed, key {report.key.fingerprint} from the log itself; no anchor given)"
+    assert (report.status, report.headline) == (Status.OK, told)
     assert verified(data[:-1]).headline == "INCOMPLETE"
 
 
@@ -529,10 +540,18 @@ def test_a_changed_payload_with_all_checksums_made_to_fit_is_found_by_the_chain(
     assert "record" in judged(unlinked(data, refuse)).reasons[0]
 
 
+def add_again(writer, record, message):
+    """A record as it was, a checkpoint signed again."""
+    if isinstance(record, records.AuditCheckpoint):
+        writer.checkpoint()
+    else:
+        writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
+
+
 def appended(data, *contents, close=None):
     """The log with more records after the close record, chained."""
     found = scan(data)
-    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"})
+    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"}, signer_of(data))
     for entry in found.attachments:
         writer.attach(entry.name, entry.media_type, entry.data, log_time_ns=entry.log_time)
     models = {model.TOPIC: model for model in records.MODELS}
@@ -540,7 +559,7 @@ def appended(data, *contents, close=None):
         record = models[message.topic].model_validate_json(message.link.data)
         if close is not None and isinstance(record, records.AuditClose):
             record = record.model_copy(update=close)
-        writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
+        add_again(writer, record, message)
     for record in contents:
         writer.add(record, log_time_ns=0, monotonic_ns=0)
     writer.finish()
@@ -586,14 +605,13 @@ def test_the_metadata_are_those_of_record_0(data):
 
 def with_attachments(data, change):
     found = scan(data)
-    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"})
+    writer = LogWriter(read_log(data).report.log_id, {"software": "cutgate 0.1.0"}, signer_of(data))
     for name, content in change([(entry.name, entry.data) for entry in found.attachments]):
         media = "text/csv" if name == "plan.csv" else "application/json"
         writer.attach(name, media, content, log_time_ns=1)
     models = {model.TOPIC: model for model in records.MODELS}
     for message in found.messages:
-        record = models[message.topic].model_validate_json(message.link.data)
-        writer.add(record, log_time_ns=message.link.log_time, monotonic_ns=0)
+        add_again(writer, models[message.topic].model_validate_json(message.link.data), message)
     writer.finish()
     return writer.take()
 
@@ -614,7 +632,7 @@ def test_attachments_are_those_of_their_records(data, change, word):
 
 def test_the_raw_frames_beside_the_log_are_those_of_the_close_record(paths, data):
     frames = paths.candump.read_bytes()
-    assert verify_log(data, frames).status is Status.OK
+    assert verify_log(data, frames, signature_of(data)).status is Status.OK
     for other in (frames + b"x", b"", frames[:-1], b"x" * len(frames)):
         report = verify_log(data, other)
         assert report.status is Status.TAMPERED
@@ -708,8 +726,8 @@ def test_an_attachment_that_is_too_large_for_a_second_reading_is_said(data, monk
 
 def cut_log(megabytes):
     """A log as a long cut leaves it: mostly frames; and its raw frames."""
-    writer = LogWriter("ab" * 16, {"software": "x"})
-    names = {"software": "x", "verifier": "x", "numpy": "2", "candump": "x", "cpu_dispatch": ()}
+    writer = LogWriter("ab" * 16, {"software": "x"}, SIGNER)
+    names = OF_KEY | {"software": "x", "verifier": "x", "numpy": "2", "candump": "x", "cpu_dispatch": ()}
     writer.attach("x", "text/plain", b"x", log_time_ns=0)
     attached = {"name": "x", "media_type": "text/plain", "size": 1, "sha256": sha256(b"x").hexdigest()}
     for record in (
@@ -748,7 +766,7 @@ def peak_bytes(act):
 
 
 def ok(file):
-    assert verify_log(file, b"").status is Status.OK
+    assert verify_log(file, b"").reasons[0].startswith("the signature of the closed log is not beside it")
 
 
 @pytest.mark.parametrize("judge", [ok, recoverable_head, closing_head])
@@ -762,9 +780,10 @@ def test_memory_is_bounded_by_a_chunk_and_the_index_not_by_the_log(judge):
 
 def test_frames_are_found_though_no_place_of_them_is_kept():
     log = read_log(cut_log(0.1), b"")
-    assert log.report.status is Status.OK
-    assert len(log.places) == 3
-    assert len(log.of(records.CanFrame.TOPIC)) == log.report.messages - 3
+    assert log.report.status is Status.INCOMPLETE, "its signature is not beside it"
+    checkpoints = len(log.of(records.AuditCheckpoint.TOPIC))
+    assert len(log.places) == 3 + checkpoints
+    assert len(log.of(records.CanFrame.TOPIC)) == log.report.messages - 3 - checkpoints
 
 
 class Sparse(io.BytesIO):
@@ -863,13 +882,13 @@ def test_scanning_keeps_what_stands_before_the_damage(data):
 @pytest.fixture
 def enabled(tmp_path):
     """A log in which permit and start left, each naming the tree of the record that authorised it."""
-    log = AuditLog.create(tmp_path, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
+    log = create(tmp_path, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
     enable(log, "permit", "start")
     return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S).log.read_bytes()
 
 
 def test_a_log_whose_permit_and_start_name_its_tree_is_ok(enabled):
-    assert verify_log(enabled, b"").status is Status.OK
+    assert verify_log(enabled, b"", signature_of(enabled)).status is Status.OK
     named = [entry for entry in read_log(enabled).of("/audit/permit") if entry["stage"] == "sent"]
     assert [entry["kind"] for entry in named] == ["permit", "start"]
     assert all(entry["log_size"] > 2 and len(entry["log_root"]) == 64 for entry in named)
@@ -883,10 +902,10 @@ def test_a_log_rewritten_before_its_start_is_tampered_although_its_chain_fits(en
             record.model_copy(update={"operator": "x"}) if isinstance(record, records.AuditOpen) else record
         )
 
-    report = verify_log(forge(enabled, edit, trees_again=False), b"")
+    report = signed_again(forge(enabled, edit, trees_again=False))
     assert report.status is Status.TAMPERED
-    assert report.reasons[0].startswith("record 4 (/audit/permit): it names the root "), report
-    assert verify_log(forge(enabled), b"").status is Status.OK
+    assert report.reasons[0].startswith("record 6 (/audit/permit): it names the root "), report
+    assert signed_again(forge(enabled)).status is Status.OK
 
 
 def test_a_crashed_log_that_names_another_tree_is_tampered_not_incomplete(enabled):
@@ -897,10 +916,10 @@ def test_a_crashed_log_that_names_another_tree_is_tampered_not_incomplete(enable
         sent = isinstance(record, records.AuditPermit) and (record.kind, record.stage) == ("start", "sent")
         return record.model_copy(update={"log_size": 3}) if sent else edit(record)
 
-    assert verify_log(forge(enabled, edit), b"").status is Status.INCOMPLETE
-    report = verify_log(forge(enabled, other), b"")
+    assert signed_again(forge(enabled, edit)).status is Status.INCOMPLETE
+    report = signed_again(forge(enabled, other))
     assert report.status is Status.TAMPERED
-    assert "it names a tree of size 3, must be 7 to 8" in report.reasons[0], report
+    assert "it names a tree of size 3, must be 10 to 12" in report.reasons[0], report
 
 
 @pytest.mark.parametrize("kind", ["permit", "start"])
@@ -912,6 +931,6 @@ def test_a_log_whose_permit_or_start_names_another_log_is_tampered(enabled, kind
             return record
         return record.model_copy(update={"record": record.record.replace(LOG_ID, "ab" * 16)})
 
-    report = verify_log(forge(enabled, edit), b"")
+    report = signed_again(forge(enabled, edit))
     assert report.status is Status.TAMPERED
     assert report.reasons[0].endswith(f": it names the log {'ab' * 16}, this one is {LOG_ID}"), report

@@ -70,7 +70,11 @@ class Records:
         return self.add("/audit/close", {"message_count": self.number + 1, **changes})
 
     def problems(self, scan=None):
-        return [*self.judge.problems, *self.judge.content(scan or found())]
+        return [
+            *self.judge.problems,
+            *filter(None, [self.judge.roots.wrong]),
+            *self.judge.content(scan or found()),
+        ]
 
 
 def test_a_log_that_keeps_every_rule_has_no_problem():

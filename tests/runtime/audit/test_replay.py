@@ -15,6 +15,7 @@ from cutgate.runtime.plan.load import registration_from_bytes
 from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.certificate import Certificate
 from tests.altering import altered
+from tests.logs import signature_of
 from tests.runtime.audit.build import (
     LOG_ID,
     STANDS,
@@ -44,12 +45,12 @@ def refused(tmp_path_factory):
 
 
 def replayed(data, verify=certified.verify, verifier=VERIFIER):
-    return replay(read_log(data, NO_FRAMES), verify, verifier=verifier)
+    return replay(read_log(data, NO_FRAMES, signature_of(data)), verify, verifier=verifier)
 
 
 def differs(data, word, status=Status.OK):
     """The forged log verifies, and only the replay finds it; what both find says ``status``."""
-    assert verify_log(data, NO_FRAMES).status is status
+    assert verify_log(data, NO_FRAMES, signature_of(data)).status is status
     result = replayed(data)
     assert result.outcome is ReplayOutcome.DIFFERS
     assert any(word in line for line in result.differences), result.differences

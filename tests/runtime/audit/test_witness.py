@@ -13,10 +13,10 @@ from mcap.opcode import Opcode
 from cutgate.runtime.audit import records, witness
 from cutgate.runtime.audit.container.raw import MAGIC
 from cutgate.runtime.audit.container.scan import scan
-from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.tree import EMPTY, Tree
 from cutgate.runtime.audit.witness import CUT_OFF, WitnessFound, look_up
 from cutgate.runtime.audit.writer import LogWriter
+from tests.logs import create
 from tests.runtime.audit.build import (
     LOG_ID,
     OPENED,
@@ -36,7 +36,7 @@ NAME = "20260921T141321Z-01234567.mcap"
 def session(tmp_path_factory):
     """The bytes of a log with permit and start, closed in order; and the trees that they name."""
     directory = tmp_path_factory.mktemp("session")
-    log = AuditLog.create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
+    log = create(directory, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
     trees = enable(log, "permit", "start")
     for number in range(3):
         log.write(decision(9 + number))
@@ -107,7 +107,7 @@ def test_any_name_does(asked, data):
 
 def test_a_session_that_crashed_after_its_start_is_found(asked, data, start):
     """Its file ends in a torn chunk, behind the record that the start was sent."""
-    crashed = cut(data, start.size + 2)
+    crashed = cut(data, start.size + 4)
     assert not scan(crashed).finished
     assert asked(crashed) == WitnessFound(NAME, "")
 
@@ -120,7 +120,7 @@ def test_the_finalised_copy_of_a_crashed_log_is_found(asked, data):
 
 
 def test_a_log_cut_off_before_it_says_that_the_start_left_is_found_and_that_is_said(asked, data, start):
-    assert asked(cut(data, start.size)) == WitnessFound(NAME, CUT_OFF)
+    assert asked(cut(data, start.size + 1)) == WitnessFound(NAME, CUT_OFF)
 
 
 def test_only_a_start_counts_and_only_the_one_that_names_exactly_these(asked, data, session):
@@ -218,13 +218,13 @@ def test_a_start_that_was_withheld_is_not_cut_off(asked, data, start):
 
 def test_a_crashed_log_cut_behind_its_permit_is_shorter(asked, data, session):
     permit, start = session[1]
-    told = f"{NAME}: it has {permit.size} records, the controller saw {start.size}"
-    assert asked(cut(data, permit.size)) == WitnessFound(None, told)
+    told = f"{NAME}: it has {permit.size + 1} records, the controller saw {start.size}"
+    assert asked(cut(data, permit.size + 1)) == WitnessFound(None, told)
 
 
 def test_a_cut_off_permit_is_no_cut_off_start(asked, data, session):
     permit = session[1][0]
-    assert asked(cut(data, permit.size), size=permit.size, root=permit.root).log is None
+    assert asked(cut(data, permit.size + 1), size=permit.size, root=permit.root).log is None
 
 
 def test_a_start_authorised_behind_the_size_is_another_one(asked, data, start):
@@ -232,19 +232,19 @@ def test_a_start_authorised_behind_the_size_is_another_one(asked, data, start):
     tree = Tree()
     for message in scan(data).messages[: start.size - 2]:
         tree.append(message.covered)
-    assert asked(cut(data, start.size), size=tree.size, root=tree.root).log is None
+    assert asked(cut(data, start.size + 1), size=tree.size, root=tree.root).log is None
 
 
 def test_a_crashed_log_without_a_permit_is_not_cut_off(asked, data):
     tree = Tree()
-    for message in scan(data).messages[:2]:
+    for message in scan(data).messages[:3]:
         tree.append(message.covered)
-    told = f"{NAME}: it holds no start that was sent with its tree of size 2"
-    assert asked(cut(data, 2), size=2, root=tree.root) == WitnessFound(None, told)
+    told = f"{NAME}: it holds no start that was sent with its tree of size 3"
+    assert asked(cut(data, 3), size=3, root=tree.root) == WitnessFound(None, told)
 
 
 def test_damage_is_told_with_what_it_hides(asked, data, start):
-    begin = next(b for b in chunks(data) if len(scan(data[: b + 12]).messages) == start.size)
+    begin = next(b for b in chunks(data) if len(scan(data[: b + 12]).messages) == start.size + 1)
     broken = bytearray(data)
     broken[begin + 60] ^= 1
     found = asked(bytes(broken))
@@ -291,8 +291,8 @@ def test_the_smallest_tree_is_that_of_record_0(asked, data):
 
 
 def test_the_first_of_several_reasons_is_that_of_the_sessions_own_file(asked, data):
-    asked(cut(data, 1 + 1), "20260921T141321Z-01234567.recovered.mcap")
-    asked(cut(data, 1 + 1), "a.mcap")
+    asked(cut(data, 1 + 2), "20260921T141321Z-01234567.recovered.mcap")
+    asked(cut(data, 1 + 2), "a.mcap")
     assert asked(data, root=bytes(32)).reason.startswith(f"{NAME}: its tree has the root ")
 
 
@@ -400,7 +400,7 @@ def test_record_0_stands_well_within_the_beginning(data):
 
 
 def test_memory_is_that_of_a_chunk(tmp_path):
-    log = AuditLog.create(tmp_path, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
+    log = create(tmp_path, log_id=LOG_ID, opened=OPENED, clock=Ticking().clock())
     for number in range(3000):
         log.write(records.AuditOperator(word="x" * 2000, accepted=True))
         if number % 300 == 0:

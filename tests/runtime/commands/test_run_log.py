@@ -6,6 +6,8 @@ import pytest
 
 from cutgate.runtime.audit.directory import Previous
 from cutgate.runtime.audit.log import Paths
+from cutgate.runtime.audit.log_keys import HeldKey
+from cutgate.runtime.audit.signing.log_key import LogKey
 from cutgate.runtime.commands import run as command
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.interlock.phases import ENDED
@@ -65,5 +67,15 @@ def test_a_session_whose_log_was_not_closed_exits_3_however_it_ended(
 )
 def test_the_operator_is_told_what_is_wrong_with_the_session_before(previous, told):
     screen = Screen()
-    command._tell(previous, screen)
+    command._tell(SimpleNamespace(previous=previous, held=SimpleNamespace(enrolled=None)), screen)
     assert screen == told
+
+
+@pytest.mark.parametrize("made", [True, False])
+def test_the_operator_is_told_of_a_key_that_was_enrolled_and_where_its_public_half_is(tmp_path, made):
+    key = LogKey(bytes(16), 1, bytes(32))
+    held = HeldKey(key, tmp_path / "a.key", "enrolled here", made=made)
+    screen = Screen()
+    command._tell(SimpleNamespace(previous=Previous(), held=held), screen)
+    where = f"; its public half is in {tmp_path / 'a.key.pub'}: keep a copy elsewhere" if made else ""
+    assert screen == [f"log key {key.public.fingerprint} enrolled here{where}"]

@@ -40,7 +40,7 @@ from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.commit import Committer, Job, LogFailed, LogFiles
 from cutgate.runtime.audit.configuration import SIMULATED
-from cutgate.runtime.audit.inspect import Log, read_log
+from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
 from cutgate.runtime.audit.replay import Replay, replay
@@ -69,6 +69,7 @@ from cutgate.runtime.verification import certified
 from cutgate.runtime.verification.advice import Guidance
 from cutgate.runtime.verification.plausibility import Placed
 from cutgate.runtime.verification.steps import Steps, finished
+from tests.logs import create, judged
 from tests.runtime.audit.build import LOG_ID, WatchedDisk, inputs
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock, Wire
 
@@ -79,7 +80,6 @@ NOW = datetime(2026, 9, 21, 14, 30, tzinfo=UTC)
 ADMISSIBLE_MM, INADMISSIBLE_MM = 500.0, 850.0
 STANDS = (-40_000_000, 95_000_000, 265_000_000, -50_000_000, 32_000_000)
 """Where the arm stands at power-up, 1e-6 deg | mm: a few degrees from the entry, so that nobody waits for it."""
-
 
 # ---------------------------------------------------------------- disk
 
@@ -509,7 +509,7 @@ class Pair:
         allowed_by = self.files.simulation_allowed_by
         options = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
         with mock.patch.multiple(audit_log, Committer=TurnByTurn, _environment=_environment):
-            log = AuditLog.create(
+            log = create(
                 self.directory / "logs",
                 log_id=self.log_id.hex(),
                 opened=OpenInfo("cutgate 0.1.0", VERIFIER, options),
@@ -617,7 +617,7 @@ class Pair:
 
     def read(self) -> Log:
         """The closed log, judged."""
-        return read_log(self.paths.log.read_bytes(), self.paths.candump.read_bytes())
+        return judged(self.paths.log)
 
     def replayed(self) -> Replay:
         return replay(self.read(), certified.verify, verifier=VERIFIER)

@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.session import conduct
+from tests.logs import judged
 from tests.runtime.audit.build import open_log
 from tests.runtime.interlock.builders import DEADLINES, TIMING
 
@@ -29,7 +30,7 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
         conduct.conduct(
             None, None, state, bytes(32), None, "a/b", log, None, None, log_id=bytes(16), listed=(), fd=False
         )
-    found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
+    found = judged(log.path)
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")
     assert (closed["clean"], closed["outcome"]) == (False, "the verification process cannot be started")

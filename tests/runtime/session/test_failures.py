@@ -9,14 +9,14 @@ from cutgate.firmware_sim import memory
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat, RuntimeHeartbeat, RuntimeStop
 from cutgate.protocol.states import ControllerState, FaultCode, StopCause
-from cutgate.runtime.audit.inspect import Status, read_log
-from cutgate.runtime.audit.reading import candump_of
+from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.commands.app import INTERNAL, execute
 from cutgate.runtime.interlock.phases import ENDED
 from cutgate.runtime.interlock.state import HeartbeatReceived, Phase, Send
 from cutgate.runtime.interlock.table import TABLE
 from cutgate.runtime.session.journal import Journal
 from cutgate.runtime.session.loop import Session
+from tests.logs import judged
 from tests.runtime.session.pair import KEY, Prover
 from tests.runtime.session.test_session import first_frames
 from tests.runtime.session.wire import CONTROLLER, RUNTIME
@@ -345,7 +345,7 @@ def command(pair, monkeypatch, tmp_path):
             ]
         )
         (path,) = (tmp_path / "command").glob("*.mcap")
-        return code, read_log(path.read_bytes(), candump_of(path).read_bytes())
+        return code, judged(path)
 
     return run
 

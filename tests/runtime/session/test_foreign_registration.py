@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.replay import ReplayOutcome
 from cutgate.runtime.interlock.state import Phase
 from cutgate.runtime.plan.registrations.declared import CtFrame, Declared, TransformDirection
 from cutgate.runtime.session.job import make_job, read_files
 from cutgate.runtime.session.new_log import new_log
 from cutgate.runtime.verification.asked import BEST
+from tests.logs import judged
 from tests.runtime.audit.build import inputs
 from tests.runtime.session.pair import NOW, PLACED, pair_of
 
@@ -43,7 +43,7 @@ def test_a_session_is_the_same_as_with_the_json_and_replays_from_that_alone(file
 def test_the_log_has_the_json_the_file_itself_and_what_was_declared(files, tmp_path):
     log = new_log(tmp_path / "logs", files, inputs().path, "test/x", BEST, None, log_id=bytes(16))
     log.close(final_state=Phase.WAITING, outcome="x", clean=True)
-    found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
+    found = judged(log.path)
     assert found.scan.attachment("registration-source.txt").data == MATRIX
     document = json.loads(found.scan.attachment("registration.json").data)
     assert document["R_T_CT"] == [[1, 0, 0, 500], [0, 1, 0, 50], [0, 0, 1, 120], [0, 0, 0, 1]]

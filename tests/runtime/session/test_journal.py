@@ -33,6 +33,7 @@ from cutgate.runtime.interlock.state import (
 )
 from cutgate.runtime.interlock.table import EVERYWHERE
 from cutgate.runtime.session.journal import NAMES, Journal, plain
+from tests.logs import judged
 from tests.runtime.interlock.builders import (
     DURABLE_LOG,
     ELSEWHERE,
@@ -67,7 +68,7 @@ def log(pair):
 
 def written(pair, topic):
     paths = pair.log.close(final_state="x", clean=True)
-    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
+    found = judged(paths.log)
     assert found.report.status.name == "OK"
     return found.of(topic)
 
@@ -197,7 +198,7 @@ def test_a_deviation_is_recorded_with_its_values_and_bounds_and_as_a_fault(log):
     after, effects = step(state, event, NOW)
     log.journal.step(state, event, after, effects, NOW)
     paths = log.log.close(final_state="x", clean=True)
-    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
+    found = judged(paths.log)
     (decision,) = found.of("/audit/decision")
     assert (decision["event"], decision["to_state"], decision["first_out"]) == (
         "joints measured",
@@ -263,7 +264,7 @@ def test_acknowledged_is_written_at_the_heartbeat_that_shows_it(log, phase, repo
     after, effects = step(state, event, NOW)
     log.journal.step(state, event, after, effects, NOW)
     paths = log.log.close(final_state="x", clean=True)
-    found = read_log(paths.log.read_bytes(), paths.candump.read_bytes())
+    found = judged(paths.log)
     assert [(r["kind"], r["stage"]) for r in found.of("/audit/permit")] == (
         [(kind, "acknowledged")] if kind else []
     )

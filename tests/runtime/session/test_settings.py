@@ -94,7 +94,10 @@ class Trial:
         def log(directory: Path, **options: Any) -> None:
             made.log = {"directory": str(directory), **options}
             return SimpleNamespace(
-                attach=lambda *_: None, previous=SimpleNamespace(crashed=False, note=""), path=Path()
+                attach=lambda *_: None,
+                previous=SimpleNamespace(crashed=False, note=""),
+                held=SimpleNamespace(enrolled=None),
+                path=Path(),
             )
 
         def session(*_: Any, **options: Any) -> None:
@@ -240,6 +243,7 @@ ROWS: dict[str, tuple[tuple[str, Any], tuple[str, Any], Look]] = {
     "tracking.tracking_tolerance_mm": (("0.2", False), ("2.0", True), followed(2, 1.2)),
     "tracking.tracking_tolerance_deg": (("0.2", False), ("1.5", True), followed(3, 0.9)),
     "log.directory": (('"here"', "here"), ('"there"', "there"), lambda t: t.run().log["directory"]),
+    "log.key_file": (('"a.key"', Path("a.key")), ('"b.key"', Path("b.key")), lambda t: t.run().log["key_file"]),
     "log.commit_deadline_ms": (("500", False), ("5000", True), still(Phase.AUTHORISING_PERMIT, 2.0)),
     "log.checkpoint_deadline_ms": (("2000", 2.0), ("9000", 9.0), lambda t: t.run().session["checkpoint_deadline_s"]),
     "log.chunk_period_ms": (("200", 0.2), ("900", 0.9), lambda t: t.run().log["chunk_period_s"]),

@@ -13,7 +13,7 @@ from cutgate.config.load import SETTINGS_LIMIT, InputError
 from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit.directory import WITHDRAWN
-from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo
 from cutgate.runtime.session import withdrawal, withdrawn
 from cutgate.runtime.session.withdrawal import (
@@ -24,6 +24,7 @@ from cutgate.runtime.session.withdrawal import (
 )
 from cutgate.runtime.session.withdrawn import Withdrawal
 from tests.altering import altered
+from tests.logs import judged
 from tests.runtime.audit.build import PATIENCE_S, Ticking, open_log
 from tests.runtime.interlock.builders import READY
 from tests.runtime.session.test_withdrawn import ELSEWHERE, PLACED, registration
@@ -78,7 +79,7 @@ def test_a_list_that_cannot_be_read_ends_the_session_and_closes_its_log(log):
     (log.path.parent / WITHDRAWN).chmod(0o600)
     with pytest.raises(InputError, match="line 1"):
         asked(log, FILE, PLACED)
-    found = read_log(log.path.read_bytes(), log.candump_path.read_bytes())
+    found = judged(log.path)
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")
     assert (closed["final_state"], closed["clean"]) == ("refused", True), "it is no crash"

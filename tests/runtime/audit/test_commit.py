@@ -158,10 +158,18 @@ def test_a_log_is_closed_only_when_all_of_both_files_is_on_the_disk(tmp_path):
     thread = Thread(tmp_path, disk)
     thread.committer.submit(Append(b"abc", b"some frames"))
     before = {}
-    disk.trouble = lambda name, _count: before.update(disk.synced) if name == "replace" else None
+    replaced = []
+
+    def trouble(name, _count):
+        if name == "replace":
+            replaced.append(sorted(path.name for path in tmp_path.glob("*.json")))
+            before.update(disk.synced)
+
+    disk.trouble = trouble
     assert isinstance(thread.finish()[-1], Closed)
-    log, frames = (descriptor for descriptor, _ in (thread.files.log, thread.files.frames))
-    assert before == {log: len(b"abc"), frames: len(b"some frames")}, "when HEAD was about to say closed"
+    log, frames = thread.files.log.descriptor, thread.files.frames.descriptor
+    assert before == {log: len(b"abc"), frames: len(b"some frames")}, "when it was about to be signed"
+    assert replaced == [[], ["a.signature.json"]], "it is signed before HEAD says that it is closed"
 
 
 def test_an_error_of_any_kind_is_reported(tmp_path):

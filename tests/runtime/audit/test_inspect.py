@@ -275,10 +275,10 @@ def inserted(data, before, content):
     return joined([*entries[:place], (0, content), *entries[place:]])
 
 
-def rechunked(data, change, **fields):
-    """The first chunk with changed content, its checksum and size made to fit."""
+def rechunked(data, change, *, number=0, **fields):
+    """The first or another chunk with changed content, its checksum and size made to fit."""
     entries = raws(data)
-    place = next(number for number, (opcode, _) in enumerate(entries) if opcode == Opcode.CHUNK)
+    place = [place for place, (opcode, _) in enumerate(entries) if opcode == Opcode.CHUNK][number]
     chunk = Chunk.read(ReadDataStream(io.BytesIO(entries[place][1][9:])))
     content = change(chunk.data)
     new = {"data": content, "uncompressed_crc": zlib.crc32(content), "uncompressed_size": len(content)}
@@ -868,7 +868,7 @@ def test_records_of_one_topic_come_in_file_order(data):
 
 
 def test_scanning_keeps_what_stands_before_the_damage(data):
-    broken = rechunked(data, lambda content: content + b"\x05\xff")
+    broken = rechunked(data, lambda content: content + b"\x05\xff", number=1)
     found = scan(broken)
     assert found.problems
     assert not found.finished

@@ -87,6 +87,9 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     # The audit log: what could make a forged or broken log pass as whole.
     "runtime/audit/chain.py": ("tests/runtime/audit/test_chain.py",),
     "runtime/audit/tree.py": ("tests/runtime/audit/test_tree.py",),
+    "runtime/audit/signing/note.py": ("tests/runtime/audit/signing/test_note.py",),
+    "runtime/audit/signing/checkpoint.py": ("tests/runtime/audit/signing/test_checkpoint.py",),
+    "runtime/audit/signing/log_key.py": ("tests/runtime/audit/signing/test_log_key.py",),
     "runtime/audit/signed.py": ("tests/runtime/audit/test_signed.py",),
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
     "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),

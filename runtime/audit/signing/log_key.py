@@ -42,8 +42,7 @@ class PublicLogKey:
     @property
     def fingerprint(self) -> str:
         """Sixteen hexadecimal digits, for people."""
-        digits = sha256(self.public).hexdigest()[:16]
-        return " ".join(digits[at : at + 4] for at in range(0, 16, 4))
+        return fingerprint_of(self.public)
 
     @property
     def certified(self) -> bytes:
@@ -133,6 +132,12 @@ class LogKey:
             _bytes(content, "secret", KEY_BYTES),
             None if certificate is None else _bytes(content, "certificate", CERTIFICATE_BYTES),
         )
+
+
+def fingerprint_of(public: bytes) -> str:
+    """Of a public key, for people: sixteen hexadecimal digits of its SHA-256."""
+    digits = sha256(public).hexdigest()[:16]
+    return " ".join(digits[at : at + 4] for at in range(0, 16, 4))
 
 
 def chained(pinned: PublicLogKey, keys: Iterable[PublicLogKey]) -> PublicLogKey | None:

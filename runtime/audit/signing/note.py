@@ -74,12 +74,13 @@ class VerifierKey:
             name, key_id, encoded = text.split("+", 2)
             data = b64decode(encoded, validate=True)
             key = cls(name, data[1:], SignatureType(data[0]))
-        except (ValueError, IndexError):
+            own_id = key.id.hex()
+        except (ValueError, IndexError):  # a name that is no UTF-8 has no ID
             raise NoteError("a key is NAME+ID+BASE64, of type 1 or 4") from None
         if not _NAME.fullmatch(name) or len(key.public) != PUBLIC_BYTES:
             raise NoteError(f"a key has a name without spaces, and {PUBLIC_BYTES} bytes")
-        if key.id.hex() != key_id:
-            raise NoteError(f"its key ID is {key_id}, the key's is {key.id.hex()}")
+        if own_id != key_id:
+            raise NoteError(f"its key ID is {key_id}, the key's is {own_id}")
         return key
 
 
@@ -155,7 +156,9 @@ def _signature(line: str) -> tuple[str, bytes, bytes]:
         data = b64decode(encoded, validate=True)
     except ValueError:
         data = b""
-    if not (line.startswith(_DASH) and _NAME.fullmatch(name) and len(data) > _ID_BYTES):
+    # One form: else there were other notes, with other bytes, that are signed as well.
+    whole = len(data) > _ID_BYTES and b64encode(data).decode() == encoded
+    if not (line.startswith(_DASH) and _NAME.fullmatch(name) and whole):
         raise NoteError("a signature line is an em dash, a name, and base64 of key ID and signature")
     return name, data[:_ID_BYTES], data[_ID_BYTES:]
 

@@ -11,12 +11,14 @@ same bytes. ``/audit/`` records carry h_{n-1} inside their data, and so are boun
 import struct
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Final
+from typing import Final, NamedTuple
 
 GENESIS: Final = bytes(32)
 """The head before the first message."""
 LINKED: Final = "/audit/"
 """Topics whose records carry ``prev``."""
+_DIGEST: Final = 32
+_LENGTH: Final = struct.Struct("<Q")
 _STAMPS: Final = struct.Struct("<QQIQ")
 """Times, sequence, and the length of the data."""
 
@@ -62,5 +64,47 @@ def covered_in(channel: bytes, log_time: int, publish_time: int, sequence: int, 
     return b"".join((channel, _STAMPS.pack(log_time, publish_time, sequence, len(data)), data))
 
 
+class Covered(NamedTuple):
+    """The parts of the bytes that are covered of one message. Times in nanoseconds."""
+
+    topic: str
+    encoding: str
+    schema_name: str
+    schema_sha256: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+
+def parts_of(covered: bytes) -> Covered:
+    """The parts of what ``covered_in`` gives.
+
+    Raises:
+        ValueError: no message gives these bytes.
+    """
+    texts, rest = [], covered
+    try:
+        for _ in range(3):
+            text, rest = _taken(rest)
+            texts.append(text.decode())
+        schema, rest = rest[:_DIGEST], rest[_DIGEST:]
+        log_time, publish_time, sequence, size = _STAMPS.unpack_from(rest)
+    except (struct.error, UnicodeDecodeError):
+        raise ValueError("it ends early, or its topic, encoding or schema name is no UTF-8") from None
+    data = rest[_STAMPS.size :]
+    if size != len(data):
+        raise ValueError(f"{len(data)} bytes of data follow, it names {size}")
+    topic, encoding, schema_name = texts
+    return Covered(topic, encoding, schema_name, schema, log_time, publish_time, sequence, data)
+
+
+def _taken(data: bytes) -> tuple[bytes, bytes]:
+    """What is preceded by its length, and what follows it. Raises struct.error where the length is not there."""
+    (size,) = _LENGTH.unpack_from(data)
+    end = _LENGTH.size + size
+    return data[_LENGTH.size : end], data[end:]
+
+
 def _counted(data: bytes) -> bytes:
-    return struct.pack("<Q", len(data)) + data
+    return _LENGTH.pack(len(data)) + data

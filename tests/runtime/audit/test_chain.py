@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.runtime.audit.chain import GENESIS, ChainLink, advance, covered, covered_in, follow, of_channel
+from cutgate.runtime.audit.chain import (
+    GENESIS,
+    ChainLink,
+    advance,
+    covered,
+    covered_in,
+    follow,
+    of_channel,
+    parts_of,
+)
 
 TIMES = st.integers(0, 2**64 - 1)
 LINKS = st.builds(
@@ -82,3 +91,52 @@ def test_chain_and_tree_cover_the_same_bytes(link, head):
 @given(LINKS, LINKS)
 def test_different_messages_give_different_leaves(one, other):
     assert (covered(one) == covered(other)) == (one == other)
+
+
+def bytes_of(parts):
+    """The bytes of these parts, by the formula written again."""
+    texts = [text.encode() for text in (parts.topic, parts.encoding, parts.schema_name)]
+    return b"".join(
+        (
+            *(len(text).to_bytes(8, "little") + text for text in texts),
+            parts.schema_sha256,
+            *(time.to_bytes(8, "little") for time in (parts.log_time, parts.publish_time)),
+            parts.sequence.to_bytes(4, "little"),
+            len(parts.data).to_bytes(8, "little") + parts.data,
+        )
+    )
+
+
+@given(LINKS)
+def test_the_parts_are_those_that_were_covered(link):
+    parts = parts_of(covered(link))
+    assert parts.schema_sha256 == hashlib.sha256(link.schema).digest()
+    for name in ("topic", "encoding", "schema_name", "log_time", "publish_time", "sequence", "data"):
+        assert getattr(parts, name) == getattr(link, name)
+    assert bytes_of(parts) == covered(link)
+
+
+@given(st.binary(max_size=120) | LINKS.map(covered), st.integers(0, 120), st.binary(max_size=9))
+def test_only_whole_bytes_have_parts_and_they_give_these_bytes(data, place, other):
+    changed = data[:place] + other + data[place + len(other) :]
+    try:
+        parts = parts_of(changed)
+    except ValueError:
+        return
+    assert bytes_of(parts) == changed
+
+
+@given(LINKS, st.data())
+def test_bytes_that_end_early_or_late_have_no_parts(link, draws):
+    whole = covered(link)
+    end = draws.draw(st.integers(0, len(whole) - 1))
+    for data in (whole[:end], whole + b"x"):
+        with pytest.raises(ValueError, match=r"it ends early|bytes of data follow"):
+            parts_of(data)
+
+
+def test_a_text_that_is_no_utf_8_has_no_parts():
+    whole = covered(ChainLink("topic", "json", "name", b"{}", 1, 2, 3, b"data"))
+    for name in (b"topic", b"json", b"name"):
+        with pytest.raises(ValueError, match=r"is no UTF-8"):
+            parts_of(whole.replace(name, b"\xff" + name[1:]))

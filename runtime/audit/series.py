@@ -168,7 +168,7 @@ def _told(value: object) -> str:
 
 def _sound(folder: Folder) -> Iterator[SeriesFinding]:
     """Files that are no logs, and files that cannot be read."""
-    if not folder.sessions and folder.head is None:
+    if not (folder.logs or folder.blank or folder.head):
         yield SeriesFinding("no-logs", NAME_OF_HEAD, "the folder", "", "no log of a session is in it")
     lost = [name for name in folder.no_logs if name in folder.named]
     for name in lost:
@@ -390,7 +390,7 @@ def _anchored(folder: Folder) -> Iterator[SeriesFinding]:
     here = _hashes(folder)
     for anchor in folder.anchors:
         if anchor not in here:
-            bound = "a root or head of a session here, or a root that a start names"
+            bound = "a head, or a root that a checkpoint signs, of a session here"
             yield SeriesFinding("anchor-missing", NAME_OF_HEAD, "the anchor", anchor, bound)
 
 
@@ -398,7 +398,7 @@ def _hashes(folder: Folder) -> dict[str, str]:
     """Every root and head that is known, and its log."""
     found = {}
     for one in folder.logs:
-        for value in (one.root, one.head, *(root for _, root in one.trees)):
+        for value in (one.root, one.head, *one.anchors, *(root for _, root in one.trees)):
             if value is not None:
                 found[value] = one.file
     return found

@@ -52,6 +52,7 @@ class FolderSession:
         trees: size and root of the trees that its starts name, and of its last checkpoint.
         starts: a start was authorised in it.
         witnesses: what a controller told.
+        anchors: roots and heads, in hex, that somebody asked for and that stand in it.
         archived: it is a stub.
         recovered_from: the crashed log that it is a copy of, as far as that was whole.
     """
@@ -71,6 +72,7 @@ class FolderSession:
     trees: frozenset[tuple[int, str]] = frozenset()
     starts: bool = False
     witnesses: tuple[WitnessNamed, ...] = ()
+    anchors: frozenset[str] = frozenset()
     archived: bool = False
     recovered_from: str | None = None
 

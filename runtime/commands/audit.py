@@ -16,6 +16,7 @@ from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
+from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
@@ -38,14 +39,14 @@ REPLAY_WORST = (ReplayOutcome.DIFFERS, ReplayOutcome.BAD_INPUT, ReplayOutcome.ID
 
 
 class VerifyCommand(TyperCommand):
-    """A usage error of ``audit verify`` says UNREADABLE by its exit code: 2 would mean TAMPERED."""
+    """A usage error of ``audit verify`` or ``list`` says UNREADABLE by its exit code: 2 would mean TAMPERED."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """Parse the arguments; a mistake in them is said and ends the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except typer.TyperException as error:
-            echo(f"cutgate audit verify: {error.format_message()}", err=True)
+            echo(f"cutgate audit {info_name}: {error.format_message()}", err=True)
             raise typer.Exit(Status.UNREADABLE) from None
 
 
@@ -78,6 +79,8 @@ def verify(
 
 
 def _verified(log: Path, told: "_Documents", trust: Trust) -> Status:
+    if log.is_dir():
+        return verify_folder(log, told.add if told.json else None, trust)
     try:
         with _reading(log, trust) as read:
             report = read.report
@@ -96,6 +99,9 @@ def _verified(log: Path, told: "_Documents", trust: Trust) -> Status:
     if report.dropped_bytes:
         echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
     return report.status
+
+
+app.command("list", cls=VerifyCommand)(list_sessions)
 
 
 @app.command("show")

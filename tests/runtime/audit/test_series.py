@@ -426,7 +426,10 @@ def test_foreign_files_are_passed_over_unless_somebody_names_them():
 
 
 def test_an_empty_folder_is_unreadable_and_one_with_a_head_alone_lacks_its_log():
-    assert examine(Folder([], None)).status is Status.UNREADABLE
+    for sessions in ([], [FolderSession("junk.mcap", "", Status.UNREADABLE, False, 0, None, "", 0, 0)]):
+        found = examine(Folder(sessions, None))
+        assert "no-logs" in codes(found)
+        assert found.status is Status.UNREADABLE
     found = examine(Folder([], head_of(series_of(1)[0])))
     assert (codes(found), found.status) == ({"head-log-missing"}, Status.TAMPERED)
 

@@ -35,7 +35,7 @@ from cutgate.runtime.audit.series_rules import SeriesFinding
 
 LOG_SUFFIX: Final = ".mcap"
 STUB_SUFFIX: Final = ".archived"
-"""What is left of a session that was archived."""
+"""Of what is left of a session that was archived."""
 RECOVERED: Final = "cutgate.recovered"
 TREES_MAX: Final = 256
 """Starts of one session whose trees are kept."""
@@ -87,7 +87,7 @@ def head_in(folder: Path) -> tuple[HeadNamed | None, tuple[SeriesFinding, ...]]:
 
 
 def session_of(file: str, log: Log, anchors: Iterable[str] = ()) -> FolderSession:
-    """What a log says of itself.
+    """What a log says of itself, whatever it holds.
 
     Args:
         file: its name.
@@ -99,13 +99,14 @@ def session_of(file: str, log: Log, anchors: Iterable[str] = ()) -> FolderSessio
     trees, starts = _trees(log)
     return FolderSession(
         file=file,
-        log_id=report.log_id,
+        log_id=report.log_id[:TEXT_MAX],
         status=report.status,
         closed=log.scan.finished and any(topic == AuditClose.TOPIC for topic, _, _ in log.places),
         size=report.messages,
         root=report.root,
         head=report.head,
         key=report.key,
+        signed=report.signed,
         trees=trees,
         anchors=frozenset(_anchored(log, set(anchors))),
         starts=starts,

@@ -29,10 +29,11 @@ _NAMED_MAX: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """A session in its place, and in words how it follows on the one before."""
+    """A session in its place, and in words how it follows on the one before; ``placed``: it has a place."""
 
     session: FolderSession
     how: str
+    placed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +125,7 @@ def _other(folder: Folder, before: FolderSession, one: FolderSession) -> SeriesF
     if name is None:
         return SeriesFinding("begins-anew", one.file, what, "none", before.file)
     if name in folder.blank:
-        told = f"{name}, cut before record 0; so nothing says how {before.file} was then"
+        told = f"{name}, which has no record 0; so nothing says how {before.file} was then"
         return SeriesFinding("link-unknown", one.file, what, "", told)
     if name in folder.files:
         return SeriesFinding("link-differs", one.file, what, name, before.file)
@@ -336,11 +337,11 @@ def _headed(folder: Folder) -> Iterator[SeriesFinding]:
         bound = f"{series}, as the logs"
         yield SeriesFinding("head-foreign", NAME_OF_HEAD, "its series", _told(head.series), bound)
     else:
-        other = _other_last(folder, head, last)
+        other, log = _other_last(folder, head, last), folder.files.get(head.log, last)
         if other is not None:
             yield other
-        if other is None or other.code == "renamed":
-            yield from _last(folder, head, folder.files.get(head.log, last))
+        if log is not None and (other is None or other.code == "renamed"):
+            yield from _last(folder, head, log)
 
 
 def _other_last(folder: Folder, head: HeadNamed, last: FolderSession | None) -> SeriesFinding | None:
@@ -357,10 +358,8 @@ def _other_last(folder: Folder, head: HeadNamed, last: FolderSession | None) -> 
     return None
 
 
-def _last(folder: Folder, head: HeadNamed, log: FolderSession | None) -> Iterator[SeriesFinding]:
+def _last(folder: Folder, head: HeadNamed, log: FolderSession) -> Iterator[SeriesFinding]:
     """HEAD against the log that it names."""
-    if log is None:
-        return
     if not head.closed:
         code = "running" if folder.running else "crashed-last"
         told = "running: its log is not whole yet" if folder.running else "never closed: it has crashed"
@@ -445,7 +444,7 @@ def examine(folder: Folder, told: Sequence[SeriesFinding] = ()) -> SeriesFound:
 def _all_joined(folder: Folder) -> Iterator[Joined]:
     before: FolderSession | None = None
     for one in folder.ordered:
-        yield Joined(one, _how(folder, before, one))
+        yield Joined(one, _how(folder, before, one), placed=True)
         before = one
     for name, first in folder.doubles.items():
         yield Joined(folder.files[name], f"doubles {first.file}")
@@ -454,7 +453,7 @@ def _all_joined(folder: Folder) -> Iterator[Joined]:
     for one in folder.copies:
         yield Joined(one, f"recovered copy of {one.recovered_from}")
     for one in folder.blank.values():
-        yield Joined(one, "cut before record 0")
+        yield Joined(one, "without a record 0" if one.status is Status.TAMPERED else "cut before record 0")
 
 
 def _how(folder: Folder, before: FolderSession | None, one: FolderSession) -> str:

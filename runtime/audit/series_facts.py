@@ -54,6 +54,7 @@ class FolderSession:
         witnesses: what a controller told.
         anchors: roots and heads, in hex, that somebody asked for and that stand in it.
         archived: it is a stub.
+        signed: records that are signed; not known of a stub.
         recovered_from: the crashed log that it is a copy of, as far as that was whole.
     """
 
@@ -75,6 +76,7 @@ class FolderSession:
     anchors: frozenset[str] = frozenset()
     archived: bool = False
     recovered_from: str | None = None
+    signed: int = 0
 
     @property
     def epoch(self) -> int | None:

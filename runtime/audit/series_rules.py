@@ -69,7 +69,11 @@ RULES: Final[dict[str, Rule]] = {
     "running": Rule(Status.OK, "ask again once it has ended"),
     "crashed-last": Rule(Status.INCOMPLETE, "nothing: the next session names what is left of it"),
     "recovered-copy": Rule(Status.OK, "nothing: its original counts"),
-    "archive-unfinished": Rule(Status.INCOMPLETE, "run `audit archive` once more: it goes on where it stopped"),
+    "archived": Rule(
+        Status.OK, "verify them there: whoever has a log and its signature can leave such a stub in its place"
+    ),
+    "archive-unfinished": Rule(Status.INCOMPLETE, "run `audit archive` once more, it goes on where it stopped; or remove the stub, if the log was put back"),
+    "stub-wrong": Rule(Status.TAMPERED, "put the archived log itself back in its place"),
     "unreadable": Rule(Status.UNREADABLE, "make it readable and ask again"),
     "anchor-missing": Rule(Status.TAMPERED, "check where the anchor comes from; if it was of these sessions, find out who changed them"),
     "no-logs": Rule(Status.UNREADABLE, "name the folder that sessions write their logs to"),

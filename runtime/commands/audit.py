@@ -16,6 +16,7 @@ from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
+from cutgate.runtime.commands.audit_archive import archive_sessions
 from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.screen import echo, output, working
@@ -102,6 +103,7 @@ def _verified(log: Path, told: "_Documents", trust: Trust) -> Status:
 
 
 app.command("list", cls=VerifyCommand)(list_sessions)
+app.command("archive")(archive_sessions)
 
 
 @app.command("show")

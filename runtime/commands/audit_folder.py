@@ -2,23 +2,24 @@
 
 import json as json_format
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
-from cutgate.config.load import InputError
+from cutgate.config.load import InputError, read_bytes
 from cutgate.config.screen import printable
-from cutgate.runtime.audit.folder import files_of, head_in, session_of, unread
+from cutgate.runtime.audit.folder import STUB_SUFFIX, files_of, head_in, session_of, unread
 from cutgate.runtime.audit.inspect import OLD_FORM, Log, Status
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.series import Joined, SeriesFound, examine, utc
 from cutgate.runtime.audit.series_facts import Folder, FolderSession
 from cutgate.runtime.audit.series_rules import WORST, SeriesFinding, worst
+from cutgate.runtime.audit.stub import STUB_MAX, Stub, stub_name
 from cutgate.runtime.audit.trust import NOBODY, Trust
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.commands.tables import Fitting
@@ -29,6 +30,8 @@ from cutgate.runtime.verification import certified
 
 SHOWN: Final = 100
 """Findings that are printed; ``--json`` has all of them."""
+REASON_MAX: Final = 500
+"""Characters of why a log is not OK."""
 _REPLAYED: Final = {
     ReplayOutcome.IDENTICAL: "identical",
     ReplayOutcome.DIFFERS: "differs",
@@ -110,10 +113,22 @@ def told(finding: SeriesFinding) -> dict[str, Any]:
     }
 
 
-def read_folder(path: Path, trust: Trust = NOBODY, visit: Visit = lambda _name, _log: None) -> FolderRead:
+def read_folder(
+    path: Path,
+    trust: Trust = NOBODY,
+    visit: Visit = lambda _name, _log: None,
+    *,
+    running: bool | None = None,
+) -> FolderRead:
     """Read a folder's logs, one after the other, and find what it is.
 
     A log is judged by itself; the pinned key and the anchors are the whole folder's.
+
+    Args:
+        path: of the folder.
+        trust: the pinned key and the anchors.
+        visit: told of each log while it is open.
+        running: whether a session runs in it; None to look.
 
     Raises:
         InputError: the folder cannot be read, or holds too many logs.
@@ -122,7 +137,8 @@ def read_folder(path: Path, trust: Trust = NOBODY, visit: Visit = lambda _name, 
     reasons: dict[str, str] = {}
     anchors = tuple(anchor.hex() for anchor in trust.anchors)
     head, findings = head_in(path)
-    for file in files_of(path):
+    files = files_of(path)
+    for file in (one for one in files if not one.name.endswith(STUB_SUFFIX)):
         try:
             session, reason = _read(file, anchors, visit)
         except InputError as error:
@@ -131,7 +147,21 @@ def read_folder(path: Path, trust: Trust = NOBODY, visit: Visit = lambda _name, 
         sessions.append(session)
         if reason and reason != OLD_FORM:  # of those there is one finding
             reasons[file.name] = reason
-    running = session_in(path) is not None
+    logs = {one.file: one for one in sessions}
+    places: dict[str, list[str]] = {}
+    for file in (one for one in files if one.name.endswith(STUB_SUFFIX)):
+        left = _archived(file, logs)
+        if isinstance(left, SeriesFinding):
+            findings += (left,)
+            continue
+        sessions.append(left.session)
+        places.setdefault(left.place, []).append(file.name)
+        if left.reason and left.reason != OLD_FORM:
+            reasons[left.session.file] = left.reason
+    for place, names in places.items():
+        told_of = f"{len(names)}, whose logs are not here; moved to {place}"
+        findings += (SeriesFinding("archived", names[0], "archived sessions", "", told_of),)
+    running = session_in(path) is not None if running is None else running
     found = examine(Folder(sessions, head, trust.pinned, running, anchors), findings)
     return FolderRead(path, found, reasons)
 
@@ -140,7 +170,34 @@ def _read(file: Path, anchors: tuple[str, ...], visit: Visit) -> tuple[FolderSes
     """A log, or what is left of an archived one; and why it is not OK."""
     with opened(file) as log:
         visit(file.name, log)
-        return session_of(file.name, log, anchors), next(iter(log.report.reasons), "")
+        return session_of(file.name, log, anchors), next(iter(log.report.reasons), "")[:REASON_MAX]
+
+
+class _Left(NamedTuple):
+    """What is left of a session, why it is not OK, and where it was moved to."""
+
+    session: FolderSession
+    reason: str
+    place: str
+
+
+def _archived(file: Path, logs: Mapping[str, FolderSession]) -> _Left | SeriesFinding:
+    """What a stub tells; or what is wrong with it, or not done yet."""
+    try:
+        stub = Stub.parse(read_bytes(file, STUB_MAX, "it is no stub of an archived log"))
+        session, reason = stub.session()
+    except (InputError, ValueError) as error:
+        why = error.problems[0].bound if isinstance(error, InputError) else str(error)
+        return SeriesFinding("stub-wrong", file.name, "the stub", "", why)
+    if stub_name(stub.log) != file.name:
+        return SeriesFinding("stub-wrong", file.name, "its log", stub.log, "the one that it is named after")
+    log = logs.get(stub.log)
+    if log is None:
+        return _Left(session, reason, stub.place)
+    here, left = ((one.log_id, one.size, one.root, one.head) for one in (log, session))
+    if here != left:
+        return SeriesFinding("stub-wrong", file.name, "the stub", "of another log", f"of {log.file}")
+    return SeriesFinding("archive-unfinished", file.name, "its log", "", "still here, copied already")
 
 
 @contextmanager
@@ -248,7 +305,7 @@ class Rows:
             utc(one.opened_ns)[:16].replace("T", " "),
             short_name(one.file),
             "archived" if one.archived else summary.outcome or "not closed",
-            summary.verdict or "none",
+            summary.verdict or ("" if one.archived else "none"),
             f"{summary.boundary} {clearance}" if summary.boundary else "",
             one.status.name,
             summary.replay,

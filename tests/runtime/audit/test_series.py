@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.series import SeriesFound, examine
+from cutgate.runtime.audit.series import SeriesFound, examine, utc
 from cutgate.runtime.audit.series_facts import Folder, FolderSession, HeadNamed, PreviousNamed, WitnessNamed
 from cutgate.runtime.audit.series_rules import RULES, WORST, SeriesFinding, worst
 from cutgate.runtime.audit.signing.log_key import LogKey
@@ -557,6 +557,11 @@ def test_a_session_that_is_running_is_told_and_one_that_crashed_too():
     assert codes(examined(sessions, head)) == {"crashed-last"}
 
 
+def test_times_that_no_clock_has_are_told_as_numbers():
+    assert utc(1_790_000_000_123_456_789) == "2026-09-21T14:13:20.123Z"
+    assert utc(10**30) == f"{10**30} ns"
+
+
 def test_a_head_that_calls_a_torn_log_closed_is_wrong():
     sessions = series_of(2)
     found = examined([sessions[0], replace(sessions[1], closed=False)], head_of(sessions[1]))
@@ -565,9 +570,12 @@ def test_a_head_that_calls_a_torn_log_closed_is_wrong():
 
 def test_anchors_are_looked_for_among_all_roots_and_heads():
     sessions = series_of(4)
+    sessions[1] = replace(sessions[1], anchors=frozenset({digest("between")}), root=None)
+    sessions[2] = replace(sessions[2], previous=replace(sessions[2].previous, root=None))
     kept = (sessions[0].root, sessions[2].head, next(iter(sessions[0].trees))[1])
     found = examined(sessions, head_of(sessions[-1]), anchors=kept)
     assert (codes(found), found.anchor) == (set(), "3 of 3 found")
+    assert examined(sessions, head_of(sessions[-1]), anchors=(digest("between"),)).anchor == "1 of 1 found"
     found = examined(sessions, head_of(sessions[-1]), anchors=(*kept, digest("x")))
     assert (codes(found), found.anchor) == ({"anchor-missing"}, "3 of 4 found")
 
@@ -576,12 +584,10 @@ def test_anchors_are_looked_for_among_all_roots_and_heads():
 
 
 def test_each_rule_of_the_table_is_met_by_a_test():
-    """Here, or where folders are read: `test_folder.py`, `test_archive.py`, and the tests of the commands."""
+    """Here, or where folders are read: in the tests of the commands."""
     here = Path(__file__)
-    others = ("test_folder.py", "../commands/test_audit_folder.py")
-    text = "".join(
-        (here.parent / name).read_text() for name in (here.name, *others) if (here.parent / name).exists()
-    )
+    others = ("../commands/test_audit_folder.py", "../commands/test_audit_archive.py")
+    text = "".join((here.parent / name).read_text() for name in (here.name, *others))
     assert {code for code in RULES if f'"{code}"' not in text} == set()
 
 

@@ -13,6 +13,7 @@ from cutgate.runtime.audit import records
 from cutgate.runtime.audit.directory import HEAD, LOCK
 from cutgate.runtime.audit.log_keys import default_path, new_log_key, to_continue
 from cutgate.runtime.audit.signing.signer import sidecar_of
+from cutgate.runtime.commands import audit_folder as commands_module
 from cutgate.runtime.commands.app import execute
 from tests.runtime.audit.build import forge
 from tests.runtime.audit.folders import (
@@ -170,6 +171,27 @@ def test_a_folder_full_of_foreign_files_is_no_error(capsys, logs):
     (directory / "nowhere.mcap").symlink_to("nowhere")
     os.mkfifo(directory / "pipe.mcap")
     assert verify(capsys, directory) == (0, {"not-a-log"})
+
+
+def test_so_many_findings_are_told_only_in_json(capsys, logs, monkeypatch):
+    directory, names = logs
+    for number in range(4):
+        shutil.copy(directory / names[0], directory / f"copy {number}.mcap")
+    monkeypatch.setattr(commands_module, "SHOWN", 2)
+    out = audit(capsys, "verify", directory)[1]
+    assert out.count("TAMPERED copy") == 2
+    assert "... and 2 more; --json has all of them" in out
+
+
+def test_a_folder_that_cannot_be_read_is_told(capsys, logs, monkeypatch):
+    def denied(_path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(folders_module.os, "scandir", denied)
+    code, _, err = audit(capsys, "verify", logs[0])
+    assert (code, "cannot be read (Permission denied)" in err) == (3, True)
+    code, out, _ = audit(capsys, "list", logs[0], "--json")
+    assert (code, json.loads(out)[0]["status"]) == (3, "UNREADABLE")
 
 
 def test_names_of_files_reach_no_terminal(capsys, logs):

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from cutgate.config.load import InputError, read_bytes
 from cutgate.runtime.audit.chain import parts_of
 from cutgate.runtime.audit.folder import LOG_SUFFIX, STUB_SUFFIX, count, of_stub, text
 from cutgate.runtime.audit.inspect import OLD_FORM, Status
@@ -24,6 +25,7 @@ from cutgate.runtime.audit.judge import parse_object
 from cutgate.runtime.audit.records import AuditOpen
 from cutgate.runtime.audit.series_facts import FolderSession
 from cutgate.runtime.audit.series_rules import worst
+from cutgate.runtime.audit.signing.log_key import PublicLogKey
 from cutgate.runtime.audit.signing.proof import ProofError, RecordProof, why_false
 from cutgate.runtime.audit.signing.signatures import key_of
 
@@ -173,6 +175,15 @@ class Stub:
 def stub_name(log: str) -> str:
     """The name of the stub of this log."""
     return log.removesuffix(LOG_SUFFIX) + STUB_SUFFIX
+
+
+def key_in_stub(path: Path) -> PublicLogKey | None:
+    """The key of the log that a stub stands for; None where it is none, or nothing was signed."""
+    try:
+        session, _ = Stub.parse(read_bytes(path, STUB_MAX, "it is no stub of an archived log")).session()
+    except (InputError, ValueError):
+        return None
+    return session.key
 
 
 def _is_name(name: object) -> bool:

@@ -10,12 +10,14 @@ import typer
 from cutgate.config.load import InputError, read_bytes
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
+from cutgate.runtime.audit.folder import STUB_SUFFIX
 from cutgate.runtime.audit.judge import parse_object
 from cutgate.runtime.audit.records import AuditOpen
 from cutgate.runtime.audit.signing.checkpoint import HASH_BYTES
 from cutgate.runtime.audit.signing.log_key import FILE_MAX, PublicLogKey
 from cutgate.runtime.audit.signing.note import NoteError
 from cutgate.runtime.audit.signing.signatures import key_of
+from cutgate.runtime.audit.stub import key_in_stub
 from cutgate.runtime.audit.trust import Trust
 from cutgate.runtime.audit.witness import BEGINNING
 
@@ -55,10 +57,10 @@ def beside(trust: Trust, log: Path) -> Trust:
 
 
 def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:
-    """The keys that the logs of a folder name, by epoch. None of them is believed by that."""
+    """The keys that the logs of a folder name, by epoch, and what archived ones left. None is believed by that."""
     found: dict[int, PublicLogKey] = {}
-    for path in sorted(folder.glob("*.mcap"))[:LOGS_MAX]:
-        key = _key_in(path)
+    for path in sorted((*folder.glob("*.mcap"), *folder.glob(f"*{STUB_SUFFIX}")))[:LOGS_MAX]:
+        key = key_in_stub(path) if path.suffix == STUB_SUFFIX else _key_in(path)
         if key is not None and key.series == series:
             found.setdefault(key.epoch, key)
     return found

@@ -16,7 +16,7 @@ from cutgate.runtime.audit.signing.checkpoint import Checkpoint, origin_of
 from cutgate.runtime.audit.signing.log_key import LogKey
 from cutgate.runtime.audit.signing.note import sign
 from cutgate.runtime.audit.signing.proof import RecordProof
-from cutgate.runtime.audit.stub import MovedFile, Stub, stub_name
+from cutgate.runtime.audit.stub import MovedFile, Stub, key_in_stub, stub_name
 from cutgate.runtime.audit.tree import Tree
 from tests.runtime.audit.folders import folder_of
 from tests.runtime.commands.test_audit_folder import OLD
@@ -188,6 +188,17 @@ def test_what_is_no_stub_is_refused(logs, change):
 def test_what_is_no_json_is_refused(data):
     with pytest.raises(ValueError, match="no JSON"):
         Stub.parse(data)
+
+
+def test_the_key_of_a_stub(logs, tmp_path):
+    stub, session = stub_of(logs[0])
+    file = tmp_path / "x.archived"
+    file.write_bytes(stub.encode())
+    assert key_in_stub(file) == session.key
+    for data in (b"", replace(stub, size=3).encode(), b"x" * (2 << 20)):
+        file.write_bytes(data)
+        assert key_in_stub(file) is None
+    assert key_in_stub(tmp_path / "none") is None
 
 
 def test_a_stub_is_named_after_its_log():

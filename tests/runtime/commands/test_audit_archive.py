@@ -65,6 +65,15 @@ def test_sessions_go_on_and_a_pinned_key_vouches_across_what_was_archived(capsys
     assert "TAMPERED" not in out
 
 
+def test_a_log_alone_is_certified_across_what_was_archived(capsys, logs):
+    directory, files, old = logs
+    pinned = default_path(bytes.fromhex(head(directory)["series"])).with_suffix(".key.pub")
+    audit(capsys, "archive", directory, "--to", old, "--keep", "1")
+    assert audit(capsys, "verify", directory / files[4], "--public-key", pinned)[0] == 0
+    (directory / f"{files[1][:25]}.archived").unlink()
+    assert audit(capsys, "verify", directory / files[4], "--public-key", pinned)[0] == 2
+
+
 def test_asked_again_it_moves_nothing_twice(capsys, logs):
     directory, _, old = logs
     audit(capsys, "archive", directory, "--to", old, "--keep", "1")

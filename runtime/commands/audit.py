@@ -18,6 +18,7 @@ from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
 from cutgate.runtime.commands.audit_archive import archive_sessions
 from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
+from cutgate.runtime.commands import audit_prove
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
@@ -162,6 +163,9 @@ def _replayed(log: Path, told: "_Documents") -> ReplayOutcome:
     if result.verdict is not None:
         echo(f"  recomputed verdict: {result.verdict['verdict']}")
     return result.outcome
+
+
+audit_prove.register(app)
 
 
 class _Documents:

@@ -91,6 +91,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/signing/checkpoint.py": ("tests/runtime/audit/signing/test_checkpoint.py",),
     "runtime/audit/signing/log_key.py": ("tests/runtime/audit/signing/test_log_key.py",),
     "runtime/audit/signing/proof.py": ("tests/runtime/audit/signing/test_proof.py",),
+    "runtime/audit/proving.py": ("tests/runtime/audit/test_proving.py",),
     "runtime/audit/signed.py": ("tests/runtime/audit/test_signed.py",),
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
     "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),

@@ -99,7 +99,9 @@ class RecordProof:
         if not len(self.covered) <= RECORD_MAX:
             raise ProofError(f"a record of {len(self.covered)} bytes, at most {RECORD_MAX} can be proven")
         if not count <= CERTIFICATES_MAX:
-            raise ProofError(f"{count} certificates, a proof holds at most {CERTIFICATES_MAX}")
+            raise ProofError(
+                f"{count} certificates, a proof holds at most {CERTIFICATES_MAX}; pin a key of a later epoch"
+            )
         if any(key.certificate is None for key in self.keys[1:]):
             raise ProofError("a key that nobody certified stands behind others")
         parts = [_DOMAIN, _COUNT.pack(count)]

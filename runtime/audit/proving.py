@@ -184,13 +184,12 @@ def _not_proven(path: Path, found: Scan, log: Proving, index: int) -> InputError
 
 def _keys(path: Path, key: PublicLogKey | None, trust: Trust) -> tuple[PublicLogKey, ...]:
     """The keys from the pinned one to the log's; none where that is the pinned one, or where none is pinned."""
-    pinned, certified = trust.pinned, trust.certified or {}
-    step = key_chain(key, trust)
+    pinned, step = trust.pinned, key_chain(key, trust)
     if step.answer is Answer.NO:
         raise InputError(
             path, step.name, None, step.text, "pin another key, or put the logs between beside it"
         )
     if pinned is None or key is None or pinned.epoch == key.epoch:
         return ()
-    between = (certified[epoch] for epoch in range(pinned.epoch + 1, key.epoch))
-    return (replace(pinned, certificate=None), *between, key)
+    known = {**(trust.certified or {}), pinned.epoch: replace(pinned, certificate=None), key.epoch: key}
+    return tuple(known[epoch] for epoch in range(pinned.epoch, key.epoch + 1))

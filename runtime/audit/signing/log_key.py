@@ -136,7 +136,7 @@ class LogKey:
 
 def fingerprint_of(public: bytes) -> str:
     """Of a public key, for people: sixteen hexadecimal digits of its SHA-256."""
-    digits = sha256(public).hexdigest()[:16]
+    digits = sha256(public).hexdigest()
     return " ".join(digits[at : at + 4] for at in range(0, 16, 4))
 
 

@@ -18,7 +18,6 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 PUBLIC_BYTES: Final = 32
-SIGNATURE_BYTES: Final = 64
 NOTE_MAX: Final = 1 << 16
 """Characters of the longest note that is read; ours have 186."""
 SIGNATURES_MAX: Final = 64
@@ -153,7 +152,7 @@ def _encodable(text: str) -> bool:
 def _signature(line: str) -> tuple[str, bytes, bytes]:
     name, _, encoded = line.removeprefix(_DASH).partition(" ")
     try:
-        data = b64decode(encoded, validate=True)
+        data = b64decode(encoded)
     except ValueError:
         data = b""
     # One form: else there were other notes, with other bytes, that are signed as well.

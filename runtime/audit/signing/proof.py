@@ -50,11 +50,8 @@ _DOMAIN: Final = b"cutgate/proof/1"
 _COUNT: Final = struct.Struct("<I")
 _FIRST: Final = struct.Struct(f"<{SERIES_BYTES}sI")
 _CERTIFIED: Final = struct.Struct(f"<{KEY_BYTES}s{CERTIFICATE_BYTES}s")
-_EXTRA_MAX: Final = (
-    len(_DOMAIN) + _COUNT.size + _FIRST.size + KEY_BYTES + CERTIFICATES_MAX * _CERTIFIED.size + RECORD_MAX
-)
-PROOF_MAX: Final = 4 * (_EXTRA_MAX // 3 + 1) + (1 << 13)
-"""Bytes of the largest proof that is read."""
+PROOF_MAX: Final = 32 << 20
+"""Bytes of the largest proof that is read: with the largest record and as many certificates it has 31 million."""
 _LINES: Final = re.compile(
     r"c2sp\.org/tlog-proof@v1\n"
     r"extra ([A-Za-z0-9+/]+={0,2})\n"
@@ -106,8 +103,10 @@ class RecordProof:
             raise ProofError("a key that nobody certified stands behind others")
         parts = [_DOMAIN, _COUNT.pack(count)]
         if count:
-            parts.append(_FIRST.pack(self.keys[0].series, self.keys[0].epoch))
-        parts.append(self.keys[0].public if count else self.public)
+            first = self.keys[0]
+            parts += (_FIRST.pack(first.series, first.epoch), first.public)
+        else:
+            parts.append(self.public)
         parts.extend(_CERTIFIED.pack(key.public, key.certificate or b"") for key in self.keys[1:])
         extra = b64encode(b"".join((*parts, self.covered))).decode()
         hashes = "".join(f"{b64encode(one).decode()}\n" for one in self.beside)
@@ -221,7 +220,7 @@ class _Extra:
 def _decoded(text: str, what: str) -> bytes:
     """From base64 in its one form."""
     try:
-        data = b64decode(text, validate=True)
+        data = b64decode(text)
     except ValueError:
         data = b""
     if b64encode(data).decode() != text:

@@ -169,6 +169,11 @@ def test_certificates_lead_from_any_earlier_key(folder, epoch):
             assert verified(proof.encode(), key.encode()) == proof.covered
 
 
+def test_the_key_of_the_session_before_needs_no_other_log(folder):
+    proof = prove(folder[1], 3, Trust(key_in(folder[0])))
+    assert [key.epoch for key in proof.keys] == [1, 2]
+
+
 def other(epoch, series):
     return PublicLogKey(series, epoch, b"\7" * 32)
 
@@ -317,8 +322,10 @@ def wrong(messages, index=3):
     """What a log of these messages is refused for."""
     log = Proving(index)
     for message in messages:
+        size = log.size
         log.take(message)
         if log.wrong:
+            assert log.size == size
             return log.wrong
     return ""
 

@@ -1,10 +1,12 @@
 """Checkpoints: three lines in one form, and of the origin that was asked for."""
 
+from dataclasses import FrozenInstanceError
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.runtime.audit.signing.checkpoint import Checkpoint, origin_of
+from cutgate.runtime.audit.signing.checkpoint import HASH_BYTES, Checkpoint, origin_of
 from cutgate.runtime.audit.signing.note import NoteError
 
 SOFA = "example.com/behind-the-sofa"
@@ -76,3 +78,11 @@ def test_another_origin_is_refused(origin):
 def test_the_least_and_the_largest_size():
     for size in (0, 10**19 - 1):
         assert Checkpoint.parse(Checkpoint("o", size, bytes(32)).text, "o").size == size
+
+
+def test_a_checkpoint_does_not_change():
+    named = Checkpoint.parse(EXAMPLE, SOFA)
+    with pytest.raises(FrozenInstanceError):
+        named.size = 1
+    assert not hasattr(named, "__dict__")
+    assert len(named.hash) == HASH_BYTES == 32

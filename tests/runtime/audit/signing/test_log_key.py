@@ -2,12 +2,12 @@
 
 import json
 import struct
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from hashlib import sha256
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cutgate.runtime.audit.signing.log_key import (
@@ -111,6 +111,7 @@ def test_the_fingerprint():
         st.none() | st.binary(min_size=64, max_size=64),
     )
 )
+@example(LogKey(SERIES, EPOCH_MAX, b"\1" * 32))
 def test_what_is_written_is_read(key):
     assert LogKey.parse(key.encode()) == key
     assert PublicLogKey.parse(key.public.encode()) == key.public
@@ -156,3 +157,18 @@ def test_a_key_that_is_too_short_is_refused(key, name):
     content = json.loads(key.encode())
     with pytest.raises(ValueError, match=f"its {name} must be 64 hexadecimal digits"):
         type(key).parse(json.dumps(content | {name: content[name][:-2]}).encode())
+
+
+def test_the_bounds_are_those_of_the_form():
+    assert (EPOCH_MAX, FILE_MAX) == (2**32 - 1, 1024)
+
+
+@pytest.mark.parametrize("key", [KEYS[1], KEYS[1].public])
+def test_a_key_does_not_change(key):
+    with pytest.raises(FrozenInstanceError):
+        key.epoch = 9
+    assert hash(key) == hash(replace(key))
+
+
+def test_a_public_key_holds_nothing_else():
+    assert not hasattr(PUBLIC[0], "__dict__")

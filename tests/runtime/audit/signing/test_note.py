@@ -1,6 +1,7 @@
 """Signed notes: published ones, the rules of the specification one by one, and that every byte counts."""
 
 from base64 import b64decode, b64encode
+from dataclasses import FrozenInstanceError
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -250,3 +251,14 @@ def test_the_id_depends_on_name_type_and_key():
     keys = {KEY, VerifierKey("other", KEY.public), VerifierKey(NAME, bytes(32))}
     keys.add(VerifierKey(NAME, KEY.public, SignatureType.COSIGNATURE))
     assert len({key.id for key in keys}) == len(keys)
+
+
+def test_the_bounds():
+    assert (NOTE_MAX, SIGNATURES_MAX) == (65536, 64)
+
+
+@pytest.mark.parametrize(("one", "name"), [(KEY, "name"), (parse(EXAMPLE), "text")])
+def test_neither_keys_nor_notes_change(one, name):
+    with pytest.raises(FrozenInstanceError):
+        setattr(one, name, "x")
+    assert not hasattr(one, "__dict__")

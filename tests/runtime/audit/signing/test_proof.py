@@ -4,7 +4,7 @@ import json
 import re
 import struct
 from base64 import b64decode, b64encode
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import pytest
@@ -292,6 +292,33 @@ def test_the_largest_proof_is_read():
     extra = len(b"cutgate/proof/1") + 4 + 20 + 32 + 96 * CERTIFICATES_MAX + RECORD_MAX
     rest = len(replace(ALONE, index=10**19 - 1, beside=(bytes(32),) * 64).encode()) - len(lines(ALONE)[1])
     assert 4 * -(-extra // 3) + rest < PROOF_MAX
+
+
+def test_the_bounds():
+    assert (RECORD_MAX, CERTIFICATES_MAX, PROOF_MAX) == (16 << 20, 65536, 32 << 20)
+
+
+def test_what_is_as_large_as_it_may_be_is_written_and_read(monkeypatch):
+    data = CHAINED.encode()
+    monkeypatch.setattr(module, "PROOF_MAX", len(data))
+    monkeypatch.setattr(module, "CERTIFICATES_MAX", 3)
+    assert RecordProof.parse(data).encode() == data
+    monkeypatch.setattr(module, "CERTIFICATES_MAX", 2)
+    with pytest.raises(ProofError, match="it names 3 certificates, a proof holds at most 2"):
+        RecordProof.parse(data)
+    with pytest.raises(
+        ProofError, match="3 certificates, a proof holds at most 2; pin a key of a later epoch"
+    ):
+        CHAINED.encode()
+    monkeypatch.setattr(module, "PROOF_MAX", len(data) - 1)
+    with pytest.raises(ProofError, match=f"at most {len(data) - 1} bytes, this one {len(data)}"):
+        RecordProof.parse(data)
+
+
+def test_a_proof_does_not_change():
+    with pytest.raises(FrozenInstanceError):
+        ALONE.index = 4
+    assert not hasattr(ALONE, "__dict__")
 
 
 def test_a_key_without_certificate_behind_others_is_not_written():

@@ -10,6 +10,9 @@ whose sequence is its number, and each ``/audit/`` record carries the chain's he
 attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0.
 A permit or start that names a log and its tree names this one, and the tree as it was (``roots.py``). Of a log that names
 a key, every chunk is signed (``signing/signatures.py``).
+attachment has its attachment, and in a closed file the other way round as well. The metadata name the log of record 0,
+and of a recovered copy what it was made of (``recovered.py``).
+A permit or start that names a log and its tree names this one, and the tree as it was (``roots.py``).
 """
 
 import json
@@ -20,6 +23,7 @@ from typing import Any, Final
 from cutgate.runtime.audit.chain import GENESIS, LINKED, follow
 from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.records import AuditAttachment, AuditClose, AuditOpen, CanFrame
+from cutgate.runtime.audit.recovered import RECOVERED, is_copy, told_by
 from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.signing.signatures import Signatures
@@ -137,13 +141,29 @@ class Judge:
         if self._too_many:
             yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
         yield from self._attachments(found)
-        if self.count and [(entry.name, entry.metadata.get("log_id")) for entry in found.metadata] != [
-            (METADATA, (self.first or {}).get("log_id"))
-        ]:
+        if self.count:
+            yield from self._metadata(found)
+
+    def _metadata(self, found: Scan) -> Iterator[str]:
+        """Those of the log of record 0; and, of a recovered copy, what it says of itself."""
+        names = [entry.name for entry in found.metadata]
+        if names not in ([METADATA], [METADATA, RECOVERED]) or found.metadata[0].metadata.get("log_id") != (
+            self.first or {}
+        ).get("log_id"):
             yield "the file's metadata are not those of record 0"
+        try:
+            told = told_by(found.metadata)
+        except ValueError as error:
+            yield f"the metadata {RECOVERED} are none that a recovery writes: {error}"
+            return
+        if told is not None and found.finished and told.records != self.count:
+            yield f"its recovery has kept {told.records} records, the file holds {self.count}"
 
     def _attachments(self, found: Scan) -> Iterator[str]:
-        """Every record of an attachment has its attachment; in a closed file the other way round as well."""
+        """Every record of an attachment has its attachment; in a closed file the other way round as well.
+
+        What a crash has left may end between the two: the attachment is written first.
+        """
         recorded = self._attached
         stored = [(entry.name, entry.media_type, entry.sha256, entry.size) for entry in found.attachments]
         for number, entry in enumerate(stored[: len(recorded)]):
@@ -151,13 +171,13 @@ class Judge:
                 yield f"attachment {number} ({entry[0]}) is not what its record says"
         if len(recorded) > len(stored):
             yield f"attachment {recorded[len(stored)][0]} has a record but is not there"
-        if found.finished and len(stored) > len(recorded):
+        if found.finished and not is_copy(found.metadata) and len(stored) > len(recorded):
             yield f"attachment {stored[len(recorded)][0]} has no record"
 
 
 def missing(found: Scan, judge: Judge) -> list[str]:
-    """What a log lacks at its end, after a crash or a loss of power."""
-    lacks = []
+    """What a log lacks at its end, after a crash or a loss of power; of a recovered copy, that it is one."""
+    lacks = _copied(found)
     if not found.finished:
         lacks.append(
             f"the file ends early: record {judge.count - 1} is the last whole one"
@@ -169,6 +189,15 @@ def missing(found: Scan, judge: Judge) -> list[str]:
     if judge.last_topic != AuditClose.TOPIC:
         lacks.append("there is no close record: the session did not end in order")
     return lacks
+
+
+def _copied(found: Scan) -> list[str]:
+    """That it is a recovered copy, if it is: what it was made of had been cut, whatever the copy holds."""
+    try:
+        told = told_by(found.metadata)
+    except ValueError:
+        return ["it is a recovered copy that does not say of what"]
+    return [] if told is None else [str(told)]
 
 
 def _refuse(text: str) -> Any:

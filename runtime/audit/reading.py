@@ -13,12 +13,19 @@ from cutgate.runtime.audit.trust import NOBODY, Trust
 
 SIZE_MAX: Final = 1 << 32
 """Bytes of the largest log that is read: four hours of cutting at the shortest heartbeat, nineteen at the usual one."""
+COPY: Final = ".recovered"
+"""What the name of a recovered copy has before its ending."""
 _REMEDY: Final = "it is no session's log; name another file"
 
 
 def candump_of(log: Path) -> Path:
-    """Where the raw frames of a log stand: beside it."""
-    return log.with_suffix(".candump.log")
+    """Where the raw frames of a log stand: beside it, and those of a recovered copy beside the original."""
+    return log.with_name(f"{log.stem.removesuffix(COPY)}.candump.log")
+
+
+def copy_of(log: Path) -> Path:
+    """Where the recovered copy of a log is made: beside it."""
+    return log.parent / f"{log.stem}{COPY}.mcap"
 
 
 @contextmanager

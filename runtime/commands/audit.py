@@ -20,6 +20,7 @@ from cutgate.runtime.commands.audit_archive import archive_sessions
 from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands import audit_prove
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
+from cutgate.runtime.commands.audit_recover import recover
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -186,6 +187,7 @@ class _Documents:
 
 def register(root: typer.Typer) -> None:
     """Adds the command."""
+    app.command("recover")(recover)
     root.add_typer(app, name="audit")
 
 

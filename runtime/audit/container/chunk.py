@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, McapRecord, Schema
+from mcap.records import Channel, ChunkIndex, McapRecord, Schema
 
 from cutgate.runtime.audit.chain import of_channel
 from cutgate.runtime.audit.container.kinds import decode, misplaced
@@ -84,6 +84,29 @@ class Chunk(NamedTuple):
         for channel, entries in self.entries.items():
             body = b"".join(entries)
             yield channel, struct.pack("<HI", channel, len(body)) + body
+
+    def summary_index(
+        self, offset: int, length: int, offsets: dict[int, int], indexes_length: int
+    ) -> ChunkIndex:
+        """What the summary holds of it.
+
+        Args:
+            offset: of the chunk's record in the file.
+            length: of this record, bytes.
+            offsets: of the message index of each channel.
+            indexes_length: of all of these, bytes.
+        """
+        return ChunkIndex(
+            message_start_time=self.first,
+            message_end_time=self.last,
+            chunk_start_offset=offset,
+            chunk_length=length,
+            message_index_offsets=offsets,
+            message_index_length=indexes_length,
+            compression="",
+            compressed_size=self.size,
+            uncompressed_size=self.size,
+        )
 
 
 def parse_chunk(data: bytes, offset: int, definitions: Definitions) -> Chunk:

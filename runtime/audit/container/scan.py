@@ -19,7 +19,7 @@ from io import SEEK_END, BytesIO
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex
+from mcap.records import DataEnd, Footer, Header, Metadata, MetadataIndex
 
 from cutgate.runtime.audit.container.attachment import read_attachment
 from cutgate.runtime.audit.container.chunk import Chunk, Definitions, parse_chunk
@@ -35,7 +35,7 @@ from cutgate.runtime.audit.container.raw import (
     TornError,
 )
 from cutgate.runtime.audit.container.stored import Scan, Stored
-from cutgate.runtime.audit.container.summary import Expected, SummaryFound
+from cutgate.runtime.audit.container.summary import Expected, Group, SummaryFound
 
 
 def walk(file: BinaryIO, found: Scan) -> Iterator[Stored]:
@@ -85,7 +85,7 @@ class _Scanner:
         self.found = found
         self.budget = Budget()
         self.definitions = Definitions(self.budget)
-        self.summary = Expected()
+        self.summary = Expected(Group)
 
     def messages(self) -> Iterator[Stored]:
         first = self.reader.next()
@@ -119,17 +119,7 @@ class _Scanner:
     def _attachment(self, raw: Raw) -> None:
         entry = read_attachment(self.reader, raw, self.budget)
         self.found.attachments.append(entry)
-        self.summary.add(
-            AttachmentIndex(
-                offset=raw.offset,
-                length=raw.length,
-                log_time=entry.log_time,
-                create_time=entry.create_time,
-                data_size=entry.size,
-                name=entry.name,
-                media_type=entry.media_type,
-            )
-        )
+        self.summary.add(entry.summary_index(raw.offset, raw.length))
 
     def _chunk(self, raw: Raw) -> Iterator[Stored]:
         place = f"chunk at offset {raw.offset}"
@@ -138,11 +128,7 @@ class _Scanner:
             chunk = parse_chunk(data, raw.offset + PREFIX, self.definitions)
         except BrokenError as broken:
             raise BrokenError(f"{place}: {broken}") from None
-        for record in chunk.defined:
-            self.summary.add(record)
-        for channel, entries in chunk.entries.items():
-            self.summary.count(channel, len(entries))
-        self.summary.span(chunk.first, chunk.last)
+        self.summary.take_chunk(chunk)
         yield from chunk.messages
         self._indexes(raw, place, chunk)
 
@@ -155,19 +141,7 @@ class _Scanner:
             if index.opcode != Opcode.MESSAGE_INDEX or self.reader.content(index) != expected:
                 raise BrokenError(f"{place}: the index at offset {index.offset} is not that of its messages")
             offsets[channel] = index.offset
-        self.summary.add(
-            ChunkIndex(
-                message_start_time=chunk.first,
-                message_end_time=chunk.last,
-                chunk_start_offset=raw.offset,
-                chunk_length=raw.length,
-                message_index_offsets=offsets,
-                message_index_length=self.reader.at - begin,
-                compression="",
-                compressed_size=chunk.size,
-                uncompressed_size=chunk.size,
-            )
-        )
+        self.summary.add(chunk.summary_index(raw.offset, raw.length, offsets, self.reader.at - begin))
 
     def _summary(self) -> None:
         """The groups that the data section gives, their offsets, and the footer; the file ends behind it."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
-from mcap.records import Header, Metadata
+from mcap.records import AttachmentIndex, Header, Metadata
 
 from cutgate.runtime.audit.chain import ChainLink, covered_in, follow
 
@@ -76,6 +76,18 @@ class StoredAttachment:
         """Its bytes, read from the file."""
         self.file.seek(self.offset)
         return self.file.read(self.size)
+
+    def summary_index(self, offset: int, length: int) -> AttachmentIndex:
+        """What the summary holds of it, whose record of this length stands at this offset."""
+        return AttachmentIndex(
+            offset=offset,
+            length=length,
+            log_time=self.log_time,
+            create_time=self.create_time,
+            data_size=self.size,
+            name=self.name,
+            media_type=self.media_type,
+        )
 
 
 @dataclass

@@ -1,16 +1,19 @@
 """The summary of a file: exactly the one that its data section gives, with the offsets of its groups.
 
-What is kept of it is a length and a digest for each group: there may be millions of records in one.
+What is kept of it is a length and a digest for each group: there may be millions of records in one. Who writes a
+summary keeps the groups' bytes, up to ``KEPT_MAX`` (``KeptGroup``).
 """
 
 import zlib
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import Footer, McapRecord, Statistics, SummaryOffset
 
+from cutgate.runtime.audit.container.chunk import Chunk
 from cutgate.runtime.audit.container.kinds import encoded
 from cutgate.runtime.audit.container.raw import BrokenError, Budget, Raw
 
@@ -23,6 +26,8 @@ SUMMARY: Final = (
     Opcode.METADATA_INDEX,
 )
 """The groups of the summary, in their order."""
+KEPT_MAX: Final = 64 << 20
+"""Bytes of each group of a summary that is written; an hour of cutting has 2 MB of it."""
 _CRC: Final = 4
 """Bytes of the footer's checksum, which stands at its end and covers all before itself."""
 
@@ -51,11 +56,36 @@ class Group:
         return self.opcode, self.length, self.digest.digest()
 
 
-class Expected:
-    """The summary that a data section gives, collected while it is read."""
+@dataclass
+class KeptGroup(Group):
+    """A group whose bytes are kept, to be written."""
 
-    def __init__(self) -> None:
-        self._groups = {int(opcode): Group(opcode) for opcode in SUMMARY}
+    data: bytearray = field(default_factory=bytearray)
+
+    def put(self, record: bytes) -> None:
+        """One more record.
+
+        Raises:
+            BrokenError: over the bound.
+        """
+        super().put(record)
+        if not self.length <= KEPT_MAX:
+            raise BrokenError(f"its summary is larger than that of any session: over {KEPT_MAX} bytes")
+        self.data += record
+
+
+G = TypeVar("G", bound=Group)
+
+
+class Expected(Generic[G]):
+    """The summary that a data section gives, collected while it is read.
+
+    Args:
+        kind: what is kept of each group.
+    """
+
+    def __init__(self, kind: type[G]) -> None:
+        self._groups = {int(opcode): kind(opcode) for opcode in SUMMARY}
         self._messages: dict[int, int] = {}
         self._times: tuple[int, int] | None = None
 
@@ -63,6 +93,14 @@ class Expected:
         """A record of the summary."""
         content = encoded(record)
         self._groups[content[0]].put(content)
+
+    def take_chunk(self, chunk: Chunk) -> None:
+        """What a chunk defines and counts; its index is a record of its own."""
+        for record in chunk.defined:
+            self.add(record)
+        for channel, entries in chunk.entries.items():
+            self.count(channel, len(entries))
+        self.span(chunk.first, chunk.last)
 
     def count(self, channel: int, messages: int) -> None:
         """So many messages more on a channel."""
@@ -73,8 +111,8 @@ class Expected:
         before = self._times or (first, last)
         self._times = min(before[0], first), max(before[1], last)
 
-    def close(self) -> list[GroupContent]:
-        """The data section has ended: what each group must be, statistics included, in their order."""
+    def close(self) -> list[G]:
+        """The data section has ended: the groups that hold anything, statistics included, in their order."""
         first, last = self._times or (0, 0)
         self.add(
             Statistics(
@@ -89,13 +127,39 @@ class Expected:
                 schema_count=self._groups[Opcode.SCHEMA].count,
             )
         )
-        return [group.content for group in self._groups.values() if group.count]
+        return [group for group in self._groups.values() if group.count]
+
+
+def offsets_of(groups: Iterable[Group], start: int) -> tuple[list[SummaryOffset], int]:
+    """The offsets of groups of which each stands where the one before it ends, and where the last one does.
+
+    Args:
+        groups: of a summary, in their order.
+        start: place of the first.
+    """
+    offsets, end = [], start
+    for group in groups:
+        offsets.append(SummaryOffset(group_opcode=group.opcode, group_start=end, group_length=group.length))
+        end += group.length
+    return offsets, end
+
+
+def footer_of(start: int, end: int, crc: int) -> Footer:
+    """The footer of a summary.
+
+    Args:
+        start: place of its first group.
+        end: place of its offsets.
+        crc: checksum of all of it.
+    """
+    footer = Footer(summary_start=start, summary_offset_start=end, summary_crc=0)
+    return replace(footer, summary_crc=zlib.crc32(encoded(footer)[:-_CRC], crc))
 
 
 class SummaryFound:
     """The summary that stands in a file, record by record."""
 
-    def __init__(self, expected: Expected, start: int, budget: Budget) -> None:
+    def __init__(self, expected: Expected[Group], start: int, budget: Budget) -> None:
         self._expected = expected
         self._start = start
         self._budget = budget
@@ -129,14 +193,9 @@ class SummaryFound:
         Raises:
             BrokenError: the summary, its offsets or the footer are not those of the data section.
         """
-        if [group.content for group in self._groups] != self._expected.close():
+        if [group.content for group in self._groups] != [group.content for group in self._expected.close()]:
             raise BrokenError("the summary is not that of the data section")
-        offsets, end = [], self._start
-        for group in self._groups:  # each stands where the one before it ends
-            offsets.append(
-                SummaryOffset(group_opcode=group.opcode, group_start=end, group_length=group.length)
-            )
-            end += group.length
+        offsets, end = offsets_of(self._groups, self._start)
         if self._offsets != offsets:
             raise BrokenError("the summary's offsets are not those of its groups")
         if (footer.summary_start, footer.summary_offset_start) != (self._start, end):

@@ -11,6 +11,7 @@ from cutgate.runtime.audit import judge as module
 from cutgate.runtime.audit.chain import GENESIS, of_channel
 from cutgate.runtime.audit.container.stored import ChannelInfo, Scan, Stored, StoredAttachment
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
+from cutgate.runtime.audit.recovered import Recovered
 from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.tree import Tree
 from tests.runtime.audit.build import wire_permit
@@ -365,3 +366,54 @@ def test_zeros_at_the_end_are_a_loss_of_power():
 )
 def test_a_record_is_a_json_object_and_nan_is_no_json(data, content):
     assert parse_object(data) == content
+
+
+# ---------------------------------------------------------------- a recovered copy
+
+OWN = Metadata("cutgate", {"log_id": LOG_ID})
+TOLD = Recovered("x.mcap", "ab" * 32, 500, 20, 2, "cutgate 1")
+MARK = TOLD.metadata()
+
+
+def marked(**changes):
+    """The metadata of a copy, with something else in them."""
+    return Metadata(MARK.name, MARK.metadata | changes)
+
+
+def test_a_recovered_copy_lacks_its_end_whatever_it_holds():
+    log = Records().opened().closed()
+    copy = found(metadata=[OWN, MARK])
+    assert log.problems(copy) == []
+    assert missing(copy, log.judge) == ["it is a recovered copy of x.mcap, 20 bytes dropped"]
+    assert missing(found(), log.judge) == []
+
+
+def test_a_copy_that_was_cut_holds_fewer_records_than_its_recovery_has_kept():
+    log = Records().opened()
+    told = "its recovery has kept 2 records, the file holds 1"
+    assert log.problems(found(metadata=[OWN, MARK])) == [told]
+    assert log.problems(found(metadata=[OWN, MARK], finished=False)) == []
+
+
+@pytest.mark.parametrize(
+    "metadata", [[MARK, OWN], [OWN, MARK, MARK], [MARK], [OWN, OWN, MARK], [OWN, MARK, OWN]]
+)
+def test_what_a_recovery_says_stands_once_and_behind_the_logs_own(metadata):
+    log = Records().opened().closed()
+    assert log.problems(found(metadata=metadata)) == ["the file's metadata are not those of record 0"]
+    assert missing(found(metadata=metadata), log.judge), "and it is OK in no case"
+
+
+def test_what_no_recovery_says_is_a_problem_and_never_ok():
+    log = Records().opened().closed()
+    copy = found(metadata=[OWN, marked(records="two")])
+    (told,) = log.problems(copy)
+    assert told.startswith("the metadata cutgate.recovered are none that a recovery writes: what must be a")
+    assert missing(copy, log.judge) == ["it is a recovered copy that does not say of what"]
+
+
+def test_an_attachment_whose_record_a_crash_has_cut_off_is_no_problem_in_a_copy():
+    log = Records().opened().add("/can/frame", {"id": 1})
+    attached = {"attachments": [stored()]}
+    assert log.problems(found(metadata=[OWN, MARK], **attached)) == []
+    assert log.problems(found(**attached)) == ["attachment plan.csv has no record"]

@@ -5,7 +5,7 @@ import zlib
 
 import pytest
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Header, Message, MessageIndex, Schema
+from mcap.records import Channel, ChunkIndex, Header, Message, MessageIndex, Schema
 
 from cutgate.runtime.audit.chain import of_channel
 from cutgate.runtime.audit.container import raw
@@ -218,3 +218,19 @@ def test_what_is_defined_is_remembered_within_a_bound(monkeypatch):
     monkeypatch.setattr(raw, "REMEMBERED_MAX", len(definitions) - 1)
     with pytest.raises(BrokenError, match="it holds more schemas"):
         parsed(chunk(GOOD))
+
+
+def test_the_summary_holds_its_place_times_and_sizes():
+    data = packed(SCHEMA, CHANNEL, message(log_time=9), message(log_time=5))
+    index = parsed(chunk(data, 5, 9)).summary_index(40, 300, {1: 340}, 47)
+    assert index == ChunkIndex(
+        chunk_start_offset=40,
+        chunk_length=300,
+        message_start_time=5,
+        message_end_time=9,
+        message_index_offsets={1: 340},
+        message_index_length=47,
+        compression="",
+        compressed_size=len(data),
+        uncompressed_size=len(data),
+    )

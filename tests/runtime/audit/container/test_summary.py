@@ -19,8 +19,16 @@ from mcap.records import (
 )
 
 from cutgate.runtime.audit.container import raw
+from cutgate.runtime.audit.container.chunk import Chunk
 from cutgate.runtime.audit.container.raw import BrokenError, Budget, Raw
-from cutgate.runtime.audit.container.summary import Expected, SummaryFound
+from cutgate.runtime.audit.container.summary import (
+    Expected,
+    Group,
+    KeptGroup,
+    SummaryFound,
+    footer_of,
+    offsets_of,
+)
 
 START = 500
 
@@ -67,8 +75,8 @@ STATISTICS = Statistics(
 )
 
 
-def expected():
-    made = Expected()
+def expected(kind=Group):
+    made = Expected(kind)
     for record in (*METADATA, *CHUNKS[:1], *SCHEMAS, *CHANNELS, *ATTACHED, *CHUNKS[1:]):
         made.add(record)
     made.count(1, 2)
@@ -125,7 +133,7 @@ def test_the_summary_that_the_data_section_gives_is_right():
 
 
 def test_what_each_group_must_be_stands_in_the_formats_order():
-    groups = expected().close()
+    groups = [group.content for group in expected().close()]
     wanted = {}
     for record in RECORDS:
         whole = packed(record)
@@ -136,7 +144,9 @@ def test_what_each_group_must_be_stands_in_the_formats_order():
 def test_a_file_without_messages_has_no_times_and_no_groups_but_statistics():
     counts = dict.fromkeys(vars(STATISTICS), 0) | {"channel_message_counts": {}}
     nothing = packed(Statistics(**counts))
-    assert Expected().close() == [(Opcode.STATISTICS, len(nothing), sha256(nothing).digest())]
+    assert [group.content for group in Expected(Group).close()] == [
+        (Opcode.STATISTICS, len(nothing), sha256(nothing).digest())
+    ]
 
 
 @pytest.mark.parametrize(
@@ -228,3 +238,36 @@ def test_offsets_are_those_of_where_the_summary_stands():
 def test_the_footers_checksum_is_that_of_all_before_it():
     assert judged(footer={"summary_crc": 0}) == "the summary's checksum is wrong"
     assert judged(footer={"summary_crc": 1}) == "the summary's checksum is wrong"
+
+
+# ---------------------------------------------------------------- written
+
+
+def test_a_chunk_is_counted_and_what_it_defines_is_added():
+    made, again = Expected(KeptGroup), expected(KeptGroup)
+    for record in (*METADATA, *CHUNKS, *ATTACHED):
+        made.add(record)
+    entries = {1: [b""] * 5, 2: [b""] * 3}
+    made.take_chunk(Chunk([], [*SCHEMAS, *CHANNELS], 3, 9, 80, entries))
+    assert [group.data for group in made.close()] == [group.data for group in again.close()]
+
+
+def test_what_is_written_is_what_is_read():
+    groups = expected(KeptGroup).close()
+    offsets, end = offsets_of(groups, START)
+    body = b"".join(bytes(group.data) for group in groups) + b"".join(map(packed, offsets))
+    footer = footer_of(START, end, zlib.crc32(body))
+    assert (offsets, end) == with_offsets(RECORDS)
+    assert judged(offsets=offsets, footer=vars(footer)) == ""
+    assert body == b"".join(map(packed, (*RECORDS, *offsets)))
+
+
+def test_a_group_that_is_kept_is_bounded(monkeypatch):
+    record = packed(SCHEMAS[0])
+    monkeypatch.setattr("cutgate.runtime.audit.container.summary.KEPT_MAX", 2 * len(record))
+    group = KeptGroup(Opcode.SCHEMA)
+    group.put(record)
+    group.put(record)
+    assert (group.data, group.count) == (record * 2, 2)
+    with pytest.raises(BrokenError, match="its summary is larger than that of any session: over"):
+        group.put(record)

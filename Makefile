@@ -40,9 +40,10 @@ test-slow: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "slow and not long" --ignore tests/vcan
 
 # A million random segments against the dense reference on all cores, 2000 runs of fault injection over both loops, the large worlds of
-# the exploration (3.3 GB); CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
+# the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
 test-long: $(READY)
-	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration
+	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration \
+		tests/runtime/audit
 
 # Whole sessions on real SocketCAN; where the kernel has no vcan0, in a small virtual machine (docs/bus.md).
 test-vcan: $(READY)
@@ -87,11 +88,12 @@ bench: $(READY)
 demo: $(READY)
 	$(BIN)/cutgate demo
 
-# What is generated from the code: constants, state machines, error matrix, pictures.
+# What is generated from the code: constants, state machines, error matrix, what comes back of cut logs, pictures.
 docs: $(READY) pictures
 	$(BIN)/python -m cutgate.config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
 	$(BIN)/python -m docs.make_error_matrix
+	$(BIN)/python -m docs.make_recovery
 	$(BIN)/python -m docs.make_screens
 	$(BIN)/python -m docs.make_environments
 

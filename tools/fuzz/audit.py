@@ -17,6 +17,7 @@ from typing import Any, Final
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 from rich.console import Console
 
+from cutgate.runtime.audit import recovery
 from cutgate.runtime.audit.chain import GENESIS, LINKED, ChainLink, covered, follow
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
@@ -125,10 +126,20 @@ def judged(data: bytes) -> Log:
     """Read, show and replay; a replay runs only where the log is one, as the command does."""
     log = read_log(data, NO_FRAMES)
     expect((log.report.status is Status.OK) == (not log.report.reasons), "what is not OK has a reason")
+    _recovered(log)
     json.dumps(told := story(log, Path("session.mcap"), None), default=str)
     print_story(Console(file=io.StringIO(), width=100), told)
     replay(log, certified.verify, verifier=VERIFIER)
     return log
+
+
+def _recovered(log: Log) -> None:
+    """A log that is cut and no worse has a copy that holds the same, is never OK, and has no copy itself."""
+    if recovery.refused(log) is None:
+        told = recovery.what_is_told(log, "cut.mcap", "ab" * 32, VERIFIER)
+        copy = read_log(b"".join(recovery.copied(log, told)))
+        expect(recovery.agrees(copy, log, told), "a copy holds what was whole, and is INCOMPLETE")
+        expect(recovery.refused(copy) is not None, "a copy is not recovered again")
 
 
 def written(messages: list[Message], attachments: dict[str, bytes]) -> bytes:
@@ -197,6 +208,7 @@ def _seeds() -> Iterator[bytes]:
         raise ValueError("the example is no sound log")
     yield b"\0" + SESSION
     yield b"\0" + SESSION[: len(SESSION) // 2]
+    yield b"\0" + SESSION[: len(SESSION) - 100]
     few = [message for message in copied()[0] if message[0] != AuditAttachment.TOPIC]
     yield b"\0" + written([*few[:3], few[-1]], {})
     yield b"\1"

@@ -21,6 +21,7 @@ from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands import audit_prove
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.audit_recover import recover
+from cutgate.runtime.commands.audit_diff import diff
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -183,6 +184,9 @@ class _Documents:
     def end(self) -> None:
         if self.json:
             echo(_json(self._documents if self._several else self._documents[0]))
+
+
+app.command("diff")(diff)
 
 
 def register(root: typer.Typer) -> None:

@@ -54,6 +54,23 @@ def create_in_pieces(path: str | os.PathLike[str], pieces: Iterable[bytes], *, o
     """As ``create_durably``, for what is larger than memory should be: a piece is written before the next is made.
 
     Where a piece cannot be made no file is left there either, and its error is raised.
+    with creating(path, ours=ours) as descriptor:
+        write_all(descriptor, data)
+
+
+@contextlib.contextmanager
+def creating(path: str | os.PathLike[str], *, ours: bool = True) -> Iterator[int]:
+    """As ``create_durably``, for what is made piece by piece: a descriptor to write to, as long as the block runs.
+
+    When the block has ended the file is on the disk; where it is left by any exception none is left there.
+
+    Args:
+        path: where nothing stands.
+        ours: only its owner may read it, whatever the umask; else who the umask lets.
+
+    Raises:
+        FileExistsError: anything stands there.
+        OSError: it cannot be made, or not be synced.
     """
     descriptor = create_ours(path) if ours else os.open(path, _MAKE, SHARED_MODE)
     try:
@@ -64,6 +81,10 @@ def create_in_pieces(path: str | os.PathLike[str], pieces: Iterable[bytes], *, o
         os.fsync(descriptor)
         sync_folder(Path(path).parent)
     except BaseException:  # whoever interrupts it wants no half of a file either
+        yield descriptor
+        os.fsync(descriptor)
+        sync_folder(Path(path).parent)
+    except BaseException:
         os.unlink(path)  # noqa: PTH108 - a path of any kind
         raise
     finally:
@@ -97,7 +118,7 @@ class Replacement:
             OSError: it could not be written; the file is the old one, or this.
         """
         try:
-            _write_all(self.descriptor, data)
+            write_all(self.descriptor, data)
             os.fsync(self.descriptor)
             os.rename(self._fresh, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
             os.fsync(self._folder)
@@ -149,7 +170,7 @@ def sync_folder(folder: str | os.PathLike[str]) -> None:
         os.close(descriptor)
 
 
-def _write_all(descriptor: int, data: bytes) -> None:
+def write_all(descriptor: int, data: bytes) -> None:
     """However few bytes the system takes at a time."""
     rest = memoryview(data)
     while rest:

@@ -22,6 +22,7 @@ from cutgate.runtime.commands import audit_prove
 from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.audit_recover import recover
 from cutgate.runtime.commands.audit_diff import diff
+from cutgate.runtime.commands.audit_export import export
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -187,6 +188,7 @@ class _Documents:
 
 
 app.command("diff")(diff)
+app.command("export")(export)
 
 
 def register(root: typer.Typer) -> None:

@@ -14,6 +14,7 @@ from cutgate.config.durable import (
     create_durably,
     create_in_pieces,
     create_ours,
+    creating,
     left_over,
     replace_durably,
     sync_folder,
@@ -268,3 +269,38 @@ def test_a_folder_is_synced_and_its_errors_are_told(tmp_path: Path, monkeypatch:
     with pytest.raises(NotADirectoryError):
         sync_folder(tmp_path / "file")
     assert open_descriptors() == before
+
+
+# ---------------------------------------------------------------- piece by piece
+
+
+def test_what_is_made_piece_by_piece_is_on_the_disk_when_the_block_has_ended(tmp_path: Path, monkeypatch):
+    done = noted(monkeypatch)
+    with creating(tmp_path / "NEW") as descriptor:
+        os.write(descriptor, b"one, ")
+        os.write(descriptor, b"two")
+        assert done == []
+    assert done == ["8 bytes of a file", "folder"]
+    assert (tmp_path / "NEW").read_bytes() == b"one, two"
+    assert stat.S_IMODE((tmp_path / "NEW").stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, OSError])
+def test_of_what_is_not_finished_nothing_is_left(tmp_path: Path, error):
+    def broken_off():
+        with creating(tmp_path / "NEW") as descriptor:
+            os.write(descriptor, b"half")
+            raise error
+
+    before = open_descriptors()
+    with pytest.raises(error):
+        broken_off()
+    assert list(tmp_path.iterdir()) == []
+    assert open_descriptors() == before
+
+
+def test_what_stands_there_is_not_made_again_and_stays(tmp_path: Path):
+    (tmp_path / "OLD").write_bytes(b"mine")
+    with pytest.raises(FileExistsError), creating(tmp_path / "OLD"):
+        pytest.fail("the block must not run")
+    assert (tmp_path / "OLD").read_bytes() == b"mine"

@@ -24,7 +24,8 @@ each one that misses stops.
 
 import hmac
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, TypeVar
 
@@ -49,7 +50,19 @@ SAMPLE_TAG_BITS: Final = 20
 
 _HEARTBEAT: Final = struct.Struct("<II2s")
 _SAMPLE: Final = struct.Struct("<I5i")
-_DIRECTION: Final = {Side.RUNTIME: b"runtime to controller", Side.CONTROLLER: b"controller to runtime"}
+_DIRECTION: Final = {Side.RUNTIME: "runtime to controller", Side.CONTROLLER: "controller to runtime"}
+
+
+def _named(sender: Side, purpose: str) -> str:
+    """What a session's key is derived for, and its name wherever it is kept."""
+    return f"{_DIRECTION[sender]}: {purpose}"
+
+
+RECORDS: Final = {side: _named(side, "record") for side in Side}
+HEARTBEATS: Final = {side: _named(side, "heartbeat") for side in Side}
+SAMPLES: Final = _named(Side.CONTROLLER, "sample")
+KEY_NAMES: Final = (*RECORDS.values(), *HEARTBEATS.values(), SAMPLES)
+"""The keys of a session."""
 
 Signed = TypeVar("Signed", bound=SignedRecord)
 
@@ -86,7 +99,12 @@ class PresharedKey:
 
     def session(self, session_digest: bytes) -> "SessionCodes":
         """The codes of the session with this digest, 32 bytes."""
-        return SessionCodes(self._key, session_digest)
+        return SessionCodes(self.code_keys(session_digest))
+
+    def code_keys(self, session_digest: bytes) -> "CodeKeys":
+        """The keys of the session with this digest, 32 bytes: nothing else is known by them."""
+        derived = {name: _derived(self._key, session_digest, name.encode("ascii")) for name in KEY_NAMES}
+        return CodeKeys(session_digest, derived)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -97,6 +115,23 @@ class PresharedKey:
         return hmac.digest(self._key, FINGERPRINT, "sha256")[:FINGERPRINT_BYTES].hex()
 
 
+@dataclass(frozen=True)
+class CodeKeys:
+    """The keys of one session, from which neither the pre-shared key nor those of another session follow.
+
+    Attributes:
+        digest: names the session, 32 bytes.
+        keys: 16 bytes each, by ``KEY_NAMES``. Raises ValueError if one is missing, or of another length.
+    """
+
+    digest: bytes
+    keys: Mapping[str, bytes] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if set(self.keys) != set(KEY_NAMES) or {len(key) for key in self.keys.values()} != {CODE_KEY_BYTES}:
+            raise ValueError(f"keys must be {CODE_KEY_BYTES} bytes each: {', '.join(KEY_NAMES)}")
+
+
 class SessionCodes:
     """The codes of one session, both directions.
 
@@ -105,16 +140,12 @@ class SessionCodes:
         tag: its first four bytes: virtual bytes of every single frame.
     """
 
-    def __init__(self, key: bytes, session_digest: bytes) -> None:
-        self.digest = session_digest
-        self.tag = session_tag(session_digest)
-
-        def made(side: Side, purpose: bytes) -> Code:
-            return Code(_derived(key, session_digest, _DIRECTION[side] + b": " + purpose))
-
-        self._records = {side: made(side, b"record") for side in Side}
-        self._heartbeats = {side: made(side, b"heartbeat") for side in Side}
-        self._samples = made(Side.CONTROLLER, b"sample")
+    def __init__(self, keys: CodeKeys) -> None:
+        self.digest = keys.digest
+        self.tag = session_tag(keys.digest)
+        self._records = {side: Code(keys.keys[RECORDS[side]]) for side in Side}
+        self._heartbeats = {side: Code(keys.keys[HEARTBEATS[side]]) for side in Side}
+        self._samples = Code(keys.keys[SAMPLES])
 
     def sign(self, record: Signed, sequence: int) -> Signed:
         """The record with its code, for the sequence it goes out with."""

@@ -429,7 +429,7 @@ class Link:
         accepted = Accepted(frame, data[2], lost)
         if not isinstance(frame, _JOINTS) or self._peer is None:
             return accepted
-        self._parts[can_id] = (_nearest(data[2], self._peer), frame)
+        self._parts[can_id] = (nearest(data[2], self._peer), frame)
         return self._complete(accepted, now_s)
 
     def _heard_heartbeat(self, can_id: int, data: bytes, lost: int, now_s: float) -> Outcome:
@@ -530,7 +530,7 @@ class Link:
         return self._opened_s if self._refreshed_s is None else self._refreshed_s
 
 
-def _nearest(counter: int, heartbeat: int) -> int:
+def nearest(counter: int, heartbeat: int) -> int:
     """A joint frame's counter of 8 bits, extended: the one nearest to the last heartbeat's, before or after it."""
     half = COUNTER_MODULUS // 2
     return heartbeat + (counter - heartbeat + half) % COUNTER_MODULUS - half

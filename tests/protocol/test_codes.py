@@ -10,7 +10,15 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.protocol.codes import COUNTER_MAX, NO_ECHO, PresharedKey, SessionCodes, fingerprint
+from cutgate.protocol.codes import (
+    COUNTER_MAX,
+    KEY_NAMES,
+    NO_ECHO,
+    CodeKeys,
+    PresharedKey,
+    SessionCodes,
+    fingerprint,
+)
 from cutgate.protocol.conversation import (
     Acknowledge,
     Open,
@@ -164,3 +172,38 @@ def test_keys_that_differ_have_other_fingerprints(key: bytes):
 
 def test_the_codes_of_a_session_are_those_of_its_key():
     assert isinstance(PresharedKey(KEY).session(DIGEST), SessionCodes)
+
+
+# ---------------------------------------------------------------- the keys of one session
+
+
+def test_the_keys_of_a_session_have_the_names_of_what_they_are_derived_for():
+    keys = PresharedKey(KEY).code_keys(DIGEST)
+    assert keys.keys == {name: derived(KEY, DIGEST, name.encode()) for name in KEY_NAMES}
+    assert set(KEY_NAMES) == {
+        "runtime to controller: record", "controller to runtime: record", "runtime to controller: heartbeat",
+        "controller to runtime: heartbeat", "controller to runtime: sample",
+    }  # fmt: skip
+    assert not any(key.hex() in repr(keys) or repr(key) in repr(keys) for key in keys.keys.values())
+
+
+def test_the_keys_of_a_session_alone_make_its_codes():
+    alone = SessionCodes(CodeKeys(DIGEST, PresharedKey(KEY).code_keys(DIGEST).keys))
+    record = Acknowledge(3, StopCause.OPERATOR_STOP)
+    assert alone.sign(record, 7) == CODES.sign(record, 7)
+    assert (alone.digest, alone.tag) == (CODES.digest, CODES.tag)
+    for side in Side:
+        assert alone.heartbeat_tag(side, 5, 6, b"ab") == CODES.heartbeat_tag(side, 5, 6, b"ab")
+    assert alone.sample_tag(5, (1, 2, 3, 4, 5)) == CODES.sample_tag(5, (1, 2, 3, 4, 5))
+
+
+@pytest.mark.parametrize("name", KEY_NAMES)
+@pytest.mark.parametrize("length", [None, 0, 15, 17])
+def test_keys_of_a_session_that_are_not_all_there_are_refused(name, length):
+    keys = dict(PresharedKey(KEY).code_keys(DIGEST).keys)
+    key = keys.pop(name)
+    with pytest.raises(ValueError, match="keys must be 16 bytes each") as refused:
+        CodeKeys(DIGEST, keys if length is None else keys | {name: (key + key)[:length]})
+    assert key.hex() not in str(refused.value)
+    with pytest.raises(ValueError, match="keys must be"):
+        CodeKeys(DIGEST, keys | {name: key, "another": key})

@@ -415,8 +415,24 @@ class AuditPermit(AuditRecord):
     """What was sent names the log's tree of so many records, with this root in hex; here from version 4 on."""
     code: str | None = None
     """The authentication code that was sent, in hex."""
+    sequence: int | None = None
+    """With which it was sent, which the code covers."""
     reply: str | None = None
     reason: str | None = None
+
+
+class AuditSession(AuditRecord):
+    """The session with the controller, once it has opened: what every code in it is checked by, beside the key."""
+
+    TOPIC: ClassVar[str] = "/audit/session"
+
+    session: str
+    """Its digest, in hex."""
+    open: str
+    opened: str
+    """OPEN and OPENED as they crossed the bus: the whole record with its envelope and its code, in hex."""
+    key_fingerprint: str | None = None
+    """Of the pre-shared key, as people compare it."""
 
 
 class AuditWitness(AuditRecord):
@@ -555,6 +571,7 @@ class CanTransfer(LogRecord):
 
 MODELS: Final[tuple[type[LogRecord], ...]] = (
     AuditOpen, AuditCheckpoint, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
+    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditSession, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

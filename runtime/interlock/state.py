@@ -512,9 +512,13 @@ Event = (
 
 @dataclass(frozen=True)
 class Send:
-    """A record to the controller. What is to be signed gets its code from the shell, on its way out."""
+    """A record to the controller. What is to be signed gets its code from the shell, on its way out.
+
+    `sequence`: with which it left, which the code covers; the shell's to say.
+    """
 
     record: records.Record
+    sequence: int | None = None
 
 
 @dataclass(frozen=True)

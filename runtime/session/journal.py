@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from cutgate.protocol import candump, records
 from cutgate.protocol.differences import differences
-from cutgate.protocol.endpoint import RecordReceived
+from cutgate.protocol.endpoint import RecordReceived, Sent
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.link import Statistics
 from cutgate.protocol.port import Passed
@@ -144,6 +144,8 @@ class Journal:
         self._authorised: Kind = "permit"
         self._sent: tuple[Kind, int | None] | None = None
         """What was sent last and has not been answered."""
+        self._open = self._opened = b""
+        """The OPEN that was sent last, and the OPENED that came last, as they crossed the bus."""
 
     # ------------------------------------------------------------ decisions
 
@@ -216,8 +218,8 @@ class Journal:
             case Commit(token=token, purpose=purpose, record=record):
                 self._authorised = KINDS[purpose]
                 self.log.write(_permit_record(record, stage="authorised", token=token))
-            case Send(record=record) if type(record) in SIGNED:
-                sent = _permit_record(record, stage="sent", token=after.token)
+            case Send(record=record, sequence=sequence) if type(record) in SIGNED:
+                sent = _permit_record(record, stage="sent", token=after.token, sequence=sequence)
                 self.log.write(sent)
                 self._sent = (sent.kind, after.token)
             case SendWithdraw():
@@ -240,6 +242,8 @@ class Journal:
             self._sent = None
             self.log.write(audit.AuditPermit(kind=shown, stage="acknowledged"))
         match event:
+            case SessionOpened() if after.opened is not before.opened:
+                self._session(after)
             case ParameterReceived(record=record):
                 self._collected(before, record)
             case ReplyReceived() if event.request_type in BY_TYPE and event.refusal is not Refusal.ACCEPTED:
@@ -265,6 +269,18 @@ class Journal:
         for effect in effects:
             if isinstance(effect, Deviation):
                 self._fault(StopCause.TRACKING_DEVIATION, effect.reason)
+
+    def _session(self, opened: Interlock) -> None:
+        """What the session was opened with, on both sides: with it and the key every code can be checked later."""
+        assert opened.session is not None  # noqa: S101 - it is open
+        self.log.write(
+            audit.AuditSession(
+                session=opened.session.digest.hex(),
+                open=self._open.hex(),
+                opened=self._opened.hex(),
+                key_fingerprint=opened.job.key_fingerprint or None,
+            )
+        )
 
     def _fault(self, cause: StopCause, reason: str) -> None:
         """What this side itself has found."""
@@ -422,11 +438,15 @@ class Journal:
 
     def record_received(self, item: RecordReceived) -> None:
         """One whole record from the controller."""
+        if isinstance(item.record, records.Opened):
+            self._opened = records.pack(item.record, item.session, item.sequence)
         self._transfer("received", item.record, item.size, item.digest)
 
-    def record_sent(self, record: records.Record, payload: bytes) -> None:
+    def record_sent(self, sent: Sent) -> None:
         """One whole record to the controller."""
-        self._transfer("sent", record, len(payload), records.digest(payload))
+        if isinstance(sent.record, records.Open):
+            self._open = sent.payload
+        self._transfer("sent", sent.record, len(sent.payload), records.digest(sent.payload))
 
     def _transfer(self, direction: str, record: records.Record, length: int, digest: bytes) -> None:
         self.log.write(
@@ -441,7 +461,9 @@ class Journal:
         )
 
 
-def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) -> audit.AuditPermit:
+def _permit_record(
+    record: records.Record, *, stage: audit.Stage, token: int, sequence: int | None = None
+) -> audit.AuditPermit:
     kind = SIGNED[type(record)]
     digests: dict[str, str] = {}
     if isinstance(record, records.Permit):
@@ -451,7 +473,7 @@ def _permit_record(record: records.Record, *, stage: audit.Stage, token: int) ->
         }
     sent: dict[str, Any] = {}
     if stage == "sent":
-        sent["code"] = record.code.hex()  # type: ignore[attr-defined]
+        sent |= {"code": record.code.hex(), "sequence": sequence}  # type: ignore[attr-defined]
         if isinstance(record, records.Permit | records.Start):
             sent |= {"log_size": record.log.size, "log_root": record.log.root.hex()}
     return audit.AuditPermit(

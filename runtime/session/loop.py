@@ -17,7 +17,7 @@ import can
 from cutgate.config.terminal import CommandReader
 from cutgate.protocol import records
 from cutgate.protocol.cycle import Cycle
-from cutgate.protocol.endpoint import RecordReceived, Undelivered
+from cutgate.protocol.endpoint import RecordReceived, Sent, Undelivered
 from cutgate.protocol.frames import (
     ControllerFault,
     ControllerHeartbeat,
@@ -449,7 +449,8 @@ class Session:
             case SendStop():
                 self._send_stop(effect)
             case Send(record=record):
-                return Send(self._send(record))
+                sent = self._send(record)
+                return Send(sent.record, sent.sequence)
             case SendBlock(index=index):
                 self._send(records.path_block(self.state.job.path, index))
             case SendWithdraw():
@@ -497,15 +498,15 @@ class Session:
         with suppress(can.CanError):  # the controller finds out by the missing heartbeat
             self._port.flush_last()
 
-    def _send(self, record: records.Record) -> records.Record:
+    def _send(self, record: records.Record) -> Sent:
         """The record as it leaves, with its code."""
         session = None
         if isinstance(record, records.Open):  # one sent before may wait for a flow control that never comes
             self._port.endpoint.stop_sending()
             session = 0
         sent = self._port.endpoint.send_record(record, self._clock(), session=session)
-        self._journal.record_sent(sent.record, sent.payload)
-        return sent.record
+        self._journal.record_sent(sent)
+        return sent
 
     def _verify(self, wanted: Verify) -> None:
         """What is proved is what the controller reported and what was uploaded."""

@@ -464,10 +464,10 @@ def test_a_nonce_asked_for_another_purpose_serves_nothing(pair, purpose):
     pair.begin()
     ask, other = pair.session._send, Purpose.START if purpose is Purpose.PERMIT else Purpose.PERMIT
 
-    def send(record: records.Record) -> None:
+    def send(record: records.Record) -> Any:
         if isinstance(record, records.NonceRequest) and record.purpose is purpose:
             record = replace(record, purpose=other)
-        ask(record)
+        return ask(record)
 
     with mock.patch.object(pair.session, "_send", send):
         pair.until(lambda: pair.phase is Phase.STOPPED, act=pair._lead)

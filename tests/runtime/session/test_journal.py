@@ -1,13 +1,18 @@
 """What becomes of a step in the log, and that no text can break it."""
 
+import json
 import sys
+from dataclasses import replace
+from hashlib import sha256
 from typing import get_args
 
 import pytest
 
 from cutgate.protocol import records
+from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.link import Statistics
 from cutgate.protocol.port import Passed
+from cutgate.protocol.records import Side
 from cutgate.protocol.states import ControllerState, FaultCode, Purpose, Refusal, StopCause, StopCode
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.witness import WitnessFound
@@ -54,6 +59,7 @@ from tests.runtime.interlock.builders import (
     opened,
     step,
 )
+from tests.runtime.session.pair import KEY
 
 BAD = "caf\udce9 \ud800"
 SHOWN = "caf\\udce9 \\ud800"
@@ -288,11 +294,11 @@ def test_what_was_sent_is_recorded_with_its_code_and_the_log_that_it_names(log, 
     state, event = in_phase(phase), durable(TOKEN)
     after, (send,) = step(state, event, NOW)
     signed = send.record.with_mac(b"c" * 16)
-    log.journal.step(state, event, after, (Send(signed),), NOW)
+    log.journal.step(state, event, after, (Send(signed, sequence=258),), NOW)
     paths = log.log.close(final_state="x", clean=True)
     (written_down,) = read_log(paths.log.read_bytes()).of("/audit/permit")
     assert written_down["stage"] == "sent"
-    assert written_down["code"] == (b"c" * 16).hex()
+    assert (written_down["code"], written_down["sequence"]) == ((b"c" * 16).hex(), 258)
     assert bytes.fromhex(written_down["record"]) == send.record.canonical()
     named = written_down.get("log_size"), written_down.get("log_root")
     reset = phase is Phase.AUTHORISING_RESET
@@ -305,7 +311,10 @@ def test_what_was_authorised_has_neither_code_nor_log(log):
     after, effects = step(state, event, NOW)
     log.journal.step(state, event, after, effects, NOW)
     (record,) = written(log, "/audit/permit")
-    assert (record["stage"], {"code", "log_size", "log_root"} & set(record)) == ("authorised", set())
+    assert (record["stage"], {"code", "sequence", "log_size", "log_root"} & set(record)) == (
+        "authorised",
+        set(),
+    )
 
 
 def test_a_cause_that_a_fault_frame_names_is_called_claimed(log):
@@ -359,3 +368,47 @@ def test_a_log_that_is_closed_names_its_end(log):
     assert paths.closed
     (closed,) = read_log(paths.log.read_bytes()).of("/audit/close")
     assert (closed["final_state"], closed["verdict"], closed["outcome"]) == ("stopped", "admissible", SHOWN)
+
+
+# ---------------------------------------------------------------- the session
+
+
+def test_how_the_session_was_opened_is_recorded_as_it_crossed_the_bus(pair):
+    pair.job = replace(pair.job, key_fingerprint=fingerprint(KEY))
+    pair.end()
+    pair.close()
+    log = pair.read()
+    (session,) = log.of("/audit/session")
+    sums = {one["record"]: one["sha256"] for one in log.of("/can/transfer")}
+    for kind, name, side in (
+        (records.Open, "open", Side.RUNTIME),
+        (records.Opened, "opened", Side.CONTROLLER),
+    ):
+        crossed = bytes.fromhex(session[name])
+        assert sha256(crossed).hexdigest() == sums[kind.__name__]
+        assert isinstance(records.unpack(crossed, sender=side).record, kind)
+    assert session["session"] == pair.state.session.digest.hex()
+    assert session["key_fingerprint"] == fingerprint(KEY)
+    order = [
+        json.loads(data).get("event", topic) for topic, data in log.each("/audit/session", "/audit/decision")
+    ]
+    assert order[order.index("/audit/session") + 1] == "session opened"
+
+
+def test_a_session_that_nobody_opened_is_none_and_a_key_without_a_name_has_none(pair):
+    pair.to(Phase.OPENING).say("quit")
+    pair.end()
+    pair.close()
+    assert pair.read().of("/audit/session") == []
+    pair.begin().to(Phase.COLLECTING)
+    pair.close()
+    (session,) = pair.read().of("/audit/session")
+    assert "key_fingerprint" not in session
+
+
+def test_an_opened_that_no_holder_of_the_key_made_is_recorded_as_no_session(log):
+    state = in_phase(Phase.OPENING)
+    event = opened(authentic=False)
+    after, effects = step(state, event, NOW)
+    log.journal.step(state, event, after, effects, NOW)
+    assert written(log, "/audit/session") == []

@@ -41,13 +41,27 @@ def load_key(path: Path) -> bytes:
         InputError: missing, a link, another's, open to others, or not 64 hexadecimal digits.
     """
     try:
-        text = read_ours(path, FILE_BYTES_MAX, secret=True).strip()
+        data = read_ours(path, FILE_BYTES_MAX, secret=True)
     except FileNotFoundError:
-        remedy = f"copy the other side's there, or make one for both with: cutgate key new {path}"
-        raise InputError(path, "", None, "there is no such key file", remedy) from None
+        raise missing_key(path) from None
+    return key_of(path, data)
+
+
+def missing_key(path: Path) -> InputError:
+    """The refusal of a key file that is not there."""
+    remedy = f"copy the other side's there, or make one for both with: cutgate key new {path}"
+    return InputError(path, "", None, "there is no such key file", remedy)
+
+
+def key_of(path: Path, data: bytes) -> bytes:
+    """The 32 bytes of a key file that was read.
+
+    Raises:
+        InputError: not 64 hexadecimal digits.
+    """
     remedy = "copy it anew from the other side, or make another one for both with: cutgate key new"
     try:
-        key = bytes.fromhex(text.decode("ascii"))
+        key = bytes.fromhex(data.decode("ascii").strip())
     except ValueError:
         raise InputError(path, "", None, "is not hexadecimal", remedy) from None
     if len(key) != KEY_BYTES:

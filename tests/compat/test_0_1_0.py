@@ -5,6 +5,7 @@ import shutil
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
+from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.states import StopCause
 from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
+from cutgate.runtime.audit.recomputed.authenticated import check_codes
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.interlock.permissives import registration_stands
 from cutgate.runtime.interlock.state import Interlock
@@ -137,6 +139,16 @@ def test_audit_show_says_how_a_session_ended(cutgate, session):
     assert code == 0
     assert f" ended {session.ended}" in out
     assert f"Verdict: {session.verdict.upper()}" in out
+
+
+@every_session
+def test_the_codes_of_0_1_0_cannot_be_checked_and_that_is_said(session):
+    key = bytes.fromhex((CONTROLLER / "permit-key.txt").read_text(encoding="ascii"))
+    frames = session.log.with_suffix(".candump.log").read_bytes()
+    log = read_log(session.log.read_bytes(), frames)
+    found = check_codes(log, BytesIO(frames), key)
+    assert (found.answer, found.wrong, found.wrong_count) == ("not checked", (), 0)
+    assert "they cannot be checked, for it holds no OPEN and OPENED" in found.line
 
 
 def test_each_session_names_the_one_before_it_and_its_head():

@@ -195,6 +195,25 @@ def lock(directory: Path) -> int:
     return descriptor
 
 
+def in_use(directory: Path) -> bool:
+    """Whether a session holds this directory now; of a folder that is no log directory, no.
+
+    Raises:
+        InputError: the lock is not ours, or cannot be looked at.
+    """
+    try:
+        descriptor = open_ours(directory / LOCK)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 def check_ours(directory: Path, found: os.stat_result) -> None:
     """Refuses a log directory of somebody else, or one in which others may delete.
 

@@ -1,24 +1,39 @@
 """``cutgate key``: pre-shared keys, keys that sign logs, and how people compare them."""
+"""``cutgate key``: pre-shared keys, how people compare them, and the keys of one session for who reviews it."""
 
+import re
 import secrets
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from cutgate.config.key import load_key, new_key_file
 from cutgate.config.load import InputError
 from cutgate.config.screen import printable
+from cutgate.config.session_keys import new_session_key_file
 from cutgate.protocol.codes import KEY_BYTES, fingerprint
 from cutgate.runtime.audit.log_keys import new_log_key, public_path, to_continue
 from cutgate.runtime.commands.screen import echo, messages
 
 keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys, and keys that sign logs.")
+from cutgate.runtime.audit.directory import in_use
+from cutgate.runtime.audit.inspect import Log
+from cutgate.runtime.audit.reading import reading
+from cutgate.runtime.audit.recomputed.opening import Opening, opening_of, session_keys
+from cutgate.runtime.commands.screen import echo, messages, working
+
+LOG_ID: Final = re.compile("[0-9a-f]{32}")
+_RESTORE: Final = "restore the log: cutgate audit verify tells more"
+
+keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys, and those of one session.")
 
 
 @keys.callback()
 def _group() -> None:
     """Pre-shared keys of runtime and controller; keys that sign logs."""
+    """Pre-shared keys of runtime and controller, and those of one session for who reviews it."""
 
 
 @keys.command("new")
@@ -71,6 +86,51 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE", help="A key file o
     Nobody finds the key by them.
     """
     echo(fingerprint(load_key(file)))
+
+
+@keys.command("session")
+def session(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A session's log (.mcap).")],
+    key: Annotated[Path, typer.Option(help="The pre-shared key of that session.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="The session's keys; must not exist yet.")
+    ],
+) -> None:
+    """Write the keys of a log's session alone, to check its codes with: cutgate audit verify LOG --key FILE.
+
+    Who holds them can move no arm. Mode 0600, never overwrites. Exit code: 0, or 2 where the key is not that session's.
+    """
+    secret = load_key(key)
+    with ExitStack() as files:
+        with working(f"reading {log}"):
+            read = files.enter_context(reading(log))
+        if not read.scan.finished and in_use(log.parent):
+            remedy = "wait until it has ended: while it runs its keys move the arm"
+            raise InputError(log, "", None, "a session is running in its folder", remedy)
+        log_id, opening = read.report.log_id, _opening(log, read)
+    found = session_keys(log_id, opening, secret)
+    if found is None:
+        named = f"{opening.fingerprint}, that of " if opening.fingerprint else ""
+        remedy = "name the file of that key"
+        bound = f"{named}the key that the session of {log} was opened with"
+        raise InputError(key, "fingerprint", fingerprint(secret), bound, remedy)
+    new_session_key_file(out, found)
+    text = f"Keys of session {found.codes.digest.hex()[:8]} of log {found.log_id} in {out}."
+    messages().print(printable(text), soft_wrap=True)
+
+
+def _opening(path: Path, log: Log) -> Opening:
+    """How the log's session was opened."""
+    try:
+        opening = opening_of(log)
+    except ValueError as error:
+        raise InputError(path, "", None, str(error), _RESTORE) from None
+    if opening is None:
+        bound = "holds no OPEN and OPENED: no session was opened, or it is of before 0.2"
+        raise InputError(
+            path, "", None, bound, "name the log of another session; this one's codes cannot be checked"
+        )
+    return opening
 
 
 def register(app: typer.Typer) -> None:

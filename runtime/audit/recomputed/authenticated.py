@@ -182,7 +182,7 @@ class _Checking:
         self._log = log
         self._opening = opening
         self._codes = codes
-        self._tags: Tags | None = None
+        self._tags = Tags(codes)
         self._raw = None if candump is None else RawFrames(candump, self._whole)
         self._wrong: list[str] = list(judged.wrong)
         self._wrong_count = len(judged.wrong)
@@ -202,7 +202,7 @@ class _Checking:
         self._refused_count = 0
         self._unknown: list[str] = []
         """Whole records under this side's name that the log does not know."""
-        self._stalled = self._second_node = self._apart = False
+        self._open = self._stalled = self._second_node = self._apart = False
         self._counted_damaged: int | None = None
         self._other_opened = 0
 
@@ -225,7 +225,7 @@ class _Checking:
             case CanFrame.TOPIC:
                 self._frame(number, message)
             case AuditSession.TOPIC:
-                self._tags = Tags(self._codes)
+                self._open = True
             case AuditPermit.TOPIC:
                 self._permit(number, message)
             case CanTransfer.TOPIC:
@@ -293,7 +293,7 @@ class _Checking:
     def _frame(self, number: int, message: Stored) -> None:
         record = as_record(CanFrame, message.data)
         line = self._along(number, message, record)
-        if self._tags is None:
+        if not self._open:
             return
         left = record.direction == "sent"
         if left and record.id == OURS:
@@ -381,7 +381,7 @@ class _Checking:
 
     def _end(self) -> None:
         self._not_acted_on()  # this side was silent from there on
-        damaged = self._tags.damaged if self._tags else 0
+        damaged = self._tags.damaged
         if self._counted_damaged is not None and damaged > self._counted_damaged and not self._stalled:
             self._say_of(
                 f"{damaged} frames of the controller are damaged, this side counted {self._counted_damaged}"
@@ -405,9 +405,7 @@ class _Checking:
 
     def _counts(self) -> dict[str, int]:
         tags = self._tags
-        if tags is not None:
-            tagged = (tags.sent, tags.came, tags.samples)
-            self._checked.update(dict(zip(TAGGED, tagged, strict=True)))
+        self._checked.update(dict(zip(TAGGED, (tags.sent, tags.came, tags.samples), strict=True)))
         return {name: self._checked[name] for name in COUNTED}
 
     def _notes(self) -> list[str]:
@@ -422,7 +420,7 @@ class _Checking:
             notes.append(f"refused by this side, as it must: {self._other_opened} OPENED with a wrong code")
         if self._second_node:
             notes.append("a second node spoke under this side's name, and stopped the session")
-        if self._tags and self._tags.damaged:
+        if self._tags.damaged:
             notes.append(f"not checked: {self._tags.damaged} frames that came damaged")
         if self._raw is None:
             notes.append(

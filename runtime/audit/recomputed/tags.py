@@ -137,10 +137,8 @@ class Tags:
         if can_id in self._parts and self._parts[can_id][0] == cycle:
             return ""
         self._parts[can_id] = (cycle, decode_frame(can_id, data))
-        parts = [self._parts.get(part) for part in JOINTS]
-        if {part[0] if part else None for part in parts} != {cycle}:
-            return ""
-        match [part[1] for part in parts if part]:
+        parts = [self._parts[part] for part in JOINTS if part in self._parts]
+        match [frame for of_cycle, frame in parts if of_cycle == cycle]:
             case [Joints01() as first, Joints23() as second, Joint4() as third]:
                 counts = (first.q0, first.q1, second.q2, second.q3, third.q4)
                 if cycle < 0 or self._codes.sample_tag(cycle, counts) != third.tag:

@@ -9,6 +9,7 @@ from cutgate.protocol import candump
 from cutgate.protocol import records as wire
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.frames import DATA_IDS
+from cutgate.protocol.transfer import Transfer
 from cutgate.protocol.wire import Side
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.inspect import Log, read_log
@@ -130,4 +131,15 @@ def envelope(data: str, change: Callable[[bytes], bytes]) -> str:
     return wire.pack(kind.parse(body), read.session, read.sequence).hex()
 
 
-SENDERS = {Side.RUNTIME: "sent", Side.CONTROLLER: "received"}
+def carried(payload: bytes, side: Side) -> list[tuple[int, bytes]]:
+    """The frames of a record on the control channel, flow control of the other side between them."""
+    ids = {Side.RUNTIME: (0x600, 0x601), Side.CONTROLLER: (0x601, 0x600)}[side]
+    sender, receiver = Transfer(*ids), Transfer(*reversed(ids))
+    sender.send(payload, now_s=0.0)
+    frames = []
+    while sender.sending:
+        for one, other in ((sender, receiver), (receiver, sender)):
+            for can_id, data in one.outgoing():
+                frames.append((can_id, data))
+                other.feed(data)
+    return frames

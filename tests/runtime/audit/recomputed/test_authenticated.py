@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from cutgate.config.load import InputError
 from cutgate.config.session_keys import SessionKeys
 from cutgate.protocol import candump
-from cutgate.protocol.codes import PresharedKey, fingerprint
+from cutgate.protocol import records as wire
+from cutgate.protocol.codes import PresharedKey, SessionCodes, fingerprint
 from cutgate.protocol.e2e import protect
 from cutgate.protocol.frames import (
     CONTROL_IDS,
@@ -23,13 +24,14 @@ from cutgate.protocol.frames import (
     Joints01,
     RuntimeHeartbeat,
 )
-from cutgate.protocol.states import StopCause
+from cutgate.protocol.states import ControllerState, StopCause
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.recomputed import authenticated
 from cutgate.runtime.audit.recomputed.authenticated import SHOWN, check_codes, when
 from cutgate.runtime.interlock.state import Phase
 from tests.runtime.audit.build import LOG_ID
-from tests.runtime.audit.recomputed.coded import Coded, envelope, flipped
+from tests.runtime.audit.recomputed.coded import Coded, carried, envelope, flipped
 from tests.runtime.session.pair import KEY, job_of, pair_of
 from tests.runtime.session.wire import CONTROLLER, RUNTIME
 from tools.fuzz import audit
@@ -356,6 +358,71 @@ def test_a_log_has_one_session_that_can_be_read(cut):
         found = cut.session(**changes).check()
         assert found.answer == "no"
         assert "/audit/session cannot be read: " in found.line
+
+
+def test_a_permit_that_left_is_one_of_the_records_that_left(cut):
+    found = cut.edited(
+        lambda one: None if isinstance(one, records.CanTransfer) and one.record == "Permit" else one
+    ).check(raw=False)
+    assert (found.answer, found.wrong_count) == ("no", 1)
+    assert found.wrong[0].endswith("no /can/transfer is of the permit that left")
+
+
+def test_no_session_has_so_many_control_records_that_memory_runs_out(cut, monkeypatch):
+    monkeypatch.setattr(authenticated, "TRANSFERS_MAX", 3)
+    assert "more than 3 control records left; no session has so many" in cut.check(raw=False).line
+
+
+def said(record, side, session, sequence=1000):
+    """The lines of raw frames of a record that somebody says."""
+    frames = carried(wire.pack(record, session, sequence), side)
+    return [candump.line(1_790_000_000_000_000_000, "vcan0", *frame).encode() for frame in frames]
+
+
+def test_a_record_of_this_side_that_the_log_does_not_know_is_named_whatever_its_code(cut):
+    acknowledge = wire.Acknowledge(0, StopCause.OPERATOR_STOP)
+    signed = SessionCodes(cut.keys.codes).sign(acknowledge, 1000)
+    for record, told in (
+        (signed, "the Acknowledge: a holder of the key made it, and the log does not know it"),
+        (acknowledge, "the Acknowledge: a record under this side's name that the log does not know"),
+        (wire.Collect(), "the Collect: a record under this side's name that the log does not know"),
+    ):
+        found = cut.raw(lambda lines, record=record: lines + said(record, RUNTIME, cut.tag)).check()
+        assert (found.answer, found.wrong_count) == ("no", 1)
+        assert told in found.wrong[0]
+
+
+def test_an_open_said_again_is_no_sign_of_the_key(cut):
+    """Its code covers no sequence: anybody can say it again under another one. The runtime calls that a second node."""
+    again = said(cut_open(cut), RUNTIME, 0)
+    found = cut.raw(lambda lines: lines + again).check()
+    assert found.wrong[0].endswith("the Open: a record under this side's name that the log does not know")
+    fault = records.AuditFault(source="runtime", code="STOP", cause="SECOND_NODE")
+    told = cut.edited(lambda one: fault if isinstance(one, records.AuditProcess) else one)
+    assert replace(told, frames=cut.frames + b"".join(again)).check().answer == "yes"
+
+
+def cut_open(coded):
+    return wire.unpack(bytes.fromhex(coded.read.of("/audit/session")[0]["open"])).record
+
+
+def test_an_opened_with_a_wrong_code_is_told(cut):
+    """It opens nothing."""
+    forged = said(wire.Opened(0, ControllerState.OPEN, StopCause.NONE), CONTROLLER, cut.tag)
+    found = cut.raw(lambda lines: forged + lines).check()
+    assert (found.answer, found.notes) == (
+        "yes",
+        ("refused by this side, as it must: 1 OPENED with a wrong code",),
+    )
+
+
+def test_several_frames_that_do_not_fit_are_counted(cut):
+    joints = cut.single_frames(IDS[Joint4], "received")[30]
+    altered = cut.frame(joints, lambda frame: flipped(frame, 7, 1))
+    beat = cut.single_frames(THEIRS, "received")[30]
+    one, two = altered.check(), altered.frame(beat, lambda frame: flipped(frame, 3, 1)).check()
+    assert (one.wrong_count, two.answer) == (1, "no")
+    assert two.wrong_count >= 3  # the heartbeat, its sample's, and this side's that echoes it
 
 
 # ---------------------------------------------------------------- other keys

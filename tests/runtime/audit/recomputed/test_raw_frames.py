@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.protocol import candump
-from cutgate.protocol.transfer import Transfer
 from cutgate.protocol.wire import Side
 from cutgate.runtime.audit.recomputed.raw_frames import RawFrames, WholeRecord, is_logged
 from cutgate.runtime.audit.records import CanFrame, Time
+from tests.runtime.audit.recomputed.coded import carried
 
 T_NS = 1_790_000_000_123_456_789
 
@@ -26,20 +26,6 @@ def read(data):
     while (frame := raw.next()) is not None:
         frames.append(frame)
     return raw, frames, found
-
-
-def carried(payload, side):
-    """The frames of a record on the control channel, flow control of the other side between them."""
-    ids = {Side.RUNTIME: (0x600, 0x601), Side.CONTROLLER: (0x601, 0x600)}[side]
-    sender, receiver = Transfer(*ids), Transfer(*reversed(ids))
-    sender.send(payload, now_s=0.0)
-    frames = []
-    while sender.sending:
-        for one, other in ((sender, receiver), (receiver, sender)):
-            for can_id, data in one.outgoing():
-                frames.append((can_id, data))
-                other.feed(data)
-    return frames
 
 
 @given(st.binary(min_size=1, max_size=300), st.binary(min_size=1, max_size=300), st.data())

@@ -7,10 +7,13 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from cutgate.config.session_keys import load_review_key
 from cutgate.protocol import records
 from cutgate.protocol.frames import CONTROL_IDS, Joints01, RuntimeStop
 from cutgate.protocol.states import StopCode
 from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.reading import reading
+from cutgate.runtime.audit.recomputed.authenticated import CodesFound, check_codes
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.session.job import VERIFIER
@@ -25,6 +28,12 @@ def reviewed(path: Path) -> tuple[Status, ReplayOutcome]:
     """What ``audit verify`` and ``audit replay`` say of a log."""
     log = judged(path)
     return log.report.status, replay(log, certified.verify, verifier=VERIFIER).outcome
+
+
+def codes_of(path: Path, key: Path) -> CodesFound:
+    """What becomes of a session's codes under the key of a file."""
+    with reading(path) as log, path.with_suffix(".candump.log").open("rb") as frames:
+        return check_codes(log, frames, load_review_key(key))
 
 
 def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
@@ -46,6 +55,10 @@ def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
     assert "OK (unsigned)" in capsys.readouterr().out
     assert execute(["audit", "replay", str(log)]) == 0
     assert "IDENTICAL" in capsys.readouterr().out
+    keys = rig.folder / "session.json"
+    assert execute(["key", "session", str(log), "--key", str(rig.folder / "site.key"), "-o", str(keys)]) == 0
+    assert codes_of(log, keys).answer == codes_of(log, rig.folder / "site.key").answer == "yes"
+    assert codes_of(log, keys).notes == ()
 
     with log.open("rb") as file:  # the stock reader, as anyone would use it
         reader = make_reader(file, validate_crcs=True)

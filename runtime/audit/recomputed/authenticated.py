@@ -396,7 +396,7 @@ class _Checking:
             return
         if self._raw.broken:
             self._say_of(self._raw.broken)
-        if self._unknown and not self._second_node:
+        if self._unknown and not (self._second_node or self._stalled):
             self._say_of(f"{self._unknown[0]}: a record under this side's name that the log does not know")
         opening = {self._opening.request_sha256: "OPEN", self._opening.answer_sha256: "OPENED"}
         for digest, name in (opening | self._answered).items():
@@ -413,15 +413,17 @@ class _Checking:
         notes = []
         if self._refused_count:
             notes.append(
-                f"refused by this side, as it must: {self._refused_count} frames that came and do not fit "
-                f"(the first: {self._refused[0]})"
+                f"refused by this side, as it must: frames that came and do not fit ({self._refused_count}), "
+                f"the first: {self._refused[0]}"
             )
         if self._other_opened:
-            notes.append(f"refused by this side, as it must: {self._other_opened} OPENED with a wrong code")
+            notes.append(f"refused by this side, as it must: OPENED with a wrong code ({self._other_opened})")
         if self._second_node:
             notes.append("a second node spoke under this side's name, and stopped the session")
+        if self._unknown and self._stalled:
+            notes.append(f"not checked: {self._unknown[0]}, for this side stood still and looked at nothing")
         if self._tags.damaged:
-            notes.append(f"not checked: {self._tags.damaged} frames that came damaged")
+            notes.append(f"not checked: frames that came damaged ({self._tags.damaged})")
         if self._raw is None:
             notes.append(
                 "not checked: acknowledge and withdraw, and whether the log's frames are the raw ones: they are not there"
@@ -429,7 +431,7 @@ class _Checking:
         elif not self._log.scan.finished:
             notes.append("not checked: what log or raw frames have lost at their end")
         elif partly := len(self._transfers - self._seen):
-            notes.append(f"not checked: {partly} records that did not leave whole")
+            notes.append(f"not checked: control records that did not leave whole ({partly})")
         return notes
 
 

@@ -9,7 +9,7 @@ The order is what counts: the bytes are on the disk before the name, and the nam
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -47,13 +47,6 @@ def create_durably(path: str | os.PathLike[str], data: bytes, *, ours: bool = Tr
         FileExistsError: anything stands there.
         OSError: it cannot be made or written.
     """
-    create_in_pieces(path, (data,), ours=ours)
-
-
-def create_in_pieces(path: str | os.PathLike[str], pieces: Iterable[bytes], *, ours: bool = True) -> None:
-    """As ``create_durably``, for what is larger than memory should be: a piece is written before the next is made.
-
-    Where a piece cannot be made no file is left there either, and its error is raised.
     with creating(path, ours=ours) as descriptor:
         write_all(descriptor, data)
 
@@ -76,11 +69,6 @@ def creating(path: str | os.PathLike[str], *, ours: bool = True) -> Iterator[int
     try:
         if ours:
             os.fchmod(descriptor, MODE)
-        for piece in pieces:
-            _write_all(descriptor, piece)
-        os.fsync(descriptor)
-        sync_folder(Path(path).parent)
-    except BaseException:  # whoever interrupts it wants no half of a file either
         yield descriptor
         os.fsync(descriptor)
         sync_folder(Path(path).parent)

@@ -8,12 +8,6 @@ _ERROR_BIT = 0x2000_0000
 """CAN_ERR_FLAG of linux/can.h: what follows is no data frame but a class of errors."""
 _FDF, _ESI, _BRS = 0x04, 0x02, 0x01
 """CANFD_FDF, which the kernel sets on every FD frame, CANFD_ESI and CANFD_BRS of linux/can.h."""
-LINE_BYTES_MAX: Final = 4096
-"""Of a line: a frame takes under 200, the rest is room for the bus's name."""
-_LINE: Final = re.compile(
-    rb"\(([0-9]{1,12})\.([0-9]{6})\) [^\n]+ ([0-9A-F]{3}|[0-9A-F]{8})#"
-    rb"(#[0-7])?(R[0-8]?|(?:[0-9A-F]{2}){0,64})\n"
-)
 
 STANDARD_MAX: Final = 0x7FF
 EXTENDED_MAX: Final = 0x1FFF_FFFF
@@ -79,6 +73,11 @@ class RawFrame:
             raise CandumpError(f"an FD frame of {length} bytes")
         if not self.is_fd and not length <= CLASSIC_BYTES:
             raise CandumpError(f"a classic frame of {length} bytes")
+
+    @property
+    def time_us(self) -> int:
+        """Since 1970, UTC, as a line of ours has it."""
+        return self.time_ns // 1000
 
     @property
     def line(self) -> str:
@@ -168,41 +167,3 @@ def line(
         flags = _FDF | (_BRS if bit_rate_switch else 0) | (_ESI if error_state else 0)
         content = f"#{flags:X}{content}"
     return f"({seconds}.{rest // 1000:06d}) {interface} {identifier}#{content}\n"
-
-
-@dataclass(frozen=True, slots=True)
-class RawFrame:
-    """A frame as its line has it.
-
-    Attributes:
-        time_us: since 1970, UTC.
-        can_id: 11 bits, or 29 of an extended frame or an error.
-        data: none of a remote frame.
-        is_extended, is_remote, is_error, is_fd: as of `line`; of an error nothing more is known.
-    """
-
-    time_us: int
-    can_id: int
-    data: bytes
-    is_extended: bool
-    is_remote: bool
-    is_error: bool
-    is_fd: bool
-
-
-def parse(text: bytes) -> RawFrame:
-    """The frame of one line, its end included. Raises ValueError for anything else."""
-    found = _LINE.fullmatch(text)
-    if found is None:
-        raise ValueError("it is no line of candump -L")
-    seconds, micros, identifier, flags, content = found.groups()
-    can_id, remote, extended = int(identifier, 16), content.startswith(b"R"), len(identifier) > 3
-    return RawFrame(
-        time_us=int(seconds) * 1_000_000 + int(micros),
-        can_id=can_id & ~_ERROR_BIT,
-        data=b"" if remote else bytes.fromhex(content.decode("ascii")),
-        is_extended=extended and not can_id & _ERROR_BIT,
-        is_remote=remote,
-        is_error=bool(can_id & _ERROR_BIT) and extended,
-        is_fd=flags is not None,
-    )

@@ -54,7 +54,7 @@ COMMANDS: Final = {
         "example",
         "Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.",
     ),
-    "key": ("key", "Pre-shared keys, and keys that sign logs."),
+    "key": ("key", "Pre-shared keys, those of one session, and keys that sign logs."),
     "doctor": (
         "doctor",
         "Look at installation, bus, clock, priority, key, log directory and disk: can a session run here?",

@@ -16,13 +16,13 @@ from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
-from cutgate.runtime.commands.audit_archive import archive_sessions
-from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands import audit_prove
-from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
-from cutgate.runtime.commands.audit_recover import recover
+from cutgate.runtime.commands.audit_archive import archive_sessions
 from cutgate.runtime.commands.audit_diff import diff
 from cutgate.runtime.commands.audit_export import export
+from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
+from cutgate.runtime.commands.audit_recover import recover
+from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story

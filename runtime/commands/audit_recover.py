@@ -13,7 +13,7 @@ from typing import Annotated, BinaryIO, Final
 import typer
 
 from cutgate import __version__
-from cutgate.config.durable import create_in_pieces
+from cutgate.config.durable import creating, write_all
 from cutgate.config.load import InputError, unreadable
 from cutgate.config.ours import read_ours
 from cutgate.config.screen import printable
@@ -166,7 +166,9 @@ def _pieces(path: Path, log: Log, told: Recovered) -> Iterator[bytes]:
 
 def _write(copy: Path, pieces: Iterator[bytes]) -> None:
     try:
-        create_in_pieces(copy, pieces)
+        with creating(copy) as descriptor:
+            for piece in pieces:
+                write_all(descriptor, piece)
     except FileExistsError:
         raise _there_already(copy) from None
     except OSError as error:

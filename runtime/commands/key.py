@@ -1,5 +1,4 @@
-"""``cutgate key``: pre-shared keys, keys that sign logs, and how people compare them."""
-"""``cutgate key``: pre-shared keys, how people compare them, and the keys of one session for who reviews it."""
+"""``cutgate key``: pre-shared keys, how people compare them, keys that sign logs, and those of one session for who reviews it."""
 
 import re
 import secrets
@@ -14,12 +13,9 @@ from cutgate.config.load import InputError
 from cutgate.config.screen import printable
 from cutgate.config.session_keys import new_session_key_file
 from cutgate.protocol.codes import KEY_BYTES, fingerprint
-from cutgate.runtime.audit.log_keys import new_log_key, public_path, to_continue
-from cutgate.runtime.commands.screen import echo, messages
-
-keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys, and keys that sign logs.")
 from cutgate.runtime.audit.directory import in_use
 from cutgate.runtime.audit.inspect import Log
+from cutgate.runtime.audit.log_keys import new_log_key, public_path, to_continue
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.recomputed.opening import Opening, opening_of, session_keys
 from cutgate.runtime.commands.screen import echo, messages, working
@@ -27,13 +23,14 @@ from cutgate.runtime.commands.screen import echo, messages, working
 LOG_ID: Final = re.compile("[0-9a-f]{32}")
 _RESTORE: Final = "restore the log: cutgate audit verify tells more"
 
-keys = typer.Typer(no_args_is_help=True, help="Pre-shared keys, and those of one session.")
+keys = typer.Typer(
+    no_args_is_help=True, help="Pre-shared keys, those of one session, and keys that sign logs."
+)
 
 
 @keys.callback()
 def _group() -> None:
-    """Pre-shared keys of runtime and controller; keys that sign logs."""
-    """Pre-shared keys of runtime and controller, and those of one session for who reviews it."""
+    """Pre-shared keys of runtime and controller, those of one session, and keys that sign logs."""
 
 
 @keys.command("new")

@@ -3,7 +3,6 @@
 import errno
 import os
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from cutgate.config import durable
 from cutgate.config.durable import (
     Replacement,
     create_durably,
-    create_in_pieces,
     create_ours,
     creating,
     left_over,
@@ -219,44 +217,6 @@ def test_a_disk_that_fails_leaves_no_half_a_file(tmp_path: Path, monkeypatch: py
         create_durably(tmp_path / "NEW", b"new")
     assert list(tmp_path.iterdir()) == []
     assert open_descriptors() == before
-
-
-def test_a_file_in_pieces_is_written_piece_by_piece_and_durable_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    seen = []
-
-    def pieces() -> Iterator[bytes]:
-        for piece in (b"0123", b"", b"456789"):
-            seen.append((tmp_path / "NEW").stat().st_size)
-            yield piece
-
-    done = noted(monkeypatch)
-    create_in_pieces(tmp_path / "NEW", pieces())
-    assert seen == [0, 4, 4]
-    assert done == ["10 bytes of a file", "folder"]
-    assert (tmp_path / "NEW").read_bytes() == b"0123456789"
-    assert stat.S_IMODE((tmp_path / "NEW").stat().st_mode) == 0o600
-
-
-@pytest.mark.parametrize("error", [OSError, ValueError, KeyboardInterrupt])
-def test_a_piece_that_cannot_be_made_leaves_no_half_a_file(tmp_path: Path, error: type[BaseException]):
-    def pieces() -> Iterator[bytes]:
-        yield b"half"
-        raise error
-
-    before = open_descriptors()
-    with pytest.raises(error):
-        create_in_pieces(tmp_path / "NEW", pieces(), ours=False)
-    assert list(tmp_path.iterdir()) == []
-    assert open_descriptors() == before
-
-
-def test_nothing_is_made_of_pieces_where_something_stands(tmp_path: Path):
-    (tmp_path / "there").write_bytes(b"mine")
-    with pytest.raises(FileExistsError):
-        create_in_pieces(tmp_path / "there", iter([b"new"]))
-    assert (tmp_path / "there").read_bytes() == b"mine"
 
 
 def test_a_folder_is_synced_and_its_errors_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -11,7 +11,7 @@ answers nobody: a record that either side gave up may be whole here.
 from collections.abc import Callable
 from typing import BinaryIO, Final, NamedTuple
 
-from cutgate.protocol.candump import LINE_BYTES_MAX, RawFrame, parse
+from cutgate.protocol.candump import CandumpError, RawFrame, parse
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS, TRANSFER_IDS
 from cutgate.protocol.transfer import Transfer
 from cutgate.protocol.wire import Channel, Side
@@ -20,6 +20,10 @@ from cutgate.runtime.audit.records import CanFrame
 _TRANSFERS: Final = frozenset((*CONTROL_IDS, *BULK_IDS))
 _FLOW_CONTROL: Final = 0x3
 _IDENTIFIER: Final = (1 << 29) - 1
+
+
+LINE_BYTES_MAX: Final = 4096
+"""Of a line: a frame takes under 300."""
 
 
 class WholeRecord(NamedTuple):
@@ -66,8 +70,8 @@ class RawFrames:
         while not self.broken and (text := self._file.readline(LINE_BYTES_MAX)):
             self.line += 1
             try:
-                frame = parse(text)
-            except ValueError as error:
+                frame = _frame(text)
+            except CandumpError as error:
                 self.broken = f"line {self.line} of the raw frames: {error}"
                 break
             if frame.is_extended or frame.is_error or frame.can_id not in _TRANSFERS:
@@ -85,6 +89,13 @@ class RawFrames:
         transfer.errors()
         for payload in transfer.received():
             self._take(WholeRecord(side, payload, self.line, frame.time_us))
+
+
+def _frame(text: bytes) -> RawFrame:
+    """The frame of one line, its end included."""
+    if not text.endswith(b"\n"):
+        raise CandumpError("its end is missing")
+    return parse(text.decode("utf-8", "surrogateescape"))
 
 
 def is_logged(frame: RawFrame, record: CanFrame) -> bool:

@@ -100,7 +100,9 @@ class Coded:
             new = change(old)
             if protected:
                 new = protect(new[3:], new[2], DATA_IDS[one.id], tag)
-            (place,) = [number for number, line in enumerate(lines) if is_of(candump.parse(line), one)]
+            (place,) = [
+                number for number, line in enumerate(lines) if is_of(candump.parse(line.decode()), one)
+            ]
             lines[place] = lines[place].replace(old.hex().upper().encode(), new.hex().upper().encode())
             return one.model_copy(update={"data": new.hex()})
 

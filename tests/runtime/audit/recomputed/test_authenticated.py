@@ -202,7 +202,7 @@ def test_an_altered_reset_is_named(reset):
 def control(coded, side, record):
     """The lines of the frames of a record of the control channel that was sent once."""
     lines = coded.frames.splitlines(keepends=True)
-    frames = [(number, candump.parse(line)) for number, line in enumerate(lines)]
+    frames = [(number, candump.parse(line.decode())) for number, line in enumerate(lines)]
     begin = next(
         place
         for place, (_, frame) in enumerate(frames)
@@ -235,7 +235,7 @@ def test_a_record_whose_raw_frames_are_altered_is_found(cut, reset, name):
     numbers, _ = control(coded, CONTROLLER if name == "opened" else RUNTIME, TYPES[name])
 
     def change(lines):
-        frame = candump.parse(lines[numbers[-2]])
+        frame = candump.parse(lines[numbers[-2]].decode())
         data = flipped(frame.data, 3, 1).hex().upper().encode()
         lines[numbers[-2]] = lines[numbers[-2]].replace(frame.data.hex().upper().encode(), data)
         return lines

@@ -107,7 +107,7 @@ RECORD = CanFrame(stamp=Time.of(T_NS), direction="sent", id=0x080, dlc=8, data=b
     ids=str,
 )  # fmt: skip
 def test_a_record_is_of_a_frame_if_time_identifier_kind_and_data_agree(changes):
-    frame = candump.parse(line(0x080, bytes(range(8))))
+    frame = candump.parse(line(0x080, bytes(range(8))).decode())
     assert is_logged(frame, RECORD)
     assert is_logged(frame, RECORD.model_copy(update={"direction": "received", "stamp": Time.of(T_NS - 700)}))
     assert not is_logged(frame, RECORD.model_copy(update=changes))
@@ -115,7 +115,7 @@ def test_a_record_is_of_a_frame_if_time_identifier_kind_and_data_agree(changes):
 
 @pytest.mark.parametrize("extended", [True, False])
 def test_of_an_error_its_class_counts(extended):
-    frame = candump.parse(line(0x080, bytes(8), is_error=True))
+    frame = candump.parse(line(0x080, bytes(8), is_error=True).decode())
     changes = {"is_error": True, "is_extended": extended, "data": bytes(8).hex()}
     for can_id in (0x080, 0x2000_0080):
         assert is_logged(frame, RECORD.model_copy(update=changes | {"id": can_id}))

@@ -96,6 +96,10 @@ class Report:
         old = self.status is Status.INCOMPLETE and self.key is None and self.messages > 0
         return f"{self.status.name} (unsigned, old form)" if old else self.status.name
 
+    def tampered(self, reason: str) -> "Report":
+        """The same, with what was found besides."""
+        return replace(self, status=Status.TAMPERED, reasons=(*self.reasons, reason))
+
     def document(self) -> dict[str, Any]:
         """For JSON: the fields, keys and roots in hex."""
         key = self.key and {

@@ -10,10 +10,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from cutgate.config.load import InputError
+from cutgate.config.load import InputError, open_input
 from cutgate.config.screen import printable
+from cutgate.config.session_keys import SessionKeys, load_review_key
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
+from cutgate.runtime.audit.recomputed.authenticated import CodesFound, check_codes
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
 from cutgate.runtime.commands import audit_prove
@@ -61,6 +63,13 @@ def verify(
     *,
     public_key: PublicKeyOption = None,
     anchor: AnchorOption = None,
+    key: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Check the codes as well: with the pre-shared key, or one session's keys alone.",
+        ),
+    ] = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Say as well what no verification of a log can find.")
     ] = False,
@@ -73,37 +82,52 @@ def verify(
     told = _Documents(json=json, several=len(logs) > 1)
     try:
         trust = trust_of(public_key, anchor)
+        held = None if key is None else load_review_key(key)
     except InputError as error:
         echo(str(error), err=True)
         raise typer.Exit(Status.UNREADABLE) from None
-    found = [_verified(log, told, beside(trust, log)) for log in logs]
+    found = [_verified(log, told, beside(trust, log), held) for log in logs]
     if explain and not json:
         echo(NOT_FOUND)
     told.end()
     raise typer.Exit(min(found, key=VERIFY_WORST.index))
 
 
-def _verified(log: Path, told: "_Documents", trust: Trust) -> Status:
+def _verified(log: Path, told: "_Documents", trust: Trust, key: bytes | SessionKeys | None) -> Status:
     if log.is_dir():
         return verify_folder(log, told.add if told.json else None, trust)
     try:
         with _reading(log, trust) as read:
             report = read.report
+            codes = None if key is None else _codes(log, read, key)
     except InputError as error:
         echo(str(error), err=True)
         told.add({"log": str(log), "status": Status.UNREADABLE.name, "headline": str(error)})
         return Status.UNREADABLE
+    if codes is not None and codes.answer == "no":
+        report = report.tampered(codes.line)
     if told.json:
-        told.add({"log": str(log), **report.document()})
+        checked = {} if codes is None else {"codes": asdict(codes)}
+        told.add({"log": str(log), **report.document(), **checked})
         return report.status
     echo(f"{printable(report.headline)}: {printable(str(log))}")
     for line in (*report.reasons, *report.notes):
         echo(f"  {printable(line)}")
     for step in report.steps:
         echo(f"  {printable(str(step))}")
+    if codes is not None:
+        echo(f"  {printable(codes.line)}")
     if report.dropped_bytes:
         echo(f"  {report.dropped_bytes} bytes at the end are no whole record")
     return report.status
+
+
+def _codes(log: Path, read: Log, key: bytes | SessionKeys) -> CodesFound:
+    candump = candump_of(log)
+    if not candump.is_file():
+        return check_codes(read, None, key)
+    with open_input(candump) as frames:
+        return check_codes(read, frames, key)
 
 
 app.command("list", cls=VerifyCommand)(list_sessions)

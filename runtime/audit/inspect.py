@@ -37,6 +37,7 @@ from cutgate.runtime.audit.trust import (
     Step,
     Trust,
     key_chain,
+    witnessed,
 )
 from cutgate.runtime.audit.writer import PROFILE
 
@@ -195,7 +196,8 @@ def read_log(
     wrong.add(STRUCTURE, damaged)
     altered, unsigned = _signature(file, found, judge, sidecar)
     wrong.add(SIGNATURES, altered)
-    steps = _steps(judge, wrong, unsigned, trust)
+    checkpoint = None if altered or sidecar is None else Sidecar.parse(sidecar).checkpoint
+    steps = _steps(judge, wrong, unsigned, trust, checkpoint)
     absent = [*missing(found, judge), *lost, *unsigned]
     if not found.mcap or not _ours(found):
         status, reasons = Status.UNREADABLE, ["this is not an audit log of cutgate", *found.problems]
@@ -257,10 +259,12 @@ class _Found:
             self.first.setdefault(step, text)
 
 
-def _steps(judge: Judge, wrong: _Found, unsigned: list[str], trust: Trust) -> tuple[Step, ...]:
+def _steps(
+    judge: Judge, wrong: _Found, unsigned: list[str], trust: Trust, checkpoint: str | None
+) -> tuple[Step, ...]:
     """Every step's answer, in their order; what the reviewer's own key and anchors find wrong comes last."""
     key = judge.signatures.key
-    chain, witness = key_chain(key, trust), _anchored(judge, trust)
+    chain, witness = key_chain(key, trust), witnessed(trust, judge.anchors, checkpoint)
     for step in (chain, witness):
         wrong.add(step.name, [step.text] if step.answer is Answer.NO else ())
     by = "" if key is None else f"key {key.fingerprint}, epoch {key.epoch}, of record 0"
@@ -301,18 +305,6 @@ def _signature(
         digest.update(data)
     told = signatures.sidecar(signed, judge.count, judge.roots.tree.root, found.size, digest.digest())
     return [told] if told else [], []
-
-
-def _anchored(judge: Judge, trust: Trust) -> Step:
-    """Whether every anchor is a root or head of this log."""
-    if not trust.anchors:
-        return Step(WITNESS, Answer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
-    for anchor in trust.anchors:
-        if anchor not in judge.anchors:
-            text = f"the anchor {anchor.hex()} is no root of its tree and no head of its chain"
-            return Step(WITNESS, Answer.NO, text)
-    told = ", ".join(f"{anchor.hex()} at record {judge.anchors[anchor]}" for anchor in trust.anchors)
-    return Step(WITNESS, Answer.YES, f"anchor {told}")
 
 
 def _opened(data: bytes | BinaryIO) -> BinaryIO:

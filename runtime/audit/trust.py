@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+from cutgate.runtime.audit.signing import note
 from cutgate.runtime.audit.signing.log_key import PublicLogKey, chained
+from cutgate.runtime.audit.signing.note import NoteError, VerifierKey
 
 STEPS: Final = ("structure", "chain", "tree", "signatures", "key chain", "witness", "replay")
 STRUCTURE, CHAIN, TREE, SIGNATURES, KEY_CHAIN, WITNESS, REPLAY = STEPS
@@ -55,11 +57,13 @@ class Trust:
         pinned: the key that he has from elsewhere; None where he believes the log's own.
         certified: keys that the logs beside this one name, by epoch, in its series.
         anchors: roots of the tree, or heads of the chain, that he has from elsewhere, 32 bytes each.
+        cosigners: keys of witnesses that must have cosigned the closed log's checkpoint.
     """
 
     pinned: PublicLogKey | None = None
     certified: Mapping[int, PublicLogKey] | None = None
     anchors: tuple[bytes, ...] = ()
+    cosigners: tuple[VerifierKey, ...] = ()
 
 
 NOBODY: Final = Trust()
@@ -88,6 +92,31 @@ def key_chain(key: PublicLogKey | None, trust: Trust) -> Step:
             KEY_CHAIN, Answer.NO, f"{pinned_key} does not vouch for its key {key.fingerprint}: {told}"
         )
     return Step(KEY_CHAIN, Answer.YES, f"certified from {pinned_key} to epoch {key.epoch}")
+
+
+def witnessed(trust: Trust, found: Mapping[bytes, int], checkpoint: str | None) -> Step:
+    """Whether everything that a reviewer has from elsewhere is of this log.
+
+    Args:
+        trust: his anchors, and the witnesses whose cosignatures he asks for.
+        found: the anchors that are this log's, with the last record that each covers.
+        checkpoint: the note over the closed log's tree, verified by the log's key; None where there is none.
+    """
+    told = []
+    for anchor in trust.anchors:
+        if anchor not in found:
+            text = f"the anchor {anchor.hex()} is no root of its tree and no head of its chain"
+            return Step(WITNESS, Answer.NO, text)
+        told.append(f"anchor {anchor.hex()} at record {found[anchor]}")
+    for key in trust.cosigners:
+        try:
+            note.verify(checkpoint or "", key)
+        except NoteError as error:
+            return Step(WITNESS, Answer.NO, f"not cosigned by {key.name}: {error}")
+        told.append(f"cosigned by {key.name}")
+    if not told:
+        return Step(WITNESS, Answer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
+    return Step(WITNESS, Answer.YES, ", ".join(told))
 
 
 def _unconnected(key: PublicLogKey, pinned: PublicLogKey, certified: Mapping[int, PublicLogKey]) -> str:

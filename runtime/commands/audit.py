@@ -24,7 +24,13 @@ from cutgate.runtime.commands.audit_diff import diff
 from cutgate.runtime.commands.audit_export import export
 from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands.audit_recover import recover
-from cutgate.runtime.commands.audit_trust import AnchorOption, PublicKeyOption, beside, trust_of
+from cutgate.runtime.commands.audit_trust import (
+    AnchorOption,
+    CosignerOption,
+    PublicKeyOption,
+    beside,
+    trust_of,
+)
 from cutgate.runtime.commands.screen import echo, output, working
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -34,7 +40,8 @@ from cutgate.runtime.verification import certified
 app = typer.Typer(help="Review session logs: what was decided, and whether it stands.", no_args_is_help=True)
 
 LogFiles = Annotated[
-    list[Path], typer.Argument(metavar="LOG...", help="Sessions' logs (.mcap), one or several.")
+    list[Path],
+    typer.Argument(metavar="LOG...", help="Sessions' logs (.mcap), one or several, or folders of them."),
 ]
 Json = Annotated[
     bool, typer.Option("--json", help="One JSON document on standard output; of several logs a list of them.")
@@ -63,6 +70,7 @@ def verify(
     *,
     public_key: PublicKeyOption = None,
     anchor: AnchorOption = None,
+    cosigner: CosignerOption = None,
     key: Annotated[
         Path | None,
         typer.Option(
@@ -81,7 +89,7 @@ def verify(
     """
     told = _Documents(json=json, several=len(logs) > 1)
     try:
-        trust = trust_of(public_key, anchor)
+        trust = trust_of(public_key, anchor, cosigner)
         held = None if key is None else load_review_key(key)
     except InputError as error:
         echo(str(error), err=True)
@@ -140,6 +148,7 @@ def show(logs: LogFiles, *, json: Json = False) -> None:
 
     Exit code: 0, or 2 for a file that is no log.
     """
+    logs = each_log(logs)
     told = _Documents(json=json, several=len(logs) > 1)
     for number, log in enumerate(logs):
         with _reading(log) as read:
@@ -162,6 +171,7 @@ def replay_command(logs: LogFiles, *, json: Json = False) -> None:
 
     Exit code: 0 identical, 1 differs, 2 not a log that can be replayed; of several logs the worst: 1, 2, 0.
     """
+    logs = each_log(logs)
     told = _Documents(json=json, several=len(logs) > 1)
     found = [_replayed(log, told) for log in logs]
     told.end()
@@ -193,6 +203,23 @@ def _replayed(log: Path, told: "_Documents") -> ReplayOutcome:
 
 
 audit_prove.register(app)
+
+
+def each_log(paths: list[Path]) -> list[Path]:
+    """The logs, of a folder those in it, in the order of their names.
+
+    Raises:
+        InputError: a folder holds none.
+    """
+    found = []
+    for path in paths:
+        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(
+                path, "", None, "a folder without logs (*.mcap)", "name a log, or the folder of logs"
+            )
+        found += inside
+    return found
 
 
 class _Documents:

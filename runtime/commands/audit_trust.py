@@ -1,6 +1,7 @@
 """What a reviewer brings to a log: a public key and anchors, as options; and the certificates beside the log."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Final
@@ -15,7 +16,7 @@ from cutgate.runtime.audit.judge import parse_object
 from cutgate.runtime.audit.records import AuditOpen
 from cutgate.runtime.audit.signing.checkpoint import HASH_BYTES
 from cutgate.runtime.audit.signing.log_key import FILE_MAX, PublicLogKey
-from cutgate.runtime.audit.signing.note import NoteError
+from cutgate.runtime.audit.signing.note import NoteError, VerifierKey
 from cutgate.runtime.audit.signing.signatures import key_of
 from cutgate.runtime.audit.stub import key_in_stub
 from cutgate.runtime.audit.trust import Trust
@@ -38,22 +39,31 @@ AnchorOption = Annotated[
 ]
 
 
-def trust_of(public_key: Path | None, anchors: list[str] | None) -> Trust:
+CosignerOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--cosigner",
+        metavar="KEY",
+        help="NAME+ID+BASE64 of a witness that must have cosigned the log; repeatable.",
+    ),
+]
+
+
+def trust_of(public_key: Path | None, anchors: list[str] | None, cosigners: list[str] | None = None) -> Trust:
     """What the options say; certificates come with the log (``beside``).
 
     Raises:
-        InputError: the file holds no public log key, or an anchor is none.
+        InputError: the file holds no public log key, an anchor is none, or a witness's key is none.
     """
-    return Trust(
-        None if public_key is None else _pinned(public_key), None, tuple(map(_anchor, anchors or ()))
-    )
+    pinned = None if public_key is None else _pinned(public_key)
+    return Trust(pinned, None, tuple(map(_anchor, anchors or ())), tuple(map(_cosigner, cosigners or ())))
 
 
 def beside(trust: Trust, log: Path) -> Trust:
     """With the certificates in the logs beside this one, where a key is pinned."""
     if trust.pinned is None:
         return trust
-    return Trust(trust.pinned, certificates(log.parent, trust.pinned.series), trust.anchors)
+    return replace(trust, certified=certificates(log.parent, trust.pinned.series))
 
 
 def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:
@@ -87,6 +97,13 @@ def _pinned(path: Path) -> PublicLogKey:
     except ValueError as error:
         remedy = "name the .pub file of a log key"
         raise InputError(path, "", None, f"no public log key: {error}", remedy) from None
+
+
+def _cosigner(text: str) -> VerifierKey:
+    try:
+        return VerifierKey.parse(text)
+    except NoteError as error:
+        raise InputError("--cosigner", "", text[:80], str(error), "copy the witness's key whole") from None
 
 
 def _anchor(text: str) -> bytes:

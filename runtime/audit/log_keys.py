@@ -82,6 +82,21 @@ def held_key(directory: Path, previous: Previous, key_file: Path | None, disk: D
     return held if held.key.certificate else replace(held, enrolled=ENROLLED_ANEW)
 
 
+def check_key(directory: Path, key_file: Path | None) -> None:
+    """Refuses what ``held_key`` would, for who does not hold the lock; nothing is made or changed.
+
+    Raises:
+        InputError: as ``held_key``.
+    """
+    head = signed_head(directory)
+    if head is None or head.series is None:
+        if key_file is not None:
+            _unused(key_file)
+        return
+    path = key_file or default_path(head.series)
+    _belongs(HeldKey(_read(path, directory), path), directory, Previous(series=head.series, epoch=head.epoch))
+
+
 def put_following(held: HeldKey, disk: Disk) -> LogKey:
     """Put the next session's key in the file, in the place of this one's; it is on the disk when this returns.
 
@@ -172,12 +187,17 @@ def _enrolled(key_file: Path | None) -> HeldKey:
         except OSError as error:
             raise _unwritten(path, error) from None
         return HeldKey(new_log_key(path, series=series), path, ENROLLED_HERE, made=True)
+    return HeldKey(_unused(key_file), key_file, ENROLLED_HERE)
+
+
+def _unused(key_file: Path) -> LogKey:
+    """A key that has signed nothing yet, for a directory's first session."""
     key = _read(key_file, None)
     if key.epoch != FIRST_EPOCH or key.certificate:
         bound = f"epoch {FIRST_EPOCH}, for a log directory in which no session was signed yet"
         remedy = "make one for this directory with: cutgate key new --log FILE"
         raise InputError(key_file, "epoch", key.epoch, bound, remedy)
-    return HeldKey(key, key_file, ENROLLED_HERE)
+    return key
 
 
 def _read(path: Path, directory: Path | None) -> LogKey:

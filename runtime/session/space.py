@@ -22,8 +22,8 @@ FRAMES_PER_HEARTBEAT: Final = 6
 """Both heartbeats, three frames of a joint sample, one of progress; the two sides have one period."""
 MESSAGE_BYTES: Final = 9 + 22 + 16
 """What a message has beside its data: length, head, and its entry in the chunk's index."""
-CHUNK_BYTES: Final = 1000
-"""What a chunk has beside its messages: its head, an index for each of its topics, and its entry in the summary."""
+CHUNK_BYTES: Final = 2000
+"""What a chunk has beside its messages: its head, its checkpoint, an index for each topic, and its entry in the summary."""
 FIXED_BYTES: Final = 1_000_000
 """Decisions with their permissives, changes of state, control records, the close record, summary and schemas."""
 _LATEST_NS: Final = 9_999_999_999_999_999_999

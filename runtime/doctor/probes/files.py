@@ -16,6 +16,7 @@ from cutgate.config.load import InputError
 from cutgate.config.refusal import FileProblem
 from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.audit.directory import LOCK, check_head, check_ours, withdrawn_list
+from cutgate.runtime.audit.log_keys import check_key
 from cutgate.runtime.doctor.examined import Examined
 from cutgate.runtime.doctor.facts import Delays, FreeSpace, KeyFile, LogFolder, Unknown
 from cutgate.runtime.doctor.probes.text import number, read_text
@@ -48,6 +49,8 @@ def log_folder(examined: Examined) -> LogFolder:
         if there:
             check_head(directory, time.time_ns())
             withdrawn_list(directory)
+        named = examined.site.log.key_file
+        check_key(directory, Path(named) if named else None)
     except InputError as error:
         return LogFolder(str(directory), os.path.isdir(directory), error.problems[0], None)  # noqa: PTH112
     except (OSError, ValueError) as error:  # ValueError: a null character in the name

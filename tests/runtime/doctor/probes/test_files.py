@@ -5,6 +5,7 @@ import fcntl
 import json
 import os
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,8 @@ from cutgate.config.key import new_key_file
 from cutgate.config.model import Site
 from cutgate.protocol.codes import fingerprint
 from cutgate.runtime.audit.directory import HEAD, LOCK, WITHDRAWN, Head, lock
+from cutgate.runtime.audit.log_keys import default_path
+from cutgate.runtime.audit.signing.log_key import LogKey
 from cutgate.runtime.doctor.examined import Examined
 from cutgate.runtime.doctor.facts import Unknown
 from cutgate.runtime.doctor.probes import files
@@ -175,6 +178,27 @@ def test_a_clock_that_is_behind_and_a_list_that_is_lost_are_told(logs):
     (logs / HEAD).chmod(0o666)
     assert folder(logs).problem.key == "mode"
     assert not (logs / WITHDRAWN).exists()
+
+
+def test_a_log_key_that_no_session_takes_is_told(logs):
+    key = LogKey(bytes(16), 3, bytes(32))
+    head = Head("a.mcap", None, closed=True, series=bytes(16), epoch=2)
+    (logs / HEAD).write_bytes(head.encode())
+    (logs / HEAD).chmod(0o600)
+    assert folder(logs).problem.bound == "there is no such log key"
+    path = default_path(bytes(16))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for given, told in (
+        (key, None),
+        (replace(key, epoch=1), "epoch"),
+        (replace(key, series=bytes([1]) * 16), "series"),
+    ):
+        path.write_bytes(given.encode())
+        path.chmod(0o600)
+        problem = folder(logs).problem
+        assert (problem and problem.key) == told
+        assert path.read_bytes() == given.encode(), "nothing is replaced"
+    path.unlink()
 
 
 def test_a_session_that_runs_is_seen_and_not_disturbed(logs):

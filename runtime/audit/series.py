@@ -192,8 +192,8 @@ def _list(names: Sequence[str]) -> str:
 
 def _doubled(folder: Folder) -> Iterator[SeriesFinding]:
     """Logs that take the place of another, and those of another series."""
-    for name, first in sorted(folder.doubles.items(), key=lambda double: double[0]):
-        one = folder.files[name]
+    for name in sorted(folder.doubles):
+        one, first = folder.files[name], folder.doubles[name]
         if (one.log_id, one.head) == (first.log_id, first.head):
             yield SeriesFinding("copy", name, "the log", f"a copy of {first.file}", "in the folder once")
         else:

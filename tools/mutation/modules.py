@@ -107,9 +107,6 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/recomputed/verdict.py": ("tests/runtime/audit/recomputed/test_verdict.py",),
     "runtime/audit/recomputed/approach.py": ("tests/runtime/audit/recomputed/test_approach.py",),
     "runtime/audit/recomputed/enabled.py": ("tests/runtime/audit/recomputed/test_enabled.py",),
-    "runtime/audit/series.py": ("tests/runtime/audit/test_series.py",),
-    "runtime/audit/series_facts.py": ("tests/runtime/audit/test_series.py",),
-    "runtime/audit/stub.py": ("tests/runtime/audit/test_stub.py",),
     "runtime/audit/written.py": ("tests/runtime/audit/test_written.py",),
     "config/durable.py": ("tests/config/test_durable.py",),
 }

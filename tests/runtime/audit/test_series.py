@@ -330,6 +330,49 @@ def test_a_gap_of_many_epochs_is_one_finding_however_wide():
     assert gap.what == "the sessions of epochs 3 to 3999999999"
 
 
+def only(found: SeriesFound) -> SeriesFinding:
+    (finding,) = found.findings
+    return finding
+
+
+@given(count=st.integers(3, 8), at=st.integers(1, 6))
+def test_a_gap_is_one_finding_and_explains_all_that_does_not_fit_behind_it(count, at):
+    sessions = [replace(one, witnesses=()) for one in series_of(count)]
+    at = min(at, count - 2)
+    finding = only(examined(*removed(sessions, at)))
+    assert (finding.code, finding.file) == ("epoch-missing", sessions[at + 1].file)
+    assert finding.what == f"the session of epoch {at + 1}"
+    assert str(finding).startswith(
+        f"{finding.file}: the session of epoch {at + 1} is not in this folder, must be between {sessions[at - 1].file}"
+    )
+
+
+def test_the_first_session_says_which_one_is_not_here():
+    sessions = [replace(one, witnesses=()) for one in series_of(4)]
+    finding = only(examined(sessions[2:], head_of(sessions[-1])))
+    assert (finding.code, finding.bound) == ("begins-late", f"not in this folder: {sessions[1].file}")
+    alone = replace(sessions[2], previous=PreviousNamed())
+    finding = only(examined([alone], head_of(alone)))
+    assert (finding.code, finding.bound) == ("begins-late", "not in this folder: the one of epoch 2")
+
+
+def test_a_double_is_named_by_its_epoch_or_by_its_log_where_it_has_none():
+    sessions = series_of(2)
+    assert only(examined(*written_twice(sessions, 1))).what == "what is of epoch 2"
+    old = series_of(0, old=2)
+    other = replace(old[0], file="other.mcap", head=digest("x"))
+    found = examined([*old, other], head_of(old[1]))
+    assert [finding.what for finding in found.findings if finding.code == "doubled"] == [
+        f"what is of log {old[0].log_id}"
+    ]
+
+
+def test_a_session_may_begin_in_the_moment_in_which_the_one_before_was_closed():
+    sessions = series_of(2)
+    at_once = replace(sessions[1], opened_ns=sessions[0].last_ns)
+    assert codes(examined([sessions[0], at_once], head_of(at_once))) == set()
+
+
 def test_a_session_taken_away_and_the_state_before_it_put_back_is_a_gap_of_epochs():
     """The next session names the one before the one that was taken, and its key is of the epoch behind."""
     sessions = series_of(3)
@@ -506,6 +549,23 @@ def test_a_pinned_key_of_another_series_makes_every_log_foreign():
     assert codes(found) == {"foreign", "key-not-reached", "head-foreign"}
 
 
+@pytest.mark.parametrize("other", [bytes(16), b"\xff" * 16], ids=["less", "greater"])
+@pytest.mark.parametrize("later", [False, True])
+def test_those_that_belong_here_are_the_most_and_of_equally_many_the_oldest(other, later):
+    own, foreign = series_of(4), series_of(3, series=other)
+    shift_ns = HOUR_NS if later else -HOUR_NS
+    foreign = [replace(one, file=f"f{one.file}", opened_ns=one.opened_ns + shift_ns) for one in foreign]
+    found = examined([*own, *foreign], head_of(own[-1]))
+    assert {finding.file for finding in found.findings if finding.code == "foreign"} == {
+        one.file for one in foreign
+    }
+    found = examined([*own[:3], *foreign], head_of(own[2]))
+    strangers = foreign if later else own[:3]
+    assert {finding.file for finding in found.findings if finding.code == "foreign"} == {
+        one.file for one in strangers
+    }
+
+
 def test_the_key_line_names_who_vouches():
     sessions, all_keys = series_of(4), keys(4)
     head = head_of(sessions[-1])
@@ -516,6 +576,18 @@ def test_the_key_line_names_who_vouches():
     )
     assert "does not vouch" in examined(removed(sessions, 2)[0], head, pinned=all_keys[0].public).key
     assert examined(series_of(0, old=1)).key == "none (nothing here is signed)"
+    mixed = series_of(2, old=3)
+    found = examined(mixed, head_of(mixed[-1]), pinned=all_keys[0].public)
+    assert "vouches for 2 by certificates, and by what they say for 3 before them" in found.key
+
+
+@pytest.mark.parametrize(
+    ("epoch", "reached"), [(1, False), (2, True), (3, True), (4, True), (5, True), (6, False)]
+)
+def test_a_pinned_key_reaches_from_the_epoch_before_the_first_log_to_that_of_the_last(epoch, reached):
+    sessions, all_keys = [replace(one, witnesses=()) for one in series_of(6)], keys(6)
+    found = examined(sessions[2:5], head_of(sessions[4]), pinned=all_keys[epoch - 1].public)
+    assert codes(found) == {"begins-late"} | (set() if reached else {"key-not-reached"})
 
 
 # ---------------------------------------------------------------- witness, HEAD, anchors
@@ -538,6 +610,8 @@ def test_what_a_controller_saw_must_be_here_as_it_saw_it(at):
         changed = [replace(one, witnesses=(told,)) if one is seen else one for one in sessions]
         found = examined(changed, head_of(sessions[-1]))
         assert [(finding.code, finding.file) for finding in found.findings] == [(expected, seen.file)]
+        was_here = "and was here when" in str(only(found))
+        assert was_here is (expected == "witness-missing")
 
 
 def test_of_an_archived_log_the_size_alone_is_compared_and_that_is_told():
@@ -553,8 +627,9 @@ def test_of_an_archived_log_the_size_alone_is_compared_and_that_is_told():
 def test_a_session_that_is_running_is_told_and_one_that_crashed_too():
     sessions = series_of(3, crashed=(2,))
     head = head_of(sessions[-1])
-    assert codes(examined(sessions, head, running=True)) == {"running"}
-    assert codes(examined(sessions, head)) == {"crashed-last"}
+    running, crashed = only(examined(sessions, head, running=True)), only(examined(sessions, head))
+    assert (running.code, running.bound) == ("running", "running: its log is not whole yet")
+    assert (crashed.code, crashed.bound) == ("crashed-last", "never closed: it has crashed")
 
 
 def test_times_that_no_clock_has_are_told_as_numbers():

@@ -24,6 +24,7 @@ from cutgate.runtime.audit.records import (
     AuditPermit,
     AuditWitness,
 )
+from cutgate.runtime.audit.recovered import told_by
 from cutgate.runtime.audit.series_facts import (
     SESSIONS_MAX,
     FolderSession,
@@ -36,7 +37,6 @@ from cutgate.runtime.audit.series_rules import SeriesFinding
 LOG_SUFFIX: Final = ".mcap"
 STUB_SUFFIX: Final = ".archived"
 """Of what is left of a session that was archived."""
-RECOVERED: Final = "cutgate.recovered"
 TREES_MAX: Final = 256
 """Starts of one session whose trees are kept."""
 WITNESSES_MAX: Final = 16
@@ -180,8 +180,11 @@ def _witnesses(log: Log) -> Iterator[WitnessNamed]:
 
 def _recovered(log: Log) -> str | None:
     """Of which log it is a recovered copy."""
-    entry = next((entry for entry in log.scan.metadata if entry.name == RECOVERED), None)
-    return None if entry is None else entry.metadata.get("original", "")[:TEXT_MAX]
+    try:
+        told = told_by(log.scan.metadata)
+    except ValueError:  # no recovery writes this: it is judged by its own
+        return None
+    return None if told is None else told.original[:TEXT_MAX]
 
 
 def _last_ns(log: Log) -> int:

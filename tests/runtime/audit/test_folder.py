@@ -4,11 +4,13 @@ from dataclasses import replace
 from io import BytesIO
 
 import pytest
+from mcap.records import Metadata
 
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.archive import _proven
 from cutgate.runtime.audit.folder import TREES_MAX, WITNESSES_MAX, count, nanoseconds, session_of, text
 from cutgate.runtime.audit.inspect import read_log
+from cutgate.runtime.audit.recovered import RECOVERED, Recovered
 from cutgate.runtime.audit.writer import LogWriter
 from tests.runtime.audit.build import decision
 from tests.runtime.audit.folders import folder_of
@@ -98,3 +100,11 @@ def test_a_session_that_was_cut_before_its_first_checkpoint_has_no_proof(tmp_pat
     assert (proof is not None, record) == (True, None)
     proof, record = _proven(path, replace(session, signed=0))
     assert (proof, record is not None) == (None, True)
+
+
+def test_a_copy_is_of_the_log_that_its_recovery_names_and_of_none_where_no_recovery_wrote_that():
+    told = Recovered("crashed.mcap", "ab" * 32, 9, 1, 2, "s").metadata().metadata
+    for content, found in ((told, "crashed.mcap"), (told | {"records": "many"}, None)):
+        log = read_log(b"")
+        log.scan.metadata.append(Metadata(RECOVERED, content))
+        assert session_of("a.mcap", log).recovered_from == found

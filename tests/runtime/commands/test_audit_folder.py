@@ -141,6 +141,16 @@ def test_a_crash_is_incomplete_and_the_next_session_follows_after_it(capsys, tmp
     assert "TAMPERED" not in out
 
 
+def test_a_recovered_copy_beside_its_original_takes_no_place(capsys, tmp_path):
+    directory = tmp_path / "logs"
+    path = folder_of(directory, 3, crashed=(1,))[1]
+    assert audit(capsys, "recover", path)[0] == 0
+    assert verify(capsys, directory) == (1, {"recovered-copy"})
+    path.unlink()
+    code, codes = verify(capsys, directory)
+    assert (code, codes) == (2, {"renamed"})
+
+
 def test_a_log_cut_after_the_next_session_began_is_not_a_crash(capsys, logs):
     directory, names = logs
     path = directory / names[1]

@@ -17,7 +17,7 @@ from cutgate.runtime.audit.stub import stub_name
 from cutgate.runtime.commands.audit_archive import archive_sessions
 from cutgate.runtime.commands.audit_folder import read_folder
 from tests.runtime.audit.folders import folder_of
-from tests.runtime.audit.test_series import examined, head_of, series_of
+from tests.runtime.audit.test_series import codes, examined, head_of, series_of
 
 # ---------------------------------------------------------------- what is moved
 
@@ -164,7 +164,14 @@ def test_wherever_power_fails_nothing_is_lost_or_doubled_and_asking_again_comple
                 break
         there = digests(folder, old)
         assert there == whole, power.names
-        assert read_folder(folder).found.status is Status.INCOMPLETE, power.names
+        found = read_folder(folder).found
+        assert found.status is Status.INCOMPLETE, power.names
+        unfinished = any(
+            (folder / entry.name).exists()
+            for path in folder.glob("*.archived")
+            for entry in read_stub(path).moved
+        )
+        assert ("archive-unfinished" in codes(found)) is unfinished, power.names
         run(folder)
         assert digests(folder, old) == whole
         assert sorted(path.name for path in old.iterdir()) == sorted(digests(old))
@@ -174,6 +181,9 @@ def test_wherever_power_fails_nothing_is_lost_or_doubled_and_asking_again_comple
         steps += 1
     assert steps > 20
     assert {"write", "link", "unlink", "sync_folder", "rename", "fsync"} <= set(power.names)
+    order = " ".join(power.names)
+    assert order.count("write fsync link unlink sync_folder fsync") == len(digests(old)), order
+    assert order.count("unlink") == order.count("unlink sync_folder fsync"), order
     capsys.readouterr()
 
 

@@ -4,6 +4,7 @@ import json as json_format
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -103,7 +104,8 @@ def verify(
 
 def _verified(log: Path, told: "_Documents", trust: Trust, key: bytes | SessionKeys | None) -> Status:
     if log.is_dir():
-        return verify_folder(log, told.add if told.json else None, trust)
+        codes_of = None if key is None else partial(_codes, key=key)
+        return verify_folder(log, told.add if told.json else None, trust, codes_of)
     try:
         with _reading(log, trust) as read:
             report = read.report

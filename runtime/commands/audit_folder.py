@@ -15,6 +15,7 @@ from cutgate.config.screen import printable
 from cutgate.runtime.audit.folder import STUB_SUFFIX, files_of, head_in, session_of, unread
 from cutgate.runtime.audit.inspect import OLD_FORM, Log, Status
 from cutgate.runtime.audit.reading import reading
+from cutgate.runtime.audit.recomputed.authenticated import CodesFound
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.series import Joined, SeriesFound, examine, utc
 from cutgate.runtime.audit.series_facts import Folder, FolderSession
@@ -42,8 +43,10 @@ _ID: Final = 8
 
 Add = Callable[[dict[str, Any]], None]
 """Takes a document for ``--json``."""
-Visit = Callable[[str, Log], None]
-"""Told of each log, by its name, while it is open."""
+Visit = Callable[[Path, Log], Sequence[SeriesFinding]]
+"""Told of each log while it is open; what it finds besides."""
+Codes = Callable[[Path, Log], CodesFound]
+"""Checks the codes of a session."""
 
 
 @dataclass(frozen=True)
@@ -55,21 +58,24 @@ class FolderRead:
         found: what it is.
         reasons: by file name: why a log is not OK, the first alone.
         replay: what deciding again came to.
+        codes: what came of the codes; empty where none were to be checked.
     """
 
     path: Path
     found: SeriesFound
     reasons: dict[str, str]
     replay: str = NOT_CHECKED
+    codes: str = ""
 
     @property
     def headline(self) -> str:
         """The verdict, with whose key, which witness and which anchor."""
         found, count = self.found, len(self.found.joined)
         sessions = f"{count} session{'' if count == 1 else 's'}"
+        codes = f"; codes: {self.codes}" if self.codes else ""
         return (
             f"{found.status.name}: {self.path}: {sessions}; key {found.key}; witness: {found.witness}; "
-            f"anchor: {found.anchor}; replay: {self.replay}"
+            f"anchor: {found.anchor}; replay: {self.replay}{codes}"
         )
 
     def document(self) -> dict[str, Any]:
@@ -83,6 +89,7 @@ class FolderRead:
             "key": self.found.key,
             "witness": self.found.witness,
             "anchor": self.found.anchor,
+            "codes": self.codes or None,
         }
 
     def _session(self, joined: Joined) -> dict[str, Any]:
@@ -116,7 +123,7 @@ def told(finding: SeriesFinding) -> dict[str, Any]:
 def read_folder(
     path: Path,
     trust: Trust = NOBODY,
-    visit: Visit = lambda _name, _log: None,
+    visit: Visit = lambda _file, _log: (),
     *,
     running: bool | None = None,
 ) -> FolderRead:
@@ -140,7 +147,8 @@ def read_folder(
     files = files_of(path)
     for file in (one for one in files if not one.name.endswith(STUB_SUFFIX)):
         try:
-            session, reason = _read(file, anchors, visit)
+            session, reason, more = _read(file, anchors, visit)
+            findings += more
         except InputError as error:
             session, reason = unread(file.name), error.problems[0].bound
             findings += (SeriesFinding("unreadable", file.name, "the file", "", reason),)
@@ -166,11 +174,14 @@ def read_folder(
     return FolderRead(path, found, reasons)
 
 
-def _read(file: Path, anchors: tuple[str, ...], visit: Visit) -> tuple[FolderSession, str]:
-    """A log, or what is left of an archived one; and why it is not OK."""
+def _read(
+    file: Path, anchors: tuple[str, ...], visit: Visit
+) -> tuple[FolderSession, str, tuple[SeriesFinding, ...]]:
+    """What a log says of itself, why it is not OK, and what was found in it besides."""
     with opened(file) as log:
-        visit(file.name, log)
-        return session_of(file.name, log, anchors), next(iter(log.report.reasons), "")[:REASON_MAX]
+        found = tuple(visit(file, log))
+        reason = next(iter(log.report.reasons), "")[:REASON_MAX]
+        return session_of(file.name, log, anchors), reason, found
 
 
 class _Left(NamedTuple):
@@ -212,16 +223,59 @@ def opened(file: Path) -> Iterator[Log]:
 # ---------------------------------------------------------------- verify
 
 
-def verify_folder(path: Path, add: Add | None, trust: Trust = NOBODY) -> Status:
+@dataclass
+class _Checked:
+    """What came of the codes of all sessions."""
+
+    check: Codes | None
+    counts: Counter[str] = field(default_factory=Counter)
+    fits: bool = False
+    refused: SeriesFinding | None = None
+
+    def visit(self, file: Path, log: Log) -> Sequence[SeriesFinding]:
+        """The next log; the keys of one session alone tell nothing of another one."""
+        if self.check is None or log.report.status is Status.UNREADABLE:
+            return ()
+        try:
+            found = self.check(file, log)
+        except InputError as error:
+            self.counts[NOT_CHECKED] += 1
+            self.refused = self.refused or SeriesFinding(
+                "codes-not-checked", file.name, "codes", "", f"the key fits no session here: {error}"
+            )
+            return ()
+        self.counts[found.answer] += 1
+        self.fits = True
+        wrong = SeriesFinding("codes-wrong", file.name, "its codes", "", found.line)
+        return (wrong,) if found.answer == "no" else ()
+
+    def held_to(self, read: FolderRead) -> FolderRead:
+        """The folder with what came of the codes; a key that fits no session of it is none to be silent about."""
+        found = read.found
+        if self.refused and not self.fits:
+            findings = (*found.findings, self.refused)
+            found = replace(found, findings=findings, status=worst([found.status, self.refused.status]))
+        return replace(read, found=found, codes=str(self))
+
+    def __str__(self) -> str:
+        """How many of each answer; empty where none were to be checked."""
+        if self.check is None:
+            return ""
+        return ", ".join(f"{count} {answer}" for answer, count in sorted(self.counts.items())) or NOT_CHECKED
+
+
+def verify_folder(path: Path, add: Add | None, trust: Trust = NOBODY, codes: Codes | None = None) -> Status:
     """Print what a folder of logs is, or hand over its document.
 
     Args:
         path: the folder.
         add: takes the document; None where lines are printed.
         trust: what the reviewer has from elsewhere.
+        codes: checks those of a session; None where they are not to be.
     """
+    checked = _Checked(codes)
     try:
-        read = read_folder(path, trust)
+        read = checked.held_to(read_folder(path, trust, checked.visit))
     except InputError as error:
         return refused(path, error, add)
     if add is not None:
@@ -267,13 +321,17 @@ class Rows:
     again: bool
     summaries: dict[str, SessionSummary] = field(default_factory=dict)
 
-    def visit(self, name: str, log: Log) -> None:
+    def visit(self, file: Path, log: Log) -> Sequence[SeriesFinding]:
         """The next log."""
-        found = NOT_CHECKED
+        result = None
         if self.again:
-            with working(f"deciding {name} again"):
-                found = _REPLAYED[replay(log, certified.verify, verifier=VERIFIER).outcome]
-        self.summaries[name] = summary_of(log, found)
+            with working(f"deciding {file.name} again"):
+                result = replay(log, certified.verify, verifier=VERIFIER)
+        self.summaries[file.name] = summary_of(log, _REPLAYED[result.outcome] if result else NOT_CHECKED)
+        if result is None or result.outcome is not ReplayOutcome.DIFFERS:
+            return ()
+        why = next(iter(result.differences), "")[:REASON_MAX]
+        return (SeriesFinding("replay-differs", file.name, "decided again", "", f"it differs: {why}"),)
 
     @property
     def replay(self) -> str:
@@ -282,12 +340,6 @@ class Rows:
             return NOT_CHECKED
         counts = Counter(one.replay for one in self.summaries.values())
         return ", ".join(f"{count} {what}" for what, count in sorted(counts.items())) or NOT_CHECKED
-
-    @property
-    def status(self) -> Status:
-        """TAMPERED where deciding again comes to something else."""
-        differs = any(one.replay == _REPLAYED[ReplayOutcome.DIFFERS] for one in self.summaries.values())
-        return Status.TAMPERED if differs else Status.OK
 
     def table(self, sessions: Sequence[FolderSession]) -> Fitting:
         """Those sessions, in their order."""
@@ -363,13 +415,13 @@ def _listed(path: Path, add: Add | None, *, again: bool) -> Status:
         if path.is_dir():
             read = read_folder(path, visit=rows.visit)
         else:
-            session, reason = _read(path, (), rows.visit)
-            alone = SeriesFound(session.status, (Joined(session, "alone"),), (), "", "", "")
+            session, reason, more = _read(path, (), rows.visit)
+            status = worst([session.status, *(finding.status for finding in more)])
+            alone = SeriesFound(status, (Joined(session, "alone"),), more, "", "", "")
             read = FolderRead(path, alone, {path.name: reason} if reason else {})
     except InputError as error:
         return refused(path, error, add)
-    status = worst([read.found.status, rows.status])
-    read = replace(read, replay=rows.replay, found=replace(read.found, status=status))
+    status, read = read.found.status, replace(read, replay=rows.replay)
     sessions = [joined.session for joined in read.found.joined]
     if add is not None:
         findings = [told(finding) for finding in read.found.findings]

@@ -8,13 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from cutgate.config.load import InputError
 from cutgate.runtime.audit import folder as folders_module
 from cutgate.runtime.audit import records
 from cutgate.runtime.audit.directory import HEAD, LOCK
 from cutgate.runtime.audit.log_keys import default_path, new_log_key, to_continue
+from cutgate.runtime.audit.recomputed.authenticated import CodesFound
 from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.commands import audit_folder as commands_module
 from cutgate.runtime.commands.app import execute
+from cutgate.runtime.commands.audit_folder import verify_folder
 from tests.runtime.audit.build import forge
 from tests.runtime.audit.folders import (
     folder_of,
@@ -293,6 +296,32 @@ def test_anchors_are_those_of_the_whole_folder(capsys, logs):
     assert verify(capsys, directory, "--anchor", "ab" * 32) == (2, {"anchor-missing"})
 
 
+def test_the_codes_of_each_session_are_checked_and_what_the_key_does_not_fit_is_told(logs, capsys):
+    directory, names = logs
+    documents = []
+
+    def check(answers):
+        def codes(file, _log):
+            answer = answers[names.index(file.name)]
+            if answer is None:
+                raise InputError("--key", "log_id", "a", "b", "name another")
+            return CodesFound(answer, "session keys", wrong=("record 3",) if answer == "no" else ())
+
+        status = verify_folder(directory, documents.append, codes=codes)
+        return status, documents[-1]["codes"], [finding["code"] for finding in documents[-1]["findings"]]
+
+    assert check(["yes"] * 5) == (0, "5 yes", [])
+    assert check(["yes", None, "not checked", None, "yes"]) == (0, "3 not checked, 2 yes", [])
+    assert check(["yes", "no", "yes", None, "yes"]) == (2, "1 no, 1 not checked, 3 yes", ["codes-wrong"])
+    assert check([None] * 5) == (1, "5 not checked", ["codes-not-checked"])
+    assert verify_folder(directory, None, codes=lambda *_: CodesFound("yes", "session keys")) == 0
+    assert capsys.readouterr().out.endswith("codes: 5 yes\n")
+    (directory / "x.mcap").write_bytes(b"no log")
+    assert check(["yes"] * 5) == (0, "5 yes", ["not-a-log"])
+    verify_folder(directory.parent, documents.append, codes=check)
+    assert documents[-1]["codes"] == "not checked"
+
+
 def test_a_folder_of_0_1_0_is_incomplete_and_each_of_its_sessions_follows(capsys):
     code, out, _ = audit(capsys, "verify", OLD)
     assert code == 1
@@ -365,7 +394,9 @@ def test_a_replay_that_differs_makes_a_list_tampered(capsys, tmp_path):
     assert audit(capsys, "list", tmp_path / "forged.mcap")[0] == 1
     code, out, _ = audit(capsys, "list", tmp_path / "forged.mcap", "--replay")
     assert code == 2
-    assert "differs" in out
+    assert "TAMPERED replay-differs: forged.mcap: decided again: it differs: " in out
+    _, out, _ = audit(capsys, "list", tmp_path, "--replay", "--json")
+    assert {"replay-differs"} <= {finding["code"] for finding in json.loads(out)[0]["findings"]}
 
 
 def test_list_takes_a_log_alone_and_its_usage_errors_are_unreadable(capsys, logs):

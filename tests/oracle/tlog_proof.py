@@ -40,6 +40,7 @@ def parted(extra):
     """Epoch, public key, series and certificate of each key; and the record."""
     assert extra[:15] == b"cutgate/proof/1"
     (count,), at = struct.unpack_from("<I", extra, 15), 19
+    assert count <= 65_536
     series, first = None, None
     if count:
         series, first = struct.unpack_from("<16sI", extra, at)

@@ -115,8 +115,10 @@ class Proving:
         return ""
 
     def _prove(self, checkpoint: str) -> None:
-        public = self._signatures.verifier.public
-        self.proof = RecordProof(self._covered, self._index, self._tree.proof, checkpoint, public)
+        """By a checkpoint that the log's key has signed; what witnesses have signed of it is no part of the proof."""
+        verifier = self._signatures.verifier
+        note = notes.alone(checkpoint, verifier)
+        self.proof = RecordProof(self._covered, self._index, self._tree.proof, note, verifier.public)
 
 
 def prove(path: Path, index: int, trust: Trust = NOBODY, *, latest: bool = False) -> RecordProof:

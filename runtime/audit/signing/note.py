@@ -99,8 +99,7 @@ class Note:
 def sign(text: str, name: str, secret: Ed25519PrivateKey) -> str:
     """The note of this text with one signature. A text ends with a newline."""
     key = VerifierKey(name, secret.public_key().public_bytes_raw())
-    line = b64encode(key.id + secret.sign(text.encode())).decode()
-    return f"{text}\n{_DASH}{name} {line}\n"
+    return _note(text, key, secret.sign(text.encode()))
 
 
 def parse(note: str) -> Note:
@@ -139,6 +138,17 @@ def verify(note: str, key: VerifierKey) -> str:
         except InvalidSignature:
             raise NoteError(f"its signature is not of the key {key.name}+{key.id.hex()}") from None
     return found.text
+
+
+def alone(note: str, key: VerifierKey) -> str:
+    """A note that this key has signed, without what others have signed of it. Raises as ``verify``."""
+    text = verify(note, key)
+    claimed = (data for name, key_id, data in parse(note).signatures if (name, key_id) == (key.name, key.id))
+    return _note(text, key, next(claimed))
+
+
+def _note(text: str, key: VerifierKey, data: bytes) -> str:
+    return f"{text}\n{_DASH}{key.name} {b64encode(key.id + data).decode()}\n"
 
 
 def _encodable(text: str) -> bool:

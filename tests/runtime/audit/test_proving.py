@@ -271,6 +271,18 @@ def test_a_signature_of_another_log_or_tree_beside_it_is_refused(folder, tmp_pat
         prove(copy, count - 1)
 
 
+def test_what_witnesses_signed_is_no_part_of_a_proof(log, tmp_path):
+    """A sidecar may hold their cosignatures; a proof has the log's own signature alone."""
+    copy = copied(log, tmp_path)
+    last = len(stored(log)) - 1
+    sidecar = Sidecar.parse(sidecar_of(copy).read_bytes())
+    cosigned = sidecar.checkpoint + "— witness.example AAAAAAA=\n"
+    sidecar_of(copy).write_bytes(replace(sidecar, checkpoint=cosigned).encode())
+    proof = prove(copy, last)
+    assert proof == prove(log, last)
+    assert RecordProof.parse(proof.encode()) == proof
+
+
 def test_a_log_that_is_not_signed_is_refused():
     old = next(COMPAT.glob("**/*.mcap"))
     with pytest.raises(

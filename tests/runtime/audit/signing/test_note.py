@@ -15,6 +15,7 @@ from cutgate.runtime.audit.signing.note import (
     NoteError,
     SignatureType,
     VerifierKey,
+    alone,
     parse,
     sign,
     verify,
@@ -262,3 +263,13 @@ def test_neither_keys_nor_notes_change(one, name):
     with pytest.raises(FrozenInstanceError):
         setattr(one, name, "x")
     assert not hasattr(one, "__dict__")
+
+
+def test_a_note_without_what_others_signed():
+    for note in (SIGNED_ONCE, SIGNED_TWICE):
+        assert alone(note, VerifierKey.parse(PETER)) == SIGNED_ONCE
+    lines = COSIGNED.splitlines(keepends=True)
+    for key, place in ((ARCHE, 5), (REMORA, 6)):
+        assert alone(COSIGNED, VerifierKey.parse(key)) == "".join((*lines[:4], lines[place]))
+    with pytest.raises(NoteError, match="it has no signature of the key"):
+        alone(SIGNED_ONCE, VerifierKey.parse(ENOCH))

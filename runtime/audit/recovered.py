@@ -6,7 +6,7 @@ and never OK. It stands before the first chunk, so that what is left of a copy t
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Final
 
 from mcap.records import Metadata
@@ -41,7 +41,15 @@ class Recovered:
 
     def metadata(self) -> Metadata:
         """As it stands in the file."""
-        return Metadata(RECOVERED, dict(zip(_KEYS, map(str, astuple(self)), strict=True)))
+        content = {
+            "original": self.original,
+            "original_sha256": self.sha256,
+            "original_bytes": str(self.size),
+            "dropped_bytes": str(self.dropped),
+            "records": str(self.records),
+            "software": self.software,
+        }
+        return Metadata(RECOVERED, content)
 
     @classmethod
     def parse(cls, content: Mapping[str, str]) -> "Recovered":

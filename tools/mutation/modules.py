@@ -96,6 +96,8 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
     "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),
+    "runtime/audit/recovered.py": ("tests/runtime/audit/test_recovered.py",),
+    "runtime/audit/recovery.py": ("tests/runtime/audit/test_recovery.py",),
     "runtime/audit/container/raw.py": ("tests/runtime/audit/container/test_raw.py",),
     "runtime/audit/container/kinds.py": ("tests/runtime/audit/container/test_kinds.py",),
     "runtime/audit/container/chunk.py": ("tests/runtime/audit/container/test_chunk.py",),

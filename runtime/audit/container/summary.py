@@ -152,7 +152,7 @@ def footer_of(start: int, end: int, crc: int) -> Footer:
         end: place of its offsets.
         crc: checksum of all of it.
     """
-    footer = Footer(summary_start=start, summary_offset_start=end, summary_crc=0)
+    footer = Footer(summary_start=start, summary_offset_start=end, summary_crc=crc)  # covers not itself
     return replace(footer, summary_crc=zlib.crc32(encoded(footer)[:-_CRC], crc))
 
 

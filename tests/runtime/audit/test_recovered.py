@@ -1,7 +1,9 @@
 """What a recovered copy says of itself is read back as it was written, or refused."""
 
+from dataclasses import FrozenInstanceError
+
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Metadata
 
@@ -21,10 +23,17 @@ def test_every_field_has_its_key():
     )
 
 
+@settings(max_examples=40)
 @given(TEXTS, st.binary(min_size=32, max_size=32), COUNTS, COUNTS, COUNTS, TEXTS)
 def test_what_is_written_is_read_back(original, digest, one, other, kept, software):
     told = Recovered(original, digest.hex(), max(one, other), min(one, other), kept, software)
     assert Recovered.parse(told.metadata().metadata) == told
+
+
+def test_what_is_told_does_not_change():
+    with pytest.raises(FrozenInstanceError):
+        TOLD.records = 18  # type: ignore[misc]
+    assert not hasattr(TOLD, "__dict__")
 
 
 def test_it_says_of_what_it_is_a_copy_and_how_much_is_missing():
@@ -61,6 +70,7 @@ def test_a_name_is_there_and_of_bounded_length(key, value):
     with pytest.raises(ValueError, match="a name is empty or longer than any"):
         Recovered.parse(CONTENT | {key: value})
     assert Recovered.parse(CONTENT | {key: "x" * TEXT_MAX})
+    assert TEXT_MAX == 2000
 
 
 def test_no_more_is_dropped_than_there_was():

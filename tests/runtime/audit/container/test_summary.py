@@ -18,7 +18,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from cutgate.runtime.audit.container import raw
+from cutgate.runtime.audit.container import raw, summary
 from cutgate.runtime.audit.container.chunk import Chunk
 from cutgate.runtime.audit.container.raw import BrokenError, Budget, Raw
 from cutgate.runtime.audit.container.summary import (
@@ -263,6 +263,7 @@ def test_what_is_written_is_what_is_read():
 
 
 def test_a_group_that_is_kept_is_bounded(monkeypatch):
+    assert summary.KEPT_MAX == 67_108_864
     record = packed(SCHEMAS[0])
     monkeypatch.setattr("cutgate.runtime.audit.container.summary.KEPT_MAX", 2 * len(record))
     group = KeptGroup(Opcode.SCHEMA)

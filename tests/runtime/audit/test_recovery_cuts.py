@@ -1,0 +1,108 @@
+"""Whatever is cut off a log, what was whole in it comes back, in a file that every reader opens and none calls whole."""
+
+import errno
+
+import pytest
+
+from cutgate.runtime.audit.inspect import Status, read_log
+from cutgate.runtime.audit.log import AuditLog
+from cutgate.runtime.audit.recovered import RECOVERED, Recovered
+from cutgate.runtime.audit.recovery import agrees
+from tests.runtime.audit.build import (
+    LOG_ID,
+    OPENED,
+    PATIENCE_S,
+    Ticking,
+    WatchedDisk,
+    decision,
+    session_log,
+)
+from tests.runtime.audit.cuts import (
+    MAGIC,
+    TOLD,
+    Whole,
+    by_index,
+    cut_off,
+    each,
+    recovered,
+    smallest_log_with_a_start,
+    zeros_behind,
+)
+from tests.runtime.audit.test_recovery import NOTHING
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A session that was permitted, started and closed."""
+    return Whole(session_log(tmp_path_factory.mktemp("session")).log.read_bytes())
+
+
+def check(whole, cut, left):
+    """The copy holds what was whole, says so, and is INCOMPLETE; where not even record 0 was whole there is none."""
+    messages, attachments = whole.kept(left)
+    found = recovered(left)
+    if not messages:
+        assert found == ("this is not an audit log of cutgate" if cut < len(MAGIC) else NOTHING), cut
+        return
+    assert not isinstance(found, str), (cut, found)
+    copy, told, original = found
+    own = ("cutgate", {"log_id": LOG_ID, "software": OPENED.software})
+    assert by_index(copy) == (messages, attachments, [own, (RECOVERED, told.metadata().metadata)]), cut
+    assert told == Recovered(*TOLD[:2], len(left), original.report.dropped_bytes, len(messages), TOLD[2])
+    read = read_log(copy, b"")
+    assert (read.report.status, read.report.messages) == (Status.INCOMPLETE, len(messages)), (
+        cut,
+        read.report,
+    )
+    assert read.report.reasons[0] == f"it is a recovered copy of cut.mcap, {told.dropped} bytes dropped"
+    assert agrees(read, original, told)
+
+
+@pytest.mark.parametrize("part", ["boundaries", "seeded"])
+def test_wherever_a_log_is_cut_what_is_whole_comes_back(whole, part):
+    for cut, left in each(whole, getattr(whole, part)(), cut_off):
+        check(whole, cut, left)
+
+
+def test_zeros_behind_the_cut_change_nothing(whole):
+    """A loss of power leaves them; behind a close record none can stand, and nothing is copied of such a log."""
+    refusals = set()
+    for cut, left in each(whole, whole.seeded(), zeros_behind):
+        if cut >= whole.closed_at:
+            refusals.add(recovered(left))
+        else:
+            check(whole, cut, left)
+    assert refusals == {"it is altered, not cut: zeros stand behind its close record"}
+
+
+@pytest.mark.long
+def test_at_every_byte_of_the_smallest_log_with_a_start(tmp_path):
+    """21 kB, so as many cuts."""
+    whole = Whole(smallest_log_with_a_start(tmp_path))
+    assert 20_000 < len(whole.data) < 23_000
+    topics = [said.topic for _, several in whole.messages for said in several]
+    assert topics.count("/audit/permit") == 4
+    for cut, left in each(whole, list(range(len(whole.data))), cut_off):
+        check(whole, cut, left)
+
+
+@pytest.mark.parametrize("number", range(1, 26, 4))
+def test_what_a_full_disk_has_left_is_recovered(tmp_path, number):
+    def full(operation, count):
+        if (operation, count) == ("write", number):
+            raise OSError(errno.ENOSPC, "full")
+
+    def written(folder, **disk):
+        opened = {"clock": Ticking().clock(), "disk": WatchedDisk(short=500, **disk)}
+        log = AuditLog.create(folder, log_id=LOG_ID, opened=OPENED, **opened)
+        log.attach("plan.csv", "text/csv", b"x,y,z\n" * 900)
+        for step in range(9):
+            log.write(decision(step))
+        return log.close(final_state="done", clean=True, timeout_s=PATIENCE_S)
+
+    whole = Whole(written(tmp_path / "roomy").log.read_bytes())
+    paths = written(tmp_path / "full", trouble=full)
+    left = paths.log.read_bytes()
+    assert not paths.closed
+    assert whole.data.startswith(left)
+    check(whole, len(left), left)

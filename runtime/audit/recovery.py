@@ -21,7 +21,7 @@ from mcap.records import DataEnd, MetadataIndex
 
 from cutgate.runtime.audit.container.chunk import Definitions, parse_chunk
 from cutgate.runtime.audit.container.kinds import encoded
-from cutgate.runtime.audit.container.raw import HEAD, MAGIC, PIECE, PREFIX, Budget, Raw, RecordReader
+from cutgate.runtime.audit.container.raw import HEAD, MAGIC, PIECE, Budget, Raw, RecordReader
 from cutgate.runtime.audit.container.summary import Expected, KeptGroup, footer_of, offsets_of
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.records import AuditClose
@@ -185,7 +185,7 @@ class _Copy:
 
     def _indexes(self, content: bytes, offset: int) -> Iterator[bytes]:
         """The message indexes of the chunk that has been written, whose record stands at this offset."""
-        chunk = parse_chunk(content, offset + PREFIX, self._definitions)
+        chunk = parse_chunk(content, offset, self._definitions)  # where its messages stand nobody asks
         self._summary.take_chunk(chunk)
         offsets, begin = {}, self._at
         for channel, body in chunk.indexes():

@@ -15,11 +15,13 @@ import typer
 from cutgate import __version__
 from cutgate.config.durable import creating, write_all
 from cutgate.config.load import InputError, unreadable
+from cutgate.config.durable import create_in_pieces
+from cutgate.config.load import InputError, open_input, unreadable
 from cutgate.config.ours import read_ours
 from cutgate.config.screen import printable
 from cutgate.runtime.audit.container.raw import PIECE, BrokenError, TornError
 from cutgate.runtime.audit.directory import HEAD, HEAD_MAX, LOCK, Head
-from cutgate.runtime.audit.inspect import Log
+from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.reading import copy_of, reading
 from cutgate.runtime.audit.recovered import Recovered
 from cutgate.runtime.audit.recovery import agrees, copied, refused, what_is_told
@@ -182,15 +184,17 @@ def _write(copy: Path, pieces: Iterator[bytes]) -> None:
 
 
 def _read_back(copy: Path, path: Path, log: Log, told: Recovered) -> None:
-    """Refuses a copy that is not what was read, and removes it.
+    """Refuses a copy that is not what was read, and removes it; raw frames that may lie beside it are not its matter.
 
     Raises:
         InputError: it differs, or cannot be read.
     """
     same = False
     try:
-        with reading(copy) as again:
-            same = agrees(again, log, told)
+        with open_input(copy) as file:
+            same = agrees(read_log(file), log, told)
+    except OSError as error:
+        raise unreadable(copy, error) from None
     finally:
         if not same:
             copy.unlink(missing_ok=True)

@@ -113,6 +113,23 @@ def test_the_copy_goes_where_it_is_told_to(capsys, crashed, tmp_path, option):
     assert not copy_of(crashed).exists()
 
 
+def test_raw_frames_of_another_log_beside_the_copy_are_no_matter_of_its(capsys, crashed, whole, tmp_path):
+    crashed.write_bytes(whole[:-1])
+    candump_of(crashed).write_bytes(b"")
+    (tmp_path / "x.candump.log").write_bytes(b"of another")
+    assert cutgate(capsys, "recover", crashed, "-o", tmp_path / "x.mcap")[0] == 0
+
+
+def test_a_copy_that_cannot_be_read_back_is_removed(capsys, crashed, monkeypatch):
+    def broken(_file):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(module, "read_log", broken)
+    code, _, err = cutgate(capsys, "recover", crashed)
+    assert (code, copy_of(crashed).exists()) == (2, False)
+    assert err.startswith(f"{copy_of(crashed)}: cannot be read (Input/output error)")
+
+
 def test_an_original_that_is_read_only_keeps_its_mode(capsys, crashed):
     crashed.chmod(0o444)
     code, out, _ = cutgate(capsys, "recover", crashed)

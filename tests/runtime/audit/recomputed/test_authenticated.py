@@ -382,12 +382,14 @@ def said(record, side, session, sequence=1000):
 def test_a_record_of_this_side_that_the_log_does_not_know_is_named_whatever_its_code(cut):
     acknowledge = wire.Acknowledge(0, StopCause.OPERATOR_STOP)
     signed = SessionCodes(cut.keys.codes).sign(acknowledge, 1000)
-    for record, told in (
-        (signed, "the Acknowledge: a holder of the key made it, and the log does not know it"),
-        (acknowledge, "the Acknowledge: a record under this side's name that the log does not know"),
-        (wire.Collect(), "the Collect: a record under this side's name that the log does not know"),
+    for record, tag, told in (
+        (signed, cut.tag, "the Acknowledge: a holder of the key made it, and the log does not know it"),
+        (signed, 7, "the Acknowledge: a record under this side's name that the log does not know"),
+        (acknowledge, cut.tag, "the Acknowledge: a record under this side's name that the log does not know"),
+        (wire.Collect(), cut.tag, "the Collect: a record under this side's name that the log does not know"),
     ):
-        found = cut.raw(lambda lines, record=record: lines + said(record, RUNTIME, cut.tag)).check()
+        more = said(record, RUNTIME, tag)
+        found = cut.raw(lambda lines, more=more: lines + more).check()
         assert (found.answer, found.wrong_count) == ("no", 1)
         assert told in found.wrong[0]
 

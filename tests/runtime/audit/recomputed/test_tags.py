@@ -172,6 +172,27 @@ def test_what_was_said_before_fits_nowhere_else(can_id, counter):
     assert samples < 40 or not joints
 
 
+@pytest.mark.parametrize("by", [1, 2, 128, 255])
+def test_a_heartbeat_that_left_has_the_counter_after_the_last_ones(by):
+    """The tag is that of its place, whatever the eight bits say."""
+    conversation = talked(5)
+    which = conversation.of(OURS)[-1]
+    old = bytes.fromhex(conversation.log[which].data)
+    moved = protect(old[3:], (old[2] + by) % 256, DATA_IDS[OURS], CODES.tag)
+    conversation.log[which] = conversation.log[which].model_copy(update={"data": moved.hex()})
+    assert conversation.found()[1][which] == f"heartbeat 4 that left: {UNFIT}"
+
+
+def test_a_sample_of_before_the_first_heartbeat_fits_nowhere():
+    conversation = talked(1)
+    for kind in (Joints01, Joints23, Joint4):
+        (which,) = conversation.of(IDS[kind])
+        old = bytes.fromhex(conversation.log[which].data)
+        data = protect(old[3:], 255, DATA_IDS[IDS[kind]], CODES.tag)
+        conversation.log[which] = conversation.log[which].model_copy(update={"data": data.hex()})
+    assert [text for text in conversation.found()[1] if text] == [f"joint sample -1: {UNFIT}"]
+
+
 def test_a_heartbeat_that_came_twice_is_a_repetition():
     conversation = talked(5)
     for can_id in (THEIRS, IDS[Joints01], IDS[Joint4]):

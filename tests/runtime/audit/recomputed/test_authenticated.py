@@ -188,6 +188,29 @@ def test_a_permit_that_lacks_what_its_code_needs_is_named(cut, field):
     assert "cannot be read" in found.wrong[0]
 
 
+def test_what_is_coded_begins_with_its_domain(cut):
+    (sent,) = [
+        one["record"]
+        for one in cut.read.of("/audit/permit")
+        if (one["kind"], one["stage"]) == ("start", "sent")
+    ]
+    found = cut.permit("start", record=sent.removeprefix(b"cutgate/start/1\0".hex())).check()
+    assert found.wrong[0].endswith(f"the start: {NOT_OURS}")
+
+
+@pytest.mark.parametrize("name", ["open", "opened", "permit", "start"])
+def test_a_record_that_was_answered_has_left_whole(cut, name):
+    numbers, _ = control(cut, CONTROLLER if name == "opened" else RUNTIME, TYPES[name])
+    found = cut.raw(
+        lambda lines: [line for number, line in enumerate(lines) if number != numbers[-2]]
+    ).check()
+    named = name.upper() if name.startswith("open") else name
+    assert (found.answer, found.wrong[0]) == (
+        "no",
+        f"the raw frames do not hold the {named} that the log holds",
+    )
+
+
 @pytest.mark.parametrize("sequence", [-1, 1 << 32, 1 << 200])
 def test_a_sequence_that_no_record_has_is_named(cut, sequence):
     assert "cannot be read: it names no sequence" in cut.permit("start", sequence=sequence).check().wrong[0]
@@ -520,6 +543,50 @@ def test_a_forged_heartbeat_of_whose_refusal_the_log_says_nothing_was_acted_on(f
     found = silent.check()
     assert found.answer == "no"
     assert found.wrong[0].endswith(", and the session went on")
+
+
+@pytest.mark.parametrize(
+    ("source", "cause"), [("controller", "AUTHENTICATION_FAILED"), ("runtime", "HEARTBEAT_LOST")]
+)
+def test_a_fault_that_is_no_refusal_excuses_no_frame(forged, source, cause):
+    def edit(one):
+        fault = isinstance(one, records.AuditFault)
+        return one.model_copy(update={"source": source, "cause": cause}) if fault else one
+
+    found = forged.edited(edit).check()
+    assert found.answer == "no"
+    assert found.wrong[0].endswith(", and the session went on")
+
+
+def test_what_came_last_was_not_acted_on(cut):
+    """No heartbeat left behind it: the log ends there, or this side fell silent."""
+    which = cut.single_frames(THEIRS, "received")[-1]
+    altered = cut.frame(which, lambda frame: flipped(frame, 3, 1))
+    count = -1
+
+    def silent(one):
+        nonlocal count
+        count += isinstance(one, records.CanFrame)
+        return None if isinstance(one, records.CanFrame) and one.id == OURS and count > which else one
+
+    found = altered.edited(silent).check(raw=False)
+    assert (found.answer, found.wrong) == ("yes", ())
+    assert found.notes[0].startswith("refused by this side, as it must: frames that came and do not fit (1)")
+
+
+def test_a_frame_that_came_damaged_was_counted_by_this_side(cut):
+    which = cut.single_frames(0x303, "received")[3]
+    found = cut.frame(which, lambda frame: flipped(frame, 4, 1), protected=False).check()
+    assert found.wrong == ("1 frames of the controller are damaged, this side counted 0",)
+    closed = cut.edited(
+        lambda one: (
+            one.model_copy(update={"bus": one.bus.model_copy(update={"crc_failures": 1})})
+            if isinstance(one, records.AuditClose)
+            else one
+        )
+    )
+    again = closed.frame(which, lambda frame: flipped(frame, 4, 1), protected=False).check()
+    assert (again.answer, again.notes) == ("yes", ("not checked: frames that came damaged (1)",))
 
 
 def test_a_refusal_after_which_this_side_went_on_enabling_was_none(cut):

@@ -56,6 +56,7 @@ def test_a_record_that_was_given_up_and_frames_of_other_kinds_disturb_nothing():
     half, whole = carried(bytes(90), Side.RUNTIME)[:4], carried(b"whole" * 9, Side.RUNTIME)
     others = [
         line(0x600, bytes(64), is_fd=True),
+        line(0x600, b"\x05other\xcc\xcc", is_fd=True),
         line(0x600, b"", is_remote=True),
         line(0x600, b""),
         line(0x640, bytes(8)),

@@ -14,7 +14,8 @@ The answer is "no" for what the log itself claims:
 - a heartbeat or joint sample that came, does not fit, and was acted on: this side's next heartbeat left, and before it
   the log names no fault for which it would have been refused;
 - more damaged frames of the controller than this side counted;
-- raw frames that are not the log's, or a record in them that the log does not know, unless it names a second node;
+- raw frames that are not the log's, or a record under this side's name in them that the log does not know, unless it
+  names a second node, or that this side stood still;
 - a permit without the session in which it left.
 
 What anybody on the bus can do is only told: frames and records that do not fit, and that this side refused. They are not

@@ -60,6 +60,10 @@ COMMANDS: Final = {
         "Look at installation, bus, clock, priority, key, log directory and disk: can a session run here?",
     ),
     "config": ("config", "Settings as they hold, and input files checked on their own."),
+    "decode": (
+        "decode",
+        "Show what was said on the bus: a line for each message, with its fields in words and units.",
+    ),
     "audit": ("audit", "Review session logs: what was decided, and whether it stands."),
 }
 """Of each command the module that registers it, and its help's first paragraph, which a test compares with the module's."""

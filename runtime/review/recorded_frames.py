@@ -12,7 +12,7 @@ from typing import BinaryIO, Final, Literal
 
 from pydantic import ValidationError
 
-from cutgate.protocol.candump import CandumpError, RawFrame, parse
+from cutgate.protocol.candump import CLASSIC_BYTES, CandumpError, RawFrame, parse
 from cutgate.protocol.frames import SENT_BY, TRANSFER_IDS
 from cutgate.protocol.wire import Side
 from cutgate.runtime.audit.container.raw import PIECE
@@ -78,28 +78,34 @@ class SessionFrames:
 
     def _recorded(self) -> Iterator[tuple[Direction, RawFrame]]:
         """The frames of the log itself."""
-        interface = self._interface
+        interface = self.interface
         for _, data in self.log.each(CanFrame.TOPIC):
-            try:
-                record = CanFrame.model_validate_json(data)
-                content = bytes.fromhex(record.data)
-                frame = RawFrame(
-                    record.stamp.nanoseconds,
-                    interface,
-                    record.id,
-                    b"" if record.is_rtr else content,
-                    is_extended=record.is_extended,
-                    is_remote=record.is_rtr,
-                    is_error=record.is_error,
-                    is_fd=len(content) > 8,
-                )
-            except (ValidationError, ValueError):  # it is data
-                self.strange += 1
-            else:
-                yield record.direction, frame
+            found = self.recorded(data, interface)
+            if found is not None:
+                yield found
+
+    def recorded(self, data: bytes, interface: str) -> tuple[Direction, RawFrame] | None:
+        """The frame of a record of ``/can/frame``; None for one that is none, which is counted."""
+        try:
+            record = CanFrame.model_validate_json(data)
+            content = bytes.fromhex(record.data)
+            frame = RawFrame(
+                record.stamp.nanoseconds,
+                interface,
+                record.id,
+                b"" if record.is_rtr else content,
+                is_extended=record.is_extended,
+                is_remote=record.is_rtr,
+                is_error=record.is_error,
+                is_fd=len(content) > CLASSIC_BYTES,
+            )
+        except (ValidationError, ValueError):  # it is data
+            self.strange += 1
+            return None
+        return record.direction, frame
 
     @property
-    def _interface(self) -> str:
+    def interface(self) -> str:
         """The bus's name, by the option of record 0."""
         for opened in self.log.of(AuditOpen.TOPIC)[:1]:
             options = opened.get("simulation")

@@ -147,6 +147,9 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         "audit verify": (["audit", "verify", log], 0),
         "audit show": (["audit", "show", log], 0),
         "audit replay": (["audit", "replay", log], 0),
+        "audit diff": (["audit", "diff", log, log], 0),
+        "audit export": (["audit", "export", log, "--to", "jsonl"], 0),
+        "decode": (["decode", str(files / "bus.log")], 0),
     }
 
 
@@ -488,8 +491,9 @@ def costs(files: Path) -> list[str]:
 
 
 def made(files: Path) -> None:
-    """A log, a key, a proof and landmarks to work on."""
+    """A log, frames, a key, a proof and landmarks to work on."""
     session_log(files)
+    (files / "bus.log").write_text("(1.000000) can0 080#0011223344556677\n" * 20, encoding="utf-8")
     (files / "landmarks.csv").write_text(LANDMARKS, encoding="utf-8")
     new_key(files)
     robot = ["--robot", str(EXAMPLES / "robot.toml")]

@@ -373,7 +373,7 @@ def test_what_a_log_says_reaches_no_terminal_as_control_characters(export, tmp_p
 
 
 def test_memory_does_not_grow_with_the_log(tmp_path, export):
-    """A log of 2000 frames, and one of four times as many."""
+    """A log of 1000 frames, and one of four times as many."""
     peaks = []
     for times in (1, 4):
         frame = records.CanFrame(
@@ -381,7 +381,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, export):
         )
         log = tmp_path / f"{times}.mcap"
         log.write_bytes(
-            many(small_log(tmp_path / str(times), decisions=2).log.read_bytes(), frame, 2000 * times)
+            many(small_log(tmp_path / str(times), decisions=2).log.read_bytes(), frame, 1000 * times)
         )
         tracemalloc.start()
         assert export(log, "--to", "jsonl", "-o", tmp_path / f"{times}.jsonl")[0] == 0

@@ -104,7 +104,7 @@ def in_its_place(record):
 sent = records([kind for kind in RECORDS.values() if kind is not PathBlock])
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.lists(sent, min_size=1, max_size=6), st.data(), st.booleans())
 def test_records_are_put_together_however_their_segments_are_mixed(given_records, data, fd):
     numbers = Counter()
@@ -349,7 +349,7 @@ def test_a_frame_of_ours_of_another_length_is_named():
 # ---------------------------------------------------------------- whatever comes
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.lists(any_frames() | st.builds(
     RawFrame, st.just(0), st.just("x"), st.sampled_from(sorted({*FRAMES, 0x600, 0x601, 0x640, 0x641})), st.binary(max_size=8)
 ), max_size=30))  # fmt: skip

@@ -5,17 +5,21 @@ import io
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cutgate.runtime.audit.container.stored import ChannelInfo, Stored
 from cutgate.runtime.review.exported import LEADING, header_line, json_line, row_line, row_of, table_name
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-scalars = st.none() | st.booleans() | st.integers() | finite | st.text()
+scalars = st.none() | st.booleans() | st.integers() | finite | st.text(max_size=9)
 documents = st.dictionaries(
     st.text(),
-    st.recursive(scalars, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
+    st.recursive(
+        scalars,
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        max_leaves=6,
+    ),
     max_size=5,
 )
 FORMULA = "=+-@"
@@ -65,7 +69,8 @@ def test_what_is_no_object_of_finite_numbers_is_there_in_hex(data):
 # ---------------------------------------------------------------- tables
 
 
-@given(st.lists(documents, min_size=1, max_size=4))
+@settings(max_examples=60)
+@given(st.lists(documents, min_size=1, max_size=3))
 def test_a_table_has_a_line_for_each_record_and_no_formula_in_it(documents):
     cells, text = table(*documents)
     assert text.count("\n") == len(cells) == len(documents) + 1

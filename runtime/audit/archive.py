@@ -10,8 +10,9 @@ log and stub, or the stub alone, and goes on from there.
 
 import contextlib
 import os
+from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -27,6 +28,9 @@ from cutgate.runtime.audit.proving import prove
 from cutgate.runtime.audit.reading import candump_of
 from cutgate.runtime.audit.series import SeriesFound
 from cutgate.runtime.audit.series_facts import FolderSession
+from cutgate.runtime.audit.signing import note as notes
+from cutgate.runtime.audit.signing.note import VerifierKey
+from cutgate.runtime.audit.signing.proof import RecordProof
 from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.audit.stub import STUB_MAX, MovedFile, Stub, stub_name
 
@@ -272,10 +276,19 @@ def _digest(path: Path) -> tuple[int, str]:
 def _proven(log: Path, session: FolderSession) -> tuple[str | None, bytes | None]:
     """The proof of record 0; or record 0 itself, where no checkpoint signs it."""
     if session.signed:  # one that was cut before its first checkpoint has no proof
-        return prove(log, 0, latest=True).encode().decode(), None
+        proof = prove(log, 0, latest=True)
+        return replace(proof, checkpoint=_by_the_log_alone(proof)).encode().decode(), None
     with os.fdopen(open_ours(log), "rb") as file:
         first = next(walk(file, Scan()))
         return None, first.covered
+
+
+def _by_the_log_alone(proof: RecordProof) -> str:
+    """The checkpoint without the lines of witnesses, which stand in the signature that is moved."""
+    note = notes.parse(proof.checkpoint)
+    key = VerifierKey(note.text.partition("\n")[0], proof.public)
+    (own, *_) = (data for name, key_id, data in note.signatures if (name, key_id) == (key.name, key.id))
+    return f"{note.text}\n\u2014 {key.name} {b64encode(key.id + own).decode()}\n"
 
 
 def read_stub(path: Path) -> Stub:

@@ -75,6 +75,7 @@ RULES: Final[dict[str, Rule]] = {
     "archive-unfinished": Rule(Status.INCOMPLETE, "run `audit archive` once more, it goes on where it stopped; or remove the stub, if the log was put back"),
     "stub-wrong": Rule(Status.TAMPERED, "put the archived log itself back in its place"),
     "codes-wrong": Rule(Status.TAMPERED, "see what `audit verify LOG --key FILE` says of it"),
+    "cosigner-not-checked": Rule(Status.INCOMPLETE, "verify them where they are, with --cosigner"),
     "codes-not-checked": Rule(Status.INCOMPLETE, "name the key of one of these sessions with --key"),
     "replay-differs": Rule(Status.TAMPERED, "see what `audit replay LOG` says of it"),
     "unreadable": Rule(Status.UNREADABLE, "make it readable and ask again"),

@@ -129,11 +129,12 @@ def read_folder(
 ) -> FolderRead:
     """Read a folder's logs, one after the other, and find what it is.
 
-    A log is judged by itself; the pinned key and the anchors are the whole folder's.
+    A log is judged by itself, and each must be cosigned where that is asked; the pinned key and the anchors are the
+    whole folder's.
 
     Args:
         path: of the folder.
-        trust: the pinned key and the anchors.
+        trust: the pinned key, the anchors and the cosigners.
         visit: told of each log while it is open.
         running: whether a session runs in it; None to look.
 
@@ -145,9 +146,13 @@ def read_folder(
     anchors = tuple(anchor.hex() for anchor in trust.anchors)
     head, findings = head_in(path)
     files = files_of(path)
+    if not files and head is None and not findings:
+        remedy = "name a log, or the folder of logs"
+        raise InputError(path, "", None, "a folder without logs (*.mcap)", remedy)
+    cosigned = Trust(cosigners=trust.cosigners)
     for file in (one for one in files if not one.name.endswith(STUB_SUFFIX)):
         try:
-            session, reason, more = _read(file, anchors, visit)
+            session, reason, more = _read(file, anchors, visit, cosigned)
             findings += more
         except InputError as error:
             session, reason = unread(file.name), error.problems[0].bound
@@ -169,16 +174,19 @@ def read_folder(
     for place, names in places.items():
         told_of = f"{len(names)}, whose logs are not here; moved to {place}"
         findings += (SeriesFinding("archived", names[0], "archived sessions", "", told_of),)
+        if trust.cosigners:
+            told_of = f"of {len(names)} archived sessions whether they are cosigned; they are in {place}"
+            findings += (SeriesFinding("cosigner-not-checked", names[0], "not checked", "", told_of),)
     running = session_in(path) is not None if running is None else running
     found = examine(Folder(sessions, head, trust.pinned, running, anchors), findings)
     return FolderRead(path, found, reasons)
 
 
 def _read(
-    file: Path, anchors: tuple[str, ...], visit: Visit
+    file: Path, anchors: tuple[str, ...], visit: Visit, trust: Trust = NOBODY
 ) -> tuple[FolderSession, str, tuple[SeriesFinding, ...]]:
     """What a log says of itself, why it is not OK, and what was found in it besides."""
-    with opened(file) as log:
+    with opened(file, trust) as log:
         found = tuple(visit(file, log))
         reason = next(iter(log.report.reasons), "")[:REASON_MAX]
         return session_of(file.name, log, anchors), reason, found
@@ -212,11 +220,11 @@ def _archived(file: Path, logs: Mapping[str, FolderSession]) -> _Left | SeriesFi
 
 
 @contextmanager
-def opened(file: Path) -> Iterator[Log]:
+def opened(file: Path, trust: Trust = NOBODY) -> Iterator[Log]:
     """The log, read with a sign of life; errors as ``reading``."""
     with ExitStack() as files:
         with working(f"reading {file}"):
-            log = files.enter_context(reading(file))
+            log = files.enter_context(reading(file, trust))
         yield log
 
 

@@ -6,13 +6,16 @@ import shutil
 from fcntl import LOCK_EX, flock
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from cutgate.runtime.audit import archive as archive_module
 from cutgate.runtime.audit.directory import HEAD, LOCK
 from cutgate.runtime.audit.log_keys import default_path
+from cutgate.runtime.audit.signing.note import SignatureType, VerifierKey
 from cutgate.runtime.audit.signing.signer import sidecar_of
 from tests.runtime.audit.folders import folder_of, head, write_session
 from tests.runtime.commands.test_audit_folder import OLD, audit, verify
+from tests.runtime.commands.test_audit_verify import cosigned
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +193,20 @@ def test_a_log_put_back_beside_its_stub_and_a_stub_taken_away_or_exchanged_are_t
     assert {"stub-wrong", "begins-late"} <= verify(capsys, directory)[1]
     stubs[0].unlink()
     assert verify(capsys, directory)[1] == {"archived", "begins-late"}
+
+
+def test_cosigned_logs_are_archived_and_that_the_stub_does_not_tell_of_witnesses_is_told(capsys, tmp_path):
+    directory, old = tmp_path / "logs", tmp_path / "old"
+    paths, key = folder_of(directory, 3), Ed25519PrivateKey.generate()
+    witness, *_ = [cosigned(path, key) for path in paths]
+    assert verify(capsys, directory, "--cosigner", witness) == (0, set())
+    code, _, err = audit(capsys, "archive", directory, "--to", old, "--keep", "1")
+    assert (code, err) == (0, "")
+    assert verify(capsys, directory) == (0, {"archived"})
+    assert verify(capsys, directory, "--cosigner", witness) == (1, {"archived", "cosigner-not-checked"})
+    assert verify(capsys, old, "--cosigner", witness) == (1, {"head-missing"})
+    other = VerifierKey("other.example", bytes(32), SignatureType.COSIGNATURE)
+    assert verify(capsys, directory, "--cosigner", str(other))[0] == 2
 
 
 def test_a_full_disk_is_told_and_the_log_stays(capsys, logs, monkeypatch):

@@ -218,9 +218,12 @@ def test_names_of_files_reach_no_terminal(capsys, logs):
 
 
 def test_a_folder_without_logs_and_one_that_cannot_be_read_are_unreadable(capsys, tmp_path):
-    assert verify(capsys, tmp_path) == (3, {"no-logs"})
+    for command in ("verify", "list"):
+        code, out, err = audit(capsys, command, tmp_path)
+        assert (code, out) == (3, "")
+        assert "a folder without logs (*.mcap); name a log, or the folder of logs" in err
     (tmp_path / "x.mcap").write_bytes(b"no log")
-    assert verify(capsys, tmp_path)[0] == 3
+    assert verify(capsys, tmp_path) == (3, {"no-logs", "not-a-log"})
 
 
 def test_a_file_that_cannot_be_read_is_named(capsys, logs, monkeypatch):
@@ -318,7 +321,9 @@ def test_the_codes_of_each_session_are_checked_and_what_the_key_does_not_fit_is_
     assert capsys.readouterr().out.endswith("codes: 5 yes\n")
     (directory / "x.mcap").write_bytes(b"no log")
     assert check(["yes"] * 5) == (0, "5 yes", ["not-a-log"])
-    verify_folder(directory.parent, documents.append, codes=check)
+    for name in names:
+        (directory / name).unlink()
+    verify_folder(directory, documents.append, codes=check)
     assert documents[-1]["codes"] == "not checked"
 
 

@@ -204,7 +204,7 @@ def _replayed(log: Path, told: "_Documents") -> ReplayOutcome:
     return result.outcome
 
 
-audit_prove.register(app)
+audit_prove.add_to(app)
 
 
 def each_log(paths: list[Path]) -> list[Path]:

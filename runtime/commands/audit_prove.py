@@ -105,8 +105,8 @@ def check_proof(
     raise typer.Exit(outcome)
 
 
-def register(app: typer.Typer) -> None:
-    """Adds both commands."""
+def add_to(app: typer.Typer) -> None:
+    """Adds both commands to those of ``audit``."""
     app.command("prove")(prove_command)
     app.command("check-proof", cls=CheckProofCommand)(check_proof)
 

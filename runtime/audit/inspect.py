@@ -33,8 +33,8 @@ from cutgate.runtime.audit.trust import (
     STRUCTURE,
     TREE,
     WITNESS,
-    Answer,
-    Step,
+    TrustAnswer,
+    TrustStep,
     Trust,
     key_chain,
     witnessed,
@@ -83,15 +83,15 @@ class Report:
     root: str
     key: PublicLogKey | None
     signed: int
-    steps: tuple[Step, ...]
+    steps: tuple[TrustStep, ...]
 
     @property
     def headline(self) -> str:
         """The judgement in a few words: never OK without whose key, and which anchor."""
         if self.status is Status.OK:
             chain, witness = (self.step(name) for name in (KEY_CHAIN, WITNESS))
-            whose = "from the log itself" if chain.answer is Answer.NOT_CHECKED else "pinned"
-            anchor = "no anchor given" if witness.answer is Answer.NOT_CHECKED else witness.text
+            whose = "from the log itself" if chain.answer is TrustAnswer.NOT_CHECKED else "pinned"
+            anchor = "no anchor given" if witness.answer is TrustAnswer.NOT_CHECKED else witness.text
             fingerprint = self.key.fingerprint if self.key else ""
             return f"OK (signed, key {fingerprint} {whose}; {anchor})"
         old = self.status is Status.INCOMPLETE and self.key is None and self.messages > 0
@@ -118,7 +118,7 @@ class Report:
             "headline": self.headline,
         }
 
-    def step(self, name: str) -> Step:
+    def step(self, name: str) -> TrustStep:
         """The answer of this name."""
         return next(step for step in self.steps if step.name == name)
 
@@ -261,24 +261,24 @@ class _Found:
 
 def _steps(
     judge: Judge, wrong: _Found, unsigned: list[str], trust: Trust, checkpoint: str | None
-) -> tuple[Step, ...]:
+) -> tuple[TrustStep, ...]:
     """Every step's answer, in their order; what the reviewer's own key and anchors find wrong comes last."""
     key = judge.signatures.key
     chain, witness = key_chain(key, trust), witnessed(trust, judge.anchors, checkpoint)
     for step in (chain, witness):
-        wrong.add(step.name, [step.text] if step.answer is Answer.NO else ())
+        wrong.add(step.name, [step.text] if step.answer is TrustAnswer.NO else ())
     by = "" if key is None else f"key {key.fingerprint}, epoch {key.epoch}, of record 0"
     sound = {
-        STRUCTURE: (Answer.YES, f"{judge.count} records"),
-        CHAIN: (Answer.YES, f"head {judge.head.hex()}"),
-        TREE: (Answer.YES, f"root {judge.roots.tree.root.hex()}"),
-        SIGNATURES: (Answer.NOT_CHECKED, unsigned[0]) if unsigned else (Answer.YES, by),
+        STRUCTURE: (TrustAnswer.YES, f"{judge.count} records"),
+        CHAIN: (TrustAnswer.YES, f"head {judge.head.hex()}"),
+        TREE: (TrustAnswer.YES, f"root {judge.roots.tree.root.hex()}"),
+        SIGNATURES: (TrustAnswer.NOT_CHECKED, unsigned[0]) if unsigned else (TrustAnswer.YES, by),
         KEY_CHAIN: (chain.answer, chain.text),
         WITNESS: (witness.answer, witness.text),
-        REPLAY: (Answer.NOT_CHECKED, "cutgate audit replay decides again"),
+        REPLAY: (TrustAnswer.NOT_CHECKED, "cutgate audit replay decides again"),
     }
     return tuple(
-        Step(name, Answer.NO, wrong.first[name]) if name in wrong.first else Step(name, *sound[name])
+        TrustStep(name, TrustAnswer.NO, wrong.first[name]) if name in wrong.first else TrustStep(name, *sound[name])
         for name in STEPS
     )
 

@@ -24,7 +24,7 @@ from cutgate.runtime.audit.signing.proof import LOG_ID, RecordProof
 from cutgate.runtime.audit.signing.signatures import Signatures
 from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, Sidecar, sidecar_of
 from cutgate.runtime.audit.tree import ProvingTree
-from cutgate.runtime.audit.trust import NOBODY, Answer, Trust, key_chain
+from cutgate.runtime.audit.trust import NOBODY, TrustAnswer, Trust, key_chain
 from cutgate.runtime.audit.writer import ENCODING
 
 _VERIFY: Final = "see what `cutgate audit verify` says of it"
@@ -187,7 +187,7 @@ def _not_proven(path: Path, found: Scan, log: Proving, index: int) -> InputError
 def _keys(path: Path, key: PublicLogKey | None, trust: Trust) -> tuple[PublicLogKey, ...]:
     """The keys from the pinned one to the log's; none where that is the pinned one, or where none is pinned."""
     pinned, step = trust.pinned, key_chain(key, trust)
-    if step.answer is Answer.NO:
+    if step.answer is TrustAnswer.NO:
         raise InputError(
             path, step.name, None, step.text, "pin another key, or put the logs between beside it"
         )

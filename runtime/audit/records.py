@@ -570,8 +570,7 @@ class CanTransfer(LogRecord):
 
 
 MODELS: Final[tuple[type[LogRecord], ...]] = (
-    AuditOpen, AuditCheckpoint, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
-    AuditOpen, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditSession, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
+    AuditOpen, AuditCheckpoint, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditSession, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
     CanFrame, CanTransfer,
 )  # fmt: skip
 """Every model, one per topic."""

@@ -29,7 +29,7 @@ Take the root of a log somewhere else (--anchor), pin a key (--public-key), and 
 log of the last start."""
 
 
-class Answer(StrEnum):
+class TrustAnswer(StrEnum):
     """Of one step."""
 
     YES = "yes"
@@ -38,11 +38,11 @@ class Answer(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class TrustStep:
     """One step's answer, and what it says."""
 
     name: str
-    answer: Answer
+    answer: TrustAnswer
     text: str
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ class Trust:
 NOBODY: Final = Trust()
 
 
-def key_chain(key: PublicLogKey | None, trust: Trust) -> Step:
+def key_chain(key: PublicLogKey | None, trust: Trust) -> TrustStep:
     """Whether the key that signs a log is the pinned one, or one that it certifies.
 
     Args:
@@ -78,23 +78,23 @@ def key_chain(key: PublicLogKey | None, trust: Trust) -> Step:
     """
     pinned = trust.pinned
     if pinned is None:
-        return Step(KEY_CHAIN, Answer.NOT_CHECKED, "no key is pinned; name one with --public-key")
+        return TrustStep(KEY_CHAIN, TrustAnswer.NOT_CHECKED, "no key is pinned; name one with --public-key")
     pinned_key = f"the pinned key {pinned.fingerprint} (epoch {pinned.epoch})"
     if key is None:
-        return Step(
-            KEY_CHAIN, Answer.NO, f"{pinned_key} has signed nothing of it: record 0 is the first without"
+        return TrustStep(
+            KEY_CHAIN, TrustAnswer.NO, f"{pinned_key} has signed nothing of it: record 0 is the first without"
         )
     if (key.series, key.epoch, key.public) == (pinned.series, pinned.epoch, pinned.public):
-        return Step(KEY_CHAIN, Answer.YES, f"signed by {pinned_key}")
+        return TrustStep(KEY_CHAIN, TrustAnswer.YES, f"signed by {pinned_key}")
     told = _unconnected(key, pinned, trust.certified or {})
     if told:
-        return Step(
-            KEY_CHAIN, Answer.NO, f"{pinned_key} does not vouch for its key {key.fingerprint}: {told}"
+        return TrustStep(
+            KEY_CHAIN, TrustAnswer.NO, f"{pinned_key} does not vouch for its key {key.fingerprint}: {told}"
         )
-    return Step(KEY_CHAIN, Answer.YES, f"certified from {pinned_key} to epoch {key.epoch}")
+    return TrustStep(KEY_CHAIN, TrustAnswer.YES, f"certified from {pinned_key} to epoch {key.epoch}")
 
 
-def witnessed(trust: Trust, found: Mapping[bytes, int], checkpoint: str | None) -> Step:
+def witnessed(trust: Trust, found: Mapping[bytes, int], checkpoint: str | None) -> TrustStep:
     """Whether everything that a reviewer has from elsewhere is of this log.
 
     Args:
@@ -106,17 +106,17 @@ def witnessed(trust: Trust, found: Mapping[bytes, int], checkpoint: str | None) 
     for anchor in trust.anchors:
         if anchor not in found:
             text = f"the anchor {anchor.hex()} is no root of its tree and no head of its chain"
-            return Step(WITNESS, Answer.NO, text)
+            return TrustStep(WITNESS, TrustAnswer.NO, text)
         told.append(f"anchor {anchor.hex()} at record {found[anchor]}")
     for key in trust.cosigners:
         try:
             note.verify(checkpoint or "", key)
         except NoteError as error:
-            return Step(WITNESS, Answer.NO, f"not cosigned by {key.name}: {error}")
+            return TrustStep(WITNESS, TrustAnswer.NO, f"not cosigned by {key.name}: {error}")
         told.append(f"cosigned by {key.name}")
     if not told:
-        return Step(WITNESS, Answer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
-    return Step(WITNESS, Answer.YES, ", ".join(told))
+        return TrustStep(WITNESS, TrustAnswer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
+    return TrustStep(WITNESS, TrustAnswer.YES, ", ".join(told))
 
 
 def _unconnected(key: PublicLogKey, pinned: PublicLogKey, certified: Mapping[int, PublicLogKey]) -> str:

@@ -160,8 +160,8 @@ class Signatures:
             found = Checkpoint.parse(signed, self._origin)
         except NoteError as error:
             return str(error)
-        said = (record.get("size"), record.get("root"))
-        if said != (found.size, found.hash.hex()):
+        stated = (record.get("size"), record.get("root"))
+        if stated != (found.size, found.hash.hex()):
             return "its size and root are not those of its note"
         if (found.size, found.hash) != (tree.size, tree.root):
             return f"it signs another tree than that of the {tree.size} records before it"

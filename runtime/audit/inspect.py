@@ -33,9 +33,9 @@ from cutgate.runtime.audit.trust import (
     STRUCTURE,
     TREE,
     WITNESS,
+    Trust,
     TrustAnswer,
     TrustStep,
-    Trust,
     key_chain,
     witnessed,
 )
@@ -278,7 +278,9 @@ def _steps(
         REPLAY: (TrustAnswer.NOT_CHECKED, "cutgate audit replay decides again"),
     }
     return tuple(
-        TrustStep(name, TrustAnswer.NO, wrong.first[name]) if name in wrong.first else TrustStep(name, *sound[name])
+        TrustStep(name, TrustAnswer.NO, wrong.first[name])
+        if name in wrong.first
+        else TrustStep(name, *sound[name])
         for name in STEPS
     )
 

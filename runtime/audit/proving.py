@@ -24,7 +24,7 @@ from cutgate.runtime.audit.signing.proof import LOG_ID, RecordProof
 from cutgate.runtime.audit.signing.signatures import Signatures
 from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, Sidecar, sidecar_of
 from cutgate.runtime.audit.tree import ProvingTree
-from cutgate.runtime.audit.trust import NOBODY, TrustAnswer, Trust, key_chain
+from cutgate.runtime.audit.trust import NOBODY, Trust, TrustAnswer, key_chain
 from cutgate.runtime.audit.writer import ENCODING
 
 _VERIFY: Final = "see what `cutgate audit verify` says of it"

@@ -115,7 +115,9 @@ def witnessed(trust: Trust, found: Mapping[bytes, int], checkpoint: str | None) 
             return TrustStep(WITNESS, TrustAnswer.NO, f"not cosigned by {key.name}: {error}")
         told.append(f"cosigned by {key.name}")
     if not told:
-        return TrustStep(WITNESS, TrustAnswer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor")
+        return TrustStep(
+            WITNESS, TrustAnswer.NOT_CHECKED, "no anchor is given; name roots or heads with --anchor"
+        )
     return TrustStep(WITNESS, TrustAnswer.YES, ", ".join(told))
 
 

@@ -14,8 +14,6 @@ import typer
 
 from cutgate import __version__
 from cutgate.config.durable import creating, write_all
-from cutgate.config.load import InputError, unreadable
-from cutgate.config.durable import create_in_pieces
 from cutgate.config.load import InputError, open_input, unreadable
 from cutgate.config.ours import read_ours
 from cutgate.config.screen import printable

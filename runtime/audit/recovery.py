@@ -70,7 +70,7 @@ _REFUSALS: Final[tuple[tuple[Callable[[Log], bool], Callable[[Log], str], str], 
     (
         lambda log: log.scan.finished and _closed(log),
         lambda log: f"it is finished, and what is missing was not in it: {log.report.reasons[0]}",
-        "read it as it is, or put that file beside it, under the log's name with .candump.log",
+        "read it as it is, or put that file beside it again, under the log's name (.candump.log, .signature.json)",
     ),
     (
         lambda log: log.scan.finished,

@@ -98,7 +98,8 @@ class Signatures:
             self._last = number
         elif topic == AuditPermit.TOPIC and record.get("stage") == "sent" and "log_size" in record:
             size = record["log_size"]
-            told = "" if size in self._sizes else f"it names a tree of size {size}, which no checkpoint signs"
+            signed = isinstance(size, int) and size in self._sizes
+            told = "" if signed else f"it names a tree of size {size}, which no checkpoint signs"
         if told:
             self.wrong = f"record {number} ({topic}): {told}; {self._first_unsigned}"
 

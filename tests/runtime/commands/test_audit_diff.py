@@ -6,9 +6,11 @@ import shutil
 import pytest
 
 from cutgate.runtime.audit import records
+from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.commands import audit_diff
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.screen import LiteralConsole
+from tests.logs import signature_of
 from tests.runtime.audit.build import forge, session_log
 from tests.runtime.audit.test_replay import changed
 
@@ -42,7 +44,9 @@ def diff(capsys, monkeypatch):
 
 def forged(log, folder, edit):
     copy = folder / log.name
-    copy.write_bytes(forge(log.read_bytes(), edit))
+    data = forge(log.read_bytes(), edit)
+    copy.write_bytes(data)
+    sidecar_of(copy).write_bytes(signature_of(data) or b"")
     shutil.copy(log.with_suffix(".candump.log"), folder)
     return copy
 

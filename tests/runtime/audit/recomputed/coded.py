@@ -15,6 +15,7 @@ from cutgate.runtime.audit import records
 from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.recomputed.authenticated import CodesFound, check_codes
 from cutgate.runtime.audit.recomputed.opening import opening_of, session_keys
+from tests.logs import signature_of
 from tests.runtime.audit.build import forge
 from tests.runtime.session.pair import KEY, Pair
 
@@ -34,7 +35,7 @@ class Coded:
 
     @property
     def read(self) -> Log:
-        return read_log(self.log, self.frames)
+        return read_log(self.log, self.frames, signature_of(self.log))
 
     def check(self, key: bytes | SessionKeys = KEY, *, raw: bool = True) -> CodesFound:
         return check_codes(self.read, BytesIO(self.frames) if raw else None, key)

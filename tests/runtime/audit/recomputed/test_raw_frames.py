@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cutgate.protocol import candump
 from cutgate.protocol.wire import Side
-from cutgate.runtime.audit.recomputed.raw_frames import RawFrames, WholeRecord, is_logged
+from cutgate.runtime.audit.recomputed.raw_frames import LINE_BYTES_MAX, RawFrames, WholeRecord, is_logged
 from cutgate.runtime.audit.records import CanFrame, Time
 from tests.runtime.audit.recomputed.coded import carried
 
@@ -82,14 +82,14 @@ def test_nothing_is_read_behind_what_is_no_frame(text, behind):
     text = text if behind else text.removesuffix(b"\n") or b"("
     raw, frames, _ = read(line(0x080, bytes(8)) + text + behind)
     assert len(frames) == 1
-    assert raw.broken.startswith("line 2 of the raw frames: it is no line of candump")
+    assert raw.broken.startswith("line 2 of the raw frames: ")
     assert raw.next() is None
 
 
 def test_no_more_than_a_line_is_read_at_a_time():
     class Watched(BytesIO):
         def readline(self, size=-1):
-            assert 0 < size <= candump.LINE_BYTES_MAX
+            assert 0 < size <= LINE_BYTES_MAX
             return super().readline(size)
 
     raw = RawFrames(Watched(line(0x080, bytes(8)) * 3), lambda _: None)

@@ -38,7 +38,7 @@ def test_ctrl_c_while_the_verifier_is_still_starting_closes_the_log(rig):
     rig.until(lambda: rig.logs() and verifier_imports(run))
     run.ctrl_c()
     assert run.exit() == 3
-    expected = ("key fingerprint", "a simulated controller is allowed")
+    expected = ("key fingerprint", "a simulated controller is allowed", "log key")
     assert [line for line in run.lines if not any(words in line for words in expected)] == []
     assert rig.log().report.status is Status.OK
 

@@ -37,8 +37,8 @@ def stored(**changes):
 class Records:
     """A log's records, chained; each taken by the judge as it is made."""
 
-    def __init__(self):
-        self.judge = Judge()
+    def __init__(self, anchors=()):
+        self.judge = Judge(anchors)
         self.messages = []
         self.head = GENESIS
         self.number = 0
@@ -168,6 +168,20 @@ def test_the_tree_covers_every_record_as_the_chain_does():
     for message in log.messages:
         tree.append(message.covered)
     assert (log.judge.roots.tree.size, log.judge.roots.tree.root) == (3, tree.root)
+
+
+def test_an_anchor_is_found_where_it_was_the_root_or_the_head():
+    log, tree = Records().opened().add("/can/frame", {"id": 1}).closed(), Tree()
+    roots, heads, head = [], [], GENESIS
+    for message in log.messages:
+        tree.append(message.covered)
+        head = message.advance(head)
+        roots.append(tree.root)
+        heads.append(head)
+    other = bytes(32)
+    again = Records((roots[1], heads[2], other)).opened().add("/can/frame", {"id": 1}).closed()
+    assert again.judge.anchors == {roots[1]: 1, heads[2]: 2}
+    assert log.judge.anchors == {}
 
 
 def test_a_permit_that_names_another_tree_is_named():

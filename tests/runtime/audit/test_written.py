@@ -3,6 +3,7 @@
 import os
 import shutil
 import time
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -342,3 +343,12 @@ def test_the_largest_file_that_is_read_back_with_what_enables(file, monkeypatch)
 
 def test_the_bounds_are_what_they_are():
     assert (written.READ_BACK_MAX, written.PIECE) == (33_554_432, 1_048_576)
+
+
+def test_its_digest_is_that_of_all_that_was_written(tmp_path):
+    disk = SystemDisk()
+    file = Written(disk, disk.create(tmp_path / "a"), tmp_path / "a")
+    for data in (b"one", b"", b"two"):
+        file.append(data)
+    assert file.sha256 == sha256((tmp_path / "a").read_bytes()).digest()
+    os.close(file.descriptor)

@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import stat
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
@@ -96,6 +97,7 @@ def test_each_session_has_a_key_that_the_one_before_it_certifies(room, state):
     following = key_in(the_key(state))
     assert keys[-1].certifies(following.public), "the file holds the next session's key"
     assert [record.get("previous_epoch") for record in records] == [None, 1, 2, 3]
+    assert not any("previous_note" in record for record in records), "nothing is missing"
 
 
 def test_the_first_session_puts_the_key_outside_the_log_directory_for_its_owner_alone(room, state):
@@ -103,6 +105,8 @@ def test_the_first_session_puts_the_key_outside_the_log_directory_for_its_owner_
     path = the_key(state)
     assert path.name == f"{record['series']}.key"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    assert stat.S_IMODE(public_path(path).stat().st_mode) & 0o444 == 0o444, "it is for others"
     public = PublicLogKey.parse(public_path(path).read_bytes())
     assert public.public.hex() == record["public_key"]
     assert not [file for file in room.folder.iterdir() if "key" in file.name]
@@ -256,6 +260,26 @@ def test_a_key_that_others_may_read_is_refused(room, tmp_path):
     assert refusal(lambda: room(key_file=path)).key == "mode"
 
 
+def test_what_is_held_says_whether_it_was_made_and_may_not_change(tmp_path):
+    (tmp_path / "state" / "cutgate" / "log-keys").mkdir(parents=True)
+    made = held_key(tmp_path, Previous(), None, DISK)
+    given = held_key(tmp_path, Previous(), stored(tmp_path / "a.key"), DISK)
+    assert (made.made, given.made) == (True, False)
+    assert made.noted(Previous(note="a")).note == "a"
+    assert replace(made, note="b").noted(Previous(note="a")).note == "a; b"
+    with pytest.raises((FrozenInstanceError, TypeError)):
+        made.made = False
+
+
+def test_a_directory_of_which_head_names_no_epoch_has_used_none(tmp_path):
+    """A HEAD that says so is none that a session writes; the first epoch counts all the same."""
+    path = stored(tmp_path / "a.key")
+    for epoch in (None, 0):
+        held = held_key(tmp_path, Previous(series=SERIES, epoch=epoch), path, DISK)
+        assert (held.key.epoch, held.note) == (1, None)
+    assert key_in(path).epoch == 1, "it is not replaced"
+
+
 def test_the_last_epoch_has_none_behind_it(tmp_path):
     with pytest.raises(ValueError, match="is the last one"):
         LogKey(SERIES, EPOCH_MAX, bytes(32)).following(bytes(32))
@@ -266,9 +290,11 @@ def test_the_last_epoch_has_none_behind_it(tmp_path):
 
 def test_a_new_key_is_never_put_over_another_file(tmp_path):
     new_log_key(tmp_path / "a.key")
-    assert refusal(new_log_key, tmp_path / "a.key").bound == "exists and is never overwritten"
+    problem = refusal(new_log_key, tmp_path / "a.key")
+    assert (problem.file, problem.bound) == (str(tmp_path / "a.key"), "exists and is never overwritten")
     (tmp_path / "b.key.pub").write_bytes(b"")
-    assert refusal(new_log_key, tmp_path / "b.key").bound == "exists and is never overwritten"
+    problem = refusal(new_log_key, tmp_path / "b.key")
+    assert (problem.file, problem.bound) == (str(tmp_path / "b.key.pub"), "exists and is never overwritten")
 
 
 def test_a_key_that_cannot_be_written_is_refused(tmp_path):
@@ -318,6 +344,9 @@ def test_a_look_refuses_what_a_session_would_and_changes_nothing(room, state, tm
     check_key(room.folder, None)
     assert refusal(check_key, room.folder, tmp_path / "new.key").key == "series"
     assert the_key(state).read_bytes() == before
+    room()
+    the_key(state).write_bytes(LogKey(key_in(the_key(state)).series, 1, bytes(32)).encode())
+    assert refusal(check_key, room.folder, None).key == "epoch"
 
 
 def test_record_0_is_a_chunk_of_its_own(room, state):

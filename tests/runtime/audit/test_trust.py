@@ -1,6 +1,6 @@
 """Whose key a log is signed with, and what a reviewer has from elsewhere."""
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
@@ -102,6 +102,13 @@ def test_anchors_and_cosignatures_are_all_of_this_log():
     assert witnessed(Trust(cosigners=(own, stranger)), {}, checkpoint).answer is TrustAnswer.NO
     assert witnessed(Trust(cosigners=(own,)), {}, None).answer is TrustAnswer.NO
     assert note.verify(checkpoint, own)
+
+
+def test_what_a_reviewer_trusts_may_not_change():
+    for made, name in ((NOBODY, "pinned"), (TrustStep("tree", TrustAnswer.YES, ""), "answer")):
+        assert not hasattr(made, "__dict__")
+        with pytest.raises(FrozenInstanceError):
+            setattr(made, name, None)
 
 
 def test_a_step_is_said_in_one_line():

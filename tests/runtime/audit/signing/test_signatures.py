@@ -64,6 +64,24 @@ def test_record_0_names_the_key():
     assert key_of(without).certificate is None
 
 
+@pytest.mark.parametrize("epoch", [1, EPOCH_MAX])
+def test_the_first_and_the_last_epoch_are_epochs(epoch):
+    assert key_of(OPENED | {"epoch": epoch}).epoch == epoch
+
+
+@pytest.mark.parametrize("name", ["series", "epoch", "public_key", "certificate", "enrolled"])
+def test_whatever_is_left_of_a_key_makes_no_log_of_before(name):
+    """Else half a key taken away would be an old log's."""
+    with pytest.raises(NoteError):
+        key_of({"log_id": LOG_ID, name: "x"})
+
+
+def test_how_a_key_is_written_is_told():
+    for name, digits in (("series", 32), ("public_key", 64), ("certificate", 128)):
+        with pytest.raises(NoteError, match=f"its {name} must be {digits} hexadecimal digits"):
+            key_of(OPENED | {name: "00"})
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -84,6 +102,7 @@ def test_what_is_no_key_is_wrong_with_record_0(changes):
 def test_a_log_that_names_no_key_has_no_signatures_that_could_be_wrong():
     log = Log({"log_id": LOG_ID}).add("/audit/checkpoint", {"note": "x"}).sent(7)
     assert (log.wrong, log.signatures.key, log.signatures.covered) == ("", None, 0)
+    assert log.signatures._origin == f"cutgate/{LOG_ID}"
 
 
 def test_a_log_without_an_id_has_no_origin():

@@ -1,6 +1,7 @@
 """What stands beside a closed log: two notes over what there is, and nothing else is read as one."""
 
 import json
+from dataclasses import FrozenInstanceError
 from hashlib import sha256
 from pathlib import Path
 
@@ -31,6 +32,11 @@ def test_it_signs_the_tree_and_the_file_each_under_its_own_origin():
     assert sidecar.checkpoint == signer.checkpoint(7, ROOT)
     assert signer.key == KEY.public
     assert Sidecar.parse(sidecar.encode()) == sidecar
+    assert "\u2014 cutgate/" in sidecar.encode().decode(), "read by people too"
+    assert sidecar.encode().decode().splitlines()[1].startswith(' "schema"')
+    assert not hasattr(sidecar, "__dict__")
+    with pytest.raises(FrozenInstanceError):
+        sidecar.file = ""
 
 
 def test_it_stands_beside_the_log():
@@ -52,6 +58,14 @@ def test_it_stands_beside_the_log():
 def test_anything_else_is_refused(data):
     with pytest.raises(ValueError, match="it"):
         Sidecar.parse(data)
+
+
+def test_its_length_is_bounded():
+    data = Sidecar("a", "b").encode()
+    assert Sidecar.parse(data.ljust(SIDECAR_MAX)) == Sidecar("a", "b")
+    assert SIDECAR_MAX == 131_072
+    with pytest.raises(ValueError, match="at most"):
+        Sidecar.parse(data.ljust(SIDECAR_MAX + 1))
 
 
 @given(st.binary(max_size=200))

@@ -88,12 +88,13 @@ bench: $(READY)
 demo: $(READY)
 	$(BIN)/cutgate demo
 
-# What is generated from the code: constants, state machines, error matrix, what comes back of cut logs, pictures.
+# What is generated from the code: constants, state machines, error matrix, what comes back of cut logs, attacks on logs, pictures.
 docs: $(READY) pictures
 	$(BIN)/python -m cutgate.config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
 	$(BIN)/python -m docs.make_error_matrix
 	$(BIN)/python -m docs.make_recovery
+	$(BIN)/python -m docs.make_attacks
 	$(BIN)/python -m docs.make_screens
 	$(BIN)/python -m docs.make_environments
 

@@ -26,6 +26,12 @@ def create(directory: Path, **options: Any) -> AuditLog:
     return log
 
 
+def key_of(data: bytes) -> LogKey:
+    """The key that has signed this log, which was written here."""
+    first = next(walk(BytesIO(data), Scan()))
+    return _KEYS[(parse_object(first.data) or {})["public_key"]]
+
+
 def signer_of(data: bytes) -> Signer | None:
     """Who has signed this log; None where nobody did, or nobody here."""
     first = next(walk(BytesIO(data), Scan()), None)

@@ -366,9 +366,10 @@ def _last(folder: Folder, head: HeadNamed, log: FolderSession) -> Iterator[Serie
         yield SeriesFinding(code, log.file, "the last session", "", told)
         return
     for link in _head_links(head, log):
-        if link.found is not None and link.named is not None and link.named != link.found:
+        given = link.named is not None or log.key is not None  # of a signed log HEAD has all of them
+        if link.found is not None and given and link.named != link.found:
             bound = f"{link.found}, as {log.file} has it"
-            yield SeriesFinding("head-differs", NAME_OF_HEAD, f"its {link.what}", str(link.named), bound)
+            yield SeriesFinding("head-differs", NAME_OF_HEAD, f"its {link.what}", _told(link.named), bound)
     if not log.closed:
         yield SeriesFinding(
             "cut-off", log.file, "its end", "without a close record", "closed, as HEAD has it"
@@ -377,6 +378,7 @@ def _last(folder: Folder, head: HeadNamed, log: FolderSession) -> Iterator[Serie
 
 def _head_links(head: HeadNamed, log: FolderSession) -> tuple[_Link, ...]:
     return (
+        _Link("series", head.series, None if log.key is None else log.key.series.hex()),
         _Link("epoch", head.epoch, log.epoch),
         _Link("size", head.size, log.size),
         _Link("root", head.root, log.root),

@@ -130,10 +130,11 @@ def _unconnected(key: PublicLogKey, pinned: PublicLogKey, certified: Mapping[int
     if key.epoch < pinned.epoch:
         return f"it is of epoch {key.epoch}, and a key certifies later ones only; pin an earlier one"
     between = range(pinned.epoch + 1, key.epoch)
-    missing = [epoch for epoch in between if epoch not in certified]
-    if missing:
+    missing = len(between) - sum(1 for epoch in certified if epoch in between)
+    if missing:  # an epoch is as large as record 0 says: what is looked at is bounded by what is there
+        first = next(epoch for epoch in between if epoch not in certified)
         return (
-            f"the certificate of epoch {missing[0]} is missing ({len(missing)} in all); they stand in the logs "
+            f"the certificate of epoch {first} is missing ({missing} in all); they stand in the logs "
             "of the same log directory, which must lie beside it"
         )
     if chained(pinned, (*(certified[epoch] for epoch in between), key)) is None:

@@ -131,7 +131,8 @@ class Signatures:
             return f"the signature beside it is not this log's: {error}; {self._first_unsigned}"
         if tree.size > count:
             return (
-                f"it was closed with {tree.size} records, {count} are there: those from {count} on are gone"
+                f"it was closed with {tree.size} records, {count} are there: those from {count} on are gone; "
+                f"{self._first_unsigned}"
             )
         if (tree.size, tree.hash) != (count, root):
             return f"its records are not those that were signed when it was closed; {self._first_unsigned}"

@@ -12,6 +12,7 @@ from cutgate.runtime.audit.directory import HEAD
 from cutgate.runtime.audit.log import AuditLog
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.signing.signer import sidecar_of
+from tests import logs
 from tests.runtime.audit.build import OPENED, PATIENCE_S, Ticking, decision, wait_for
 
 HOUR_NS = 3_600_000_000_000
@@ -24,7 +25,7 @@ def log_id(number: int) -> str:
 def create(directory: Path, number: int, **options) -> AuditLog:
     clock = Ticking()
     clock.now_ns += number * HOUR_NS
-    return AuditLog.create(directory, log_id=log_id(number), opened=OPENED, clock=clock.clock(), **options)
+    return logs.create(directory, log_id=log_id(number), opened=OPENED, clock=clock.clock(), **options)
 
 
 def write_session(
@@ -34,6 +35,7 @@ def write_session(
     start: bool = False,
     crash: bool = False,
     seen: records.AuditWitness | None = None,
+    behind: tuple[records.LogRecord, ...] = (),
     **options,
 ) -> Path:
     """A session's log, closed in order, or cut short as by a loss of power; with a start if it is to have one.
@@ -44,6 +46,7 @@ def write_session(
         start: the arm was started.
         crash: the power failed.
         seen: what the controller told.
+        behind: records behind all that.
         options: of ``AuditLog.create``.
     """
     log = create(directory, number, **options)
@@ -53,6 +56,8 @@ def write_session(
     log.write(decision(1))
     if start:
         _start(log)
+    for record in behind:
+        log.write(record)
     log.commit(99)
     wait_for(log, lambda event: isinstance(event, Durable) and event.token == 99)
     left = {path: path.read_bytes() for path in (log.path, directory / HEAD)}

@@ -1,0 +1,182 @@
+"""Every row of the table of attacks, played on a folder of four sessions."""
+
+import random
+import shutil
+from time import process_time
+
+import pytest
+
+from cutgate.runtime.audit.directory import HEAD, Head
+from cutgate.runtime.audit.folder import session_of
+from cutgate.runtime.audit.inspect import Status, verify_log
+from cutgate.runtime.audit.reading import reading
+from cutgate.runtime.audit.series import examine
+from cutgate.runtime.audit.series_facts import Folder, HeadNamed
+from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
+from cutgate.runtime.audit.signing.signer import Sidecar
+from cutgate.runtime.audit.trust import Trust, TrustAnswer, key_chain
+from cutgate.runtime.commands.audit_folder import read_folder
+from cutgate.runtime.commands.audit_trust import beside
+from tests.runtime.audit.attacks import ATTACKS, JOURNALD, STARTED, Scene, sessions
+
+ROWS = [row for rows in ATTACKS.values() for row in rows]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("attacked") / "logs"
+    return folder, [path.name for path in sessions(folder)]
+
+
+@pytest.fixture
+def scene(made, tmp_path):
+    folder = tmp_path / "logs"
+    shutil.copytree(made[0], folder)
+    return Scene(folder, [folder / name for name in made[1]])
+
+
+def told(scene, trust):
+    """Status and reasons of the attacked log; None where it is gone."""
+    path = scene.logs[scene.at]
+    if not path.exists():
+        return None, ()
+    with reading(path, beside(trust, path)) as log:
+        return log.report.status, log.report.reasons
+
+
+def answers(scene, attack):
+    """What the table says, as it is; and all that names something."""
+    pinned = Trust(pinned=scene.key(0).public)
+    attack.act(scene)
+    (alone, _), (with_key, reasons) = told(scene, Trust()), told(scene, pinned)
+    found = read_folder(scene.folder, pinned, running=False).found
+    codes = [finding.code for finding in found.findings if finding.status is not Status.OK]
+    return (alone, with_key, found.status), [*reasons, *codes]
+
+
+def test_untouched_it_is_ok(scene):
+    trust = Trust(pinned=scene.key(0).public)
+    assert told(scene, trust) == (Status.OK, ())
+    assert read_folder(scene.folder, trust, running=False).found.status is Status.OK
+
+
+@pytest.mark.parametrize("attack", ROWS, ids=[row.what for row in ROWS])
+def test_an_attack_is_answered_as_the_table_says(scene, attack):
+    found, names = answers(scene, attack)
+    assert found == (attack.alone, attack.pinned, attack.folder), names
+    assert any(attack.named in name for name in names) or not (attack.named or names), names
+
+
+def test_of_the_faults_of_journald_none_is_ok_where_it_can_be_known():
+    """Each has its rows, and the folder finds every one."""
+    by_name = {row.what: row for row in ROWS}
+    assert len(by_name) == len(ROWS)
+    for _, _, rows in JOURNALD.values():
+        for row in (by_name[name] for name in rows):
+            assert row.folder is Status.TAMPERED, row.what
+            assert row.pinned is not Status.OK, row.what
+
+
+# ---------------------------------------------------------------- one bit of any byte
+
+SEEDED = 500
+
+
+@pytest.fixture(scope="module")
+def started(made):
+    """The smallest log with a start, raw frames and signature."""
+    log = made[0] / made[1][STARTED]
+    return (
+        log.read_bytes(),
+        log.with_suffix(".candump.log").read_bytes(),
+        log.with_suffix(".signature.json").read_bytes(),
+    )
+
+
+def flipped(data, place, bit):
+    return data[:place] + bytes((data[place] ^ 1 << bit,)) + data[place + 1 :]
+
+
+def never_ok(started, places, bit):
+    log, frames, signature = started
+    assert verify_log(log, frames, signature).status is Status.OK
+    for place in places:
+        assert verify_log(flipped(log, place, bit(place)), frames, signature).status is not Status.OK, place
+
+
+def test_a_flipped_bit_of_the_log_is_never_ok(started):
+    draws = random.Random(31437)
+    never_ok(started, draws.sample(range(len(started[0])), SEEDED), lambda _place: draws.randrange(8))
+
+
+@pytest.mark.long
+def test_a_flipped_bit_of_any_byte_of_the_log_is_never_ok(started):
+    never_ok(started, range(len(started[0])), lambda place: place % 8)
+
+
+def test_a_flipped_bit_of_any_byte_of_the_signature_is_told_or_changes_none_of_its_notes(started):
+    log, frames, signature = started
+    notes = Sidecar.parse(signature)
+    same = 0
+    for place in range(len(signature)):
+        changed = flipped(signature, place, place % 8)
+        try:
+            unaltered = Sidecar.parse(changed) == notes
+        except ValueError:
+            unaltered = False
+        same += unaltered
+        report = verify_log(log, frames, changed)
+        assert report.status is (Status.OK if unaltered else Status.TAMPERED), place
+    assert same < 10  # spaces between the parts of the JSON
+
+
+def test_a_flipped_bit_of_any_byte_of_head_is_told_or_changes_nothing_that_is_held_against_the_logs(made):
+    folder, names = made
+    logs = []
+    for name in names:
+        with reading(folder / name) as log:
+            logs.append(session_of(name, log))
+    data = (folder / HEAD).read_bytes()
+
+    def named(content):
+        head = Head.parse(content)
+        series = None if head.series is None else head.series.hex()
+        return HeadNamed(head.log, head.closed, head.head, series, head.epoch, head.size, head.root)
+
+    def found(head):
+        return examine(Folder(logs, head, None, False, ())).status
+
+    whole = named(data)
+    assert found(whole) is Status.OK
+    for place in range(len(data)):
+        try:
+            head = named(flipped(data, place, place % 8))
+        except ValueError:
+            continue
+        assert head == whole or found(head) is not Status.OK, (place, head)
+
+
+def test_a_flipped_bit_of_any_byte_of_the_key_file_is_refused_or_the_key_is_certified_by_nobody(made):
+    before = Scene(made[0], [made[0] / name for name in made[1]]).key(STARTED)
+    key = before.following(bytes(range(32)))
+    data = key.encode()
+    for place in range(len(data)):
+        try:
+            other = LogKey.parse(flipped(data, place, place % 8))
+        except ValueError:
+            continue
+        assert other == key or not before.public.certifies(other.public), place
+
+
+# ---------------------------------------------------------------- what costs
+
+
+def test_an_epoch_as_large_as_can_be_is_answered_at_once(made):
+    """The certificates between the pinned key and the log's are counted, not listed."""
+    first = Scene(made[0], [made[0] / name for name in made[1]]).key(0).public
+    last = PublicLogKey(first.series, EPOCH_MAX, bytes(32), bytes(64))
+    begun = process_time()
+    step = key_chain(last, Trust(pinned=first, certified={2: first, EPOCH_MAX: last}))
+    assert process_time() - begun < 1
+    assert step.answer is TrustAnswer.NO
+    assert f"the certificate of epoch 3 is missing ({EPOCH_MAX - 3} in all)" in step.text

@@ -59,11 +59,20 @@ def trust_of(public_key: Path | None, anchors: list[str] | None, cosigners: list
     return Trust(pinned, None, tuple(map(_anchor, anchors or ())), tuple(map(_cosigner, cosigners or ())))
 
 
-def beside(trust: Trust, log: Path) -> Trust:
-    """With the certificates in the logs beside this one, where a key is pinned."""
-    if trust.pinned is None:
+def beside(trust: Trust, log: Path, known: dict[Path, Mapping[int, PublicLogKey]] | None = None) -> Trust:
+    """With the certificates in the logs beside this one, where a key is pinned.
+
+    Args:
+        trust: what the options say.
+        log: the log, or a folder, which has its certificates in it.
+        known: of each folder that was looked into for this trust; added to.
+    """
+    if trust.pinned is None or log.is_dir():
         return trust
-    return replace(trust, certified=certificates(log.parent, trust.pinned.series))
+    known = {} if known is None else known
+    if log.parent not in known:
+        known[log.parent] = certificates(log.parent, trust.pinned.series)
+    return replace(trust, certified=known[log.parent])
 
 
 def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:

@@ -127,6 +127,8 @@ def verify(note: str, key: VerifierKey) -> str:
     Raises:
         NoteError: it is no note, it is not signed by this key, or a signature that claims to be the key's is not.
     """
+    if not _encodable(key.name):  # a log's id, as its record 0 has it: any text
+        raise NoteError("the name of its key is not UTF-8")
     found = parse(note)
     claimed = [data for name, key_id, data in found.signatures if (name, key_id) == (key.name, key.id)]
     if not claimed:

@@ -1,11 +1,14 @@
 """Every row of the table of attacks, played on a folder of four sessions."""
 
+import json
 import random
 import shutil
+from dataclasses import replace
 from time import process_time
 
 import pytest
 
+from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.directory import HEAD, Head
 from cutgate.runtime.audit.folder import session_of
 from cutgate.runtime.audit.inspect import Status, verify_log
@@ -15,9 +18,11 @@ from cutgate.runtime.audit.series_facts import Folder, HeadNamed
 from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
 from cutgate.runtime.audit.signing.signer import Sidecar
 from cutgate.runtime.audit.trust import Trust, TrustAnswer, key_chain
+from cutgate.runtime.commands import audit_trust
+from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.audit_folder import read_folder
-from cutgate.runtime.commands.audit_trust import beside
-from tests.runtime.audit.attacks import ATTACKS, JOURNALD, STARTED, Scene, sessions
+from cutgate.runtime.commands.audit_trust import beside, certificates
+from tests.runtime.audit.attacks import ATTACKS, FIRST, JOURNALD, STARTED, Scene, rewritten, sessions
 
 ROWS = [row for rows in ATTACKS.values() for row in rows]
 
@@ -180,3 +185,32 @@ def test_an_epoch_as_large_as_can_be_is_answered_at_once(made):
     assert process_time() - begun < 1
     assert step.answer is TrustAnswer.NO
     assert f"the certificate of epoch 3 is missing ({EPOCH_MAX - 3} in all)" in step.text
+
+
+def test_a_folder_is_looked_into_for_certificates_once_whatever_is_asked_of_it(scene, tmp_path, monkeypatch):
+    looked = []
+
+    def certificates_of(folder, series):
+        looked.append(folder)
+        return certificates(folder, series)
+
+    monkeypatch.setattr(audit_trust, "certificates", certificates_of)
+    pinned = tmp_path / "first.pub"
+    pinned.write_bytes(scene.key(0).public.encode())
+    assert execute(["audit", "verify", *map(str, scene.logs), "--public-key", str(pinned)]) == Status.OK
+    assert looked == [scene.folder]
+
+
+@pytest.mark.parametrize("log_id", ["\ud800", "", " ", "a\nb", "a+b", "\x1b[31m", 7, None, [], "0" * 100_000])
+def test_a_log_of_any_id_is_answered(scene, capsys, log_id):
+    """Record 0 is anybody's text: whoever plants a log in a folder ends no verification of it."""
+    path = scene.logs[FIRST]
+    first, *rest = [message.link for message in scan(path.read_bytes()).messages]
+    content = json.dumps({**json.loads(first.data), "log_id": log_id}).encode()
+    path.write_bytes(
+        rewritten(path.read_bytes(), lambda _: [replace(first, data=content), *rest], chain=False)
+    )
+    for options in ([], ["--json"]):
+        for target in (path, scene.folder):
+            assert execute(["audit", "verify", str(target), *options]) == Status.TAMPERED
+    assert "\x1b" not in capsys.readouterr().out

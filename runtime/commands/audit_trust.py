@@ -100,11 +100,11 @@ def _key_in(path: Path) -> PublicLogKey | None:
 
 
 def _pinned(path: Path) -> PublicLogKey:
-    data = read_bytes(path, FILE_MAX)
+    remedy = "name the .pub file of a log key"
+    data = read_bytes(path, FILE_MAX, remedy)
     try:
         return PublicLogKey.parse(data)
     except ValueError as error:
-        remedy = "name the .pub file of a log key"
         raise InputError(path, "", None, f"no public log key: {error}", remedy) from None
 
 

@@ -1,6 +1,7 @@
 """Every row of the table of attacks, played on a folder of four sessions."""
 
 import json
+import os
 import random
 import shutil
 from dataclasses import replace
@@ -214,3 +215,11 @@ def test_a_log_of_any_id_is_answered(scene, capsys, log_id):
         for target in (path, scene.folder):
             assert execute(["audit", "verify", str(target), *options]) == Status.TAMPERED
     assert "\x1b" not in capsys.readouterr().out
+
+
+def test_a_public_key_of_any_size_is_refused_with_what_to_name(scene, tmp_path, capsys):
+    pinned = tmp_path / "large.pub"
+    pinned.touch()
+    os.truncate(pinned, 1 << 33)
+    assert execute(["audit", "verify", str(scene.folder), "--public-key", str(pinned)]) == Status.UNREADABLE
+    assert "name the .pub file of a log key" in capsys.readouterr().err

@@ -43,7 +43,7 @@ test-slow: $(READY)
 # the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration \
-		tests/runtime/audit
+		tests/runtime/audit tests/system/test_kill_anywhere.py
 
 # Whole sessions on real SocketCAN; where the kernel has no vcan0, in a small virtual machine (docs/bus.md).
 test-vcan: $(READY)

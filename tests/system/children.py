@@ -5,6 +5,7 @@ imported it already: the same program, 1.5 s earlier. Only a forked runtime can 
 """
 
 import fcntl
+import itertools
 import multiprocessing
 import os
 import signal
@@ -13,13 +14,15 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from cutgate.config.durable import Replacement
 from cutgate.firmware_sim import command
 from cutgate.firmware_sim.__main__ import main as controller_side
 from cutgate.protocol.port import Port
@@ -53,6 +56,9 @@ class Script:
         disk_stops_at: from this phase on no sync answers any more.
         space_unanswered: the reservation of space is never answered.
         blind: names of permissives that this defective runtime takes as true.
+        disk_step: the process sends itself ``number`` at this step of the disk: each operation is one before and one
+            after it, counted from 0.
+        turn: the process sends itself ``number`` after so many times of giving frames to the bus.
         verifier: a program, as text, that runs in place of the verification process.
         unwatched: this defective runtime does not hold measured joints against the verified path either.
     """
@@ -67,6 +73,8 @@ class Script:
     space_unanswered: bool = False
     blind: tuple[str, ...] = ()
     unwatched: bool = False
+    disk_step: int | None = None
+    turn: int | None = None
     verifier: str = ""
 
 
@@ -172,7 +180,7 @@ class Forked:
 
 def bend(script: Script) -> None:
     """Put the script's disk, view and bus port in place of the ordinary ones."""
-    trap, disk = Trap(script), BentDisk(script)
+    trap, disk, turns = Trap(script), BentDisk(script), Steps(script.turn, script.number)
     audit_log.SystemDisk = lambda: disk  # type: ignore[misc, assignment]
 
     class View(run.SessionView):
@@ -200,6 +208,7 @@ def bend(script: Script) -> None:
         def flush(self) -> bool:
             left = super().flush()
             trap.flushed()
+            turns.step()
             return left
 
     run.SessionView, conduct.Port = View, BentPort  # type: ignore[misc]
@@ -242,19 +251,40 @@ class Trap:
         os.kill(os.getpid(), self._script.number)
 
 
+class Steps:
+    """Counts steps, and sends this process the signal at the one given."""
+
+    def __init__(self, at: int | None, number: int) -> None:
+        self._at, self._number = at, number
+        self._counted = itertools.count()
+
+    def step(self) -> None:
+        if next(self._counted) == self._at:
+            os.kill(os.getpid(), self._number)
+
+    @contextmanager
+    def around(self) -> Iterator[None]:
+        """An operation: a step before it, and one after it."""
+        self.step()
+        yield
+        self.step()
+
+
 class BentDisk(SystemDisk):
     """The system's disk, slowed down or stopped, noting how far the log was synced."""
 
     def __init__(self, script: Script) -> None:
         self.stopped = threading.Event()
         self._script = script
+        self._steps = Steps(script.disk_step, script.number)
         self._log = -1
         self._note = (
             os.open(script.synced, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600) if script.synced else -1
         )
 
     def create(self, path: Path) -> int:
-        descriptor = super().create(path)
+        with self._steps.around():
+            descriptor = super().create(path)
         if path.suffix == ".mcap":
             self._log = descriptor
         return descriptor
@@ -262,7 +292,32 @@ class BentDisk(SystemDisk):
     def reserve(self, descriptor: int, path: Path, size: int) -> Reservation:
         if self._script.space_unanswered:
             never()
-        return super().reserve(descriptor, path, size)
+        with self._steps.around():
+            return super().reserve(descriptor, path, size)
+
+    def write(self, descriptor: int, data: memoryview) -> int:
+        with self._steps.around():
+            return super().write(descriptor, data)
+
+    def trim(self, descriptor: int) -> None:
+        with self._steps.around():
+            super().trim(descriptor)
+
+    def close(self, descriptor: int) -> None:
+        with self._steps.around():
+            super().close(descriptor)
+
+    def sync_directory(self, directory: Path) -> None:
+        with self._steps.around():
+            super().sync_directory(directory)
+
+    def prepare(self, path: Path) -> Replacement:
+        with self._steps.around():
+            return super().prepare(path)
+
+    def replace(self, prepared: Replacement, data: bytes) -> None:
+        with self._steps.around():
+            super().replace(prepared, data)
 
     def sync(self, descriptor: int) -> None:
         if self.stopped.is_set():
@@ -271,7 +326,8 @@ class BentDisk(SystemDisk):
             return
         size = os.fstat(descriptor).st_size
         time.sleep(self._script.sync_s)
-        super().sync(descriptor)
+        with self._steps.around():
+            super().sync(descriptor)
         if descriptor == self._log and self._note >= 0:
             os.pwrite(self._note, size.to_bytes(SIDE_FILE_BYTES, "little"), 0)
 

@@ -13,6 +13,7 @@ from cutgate.config.load import InputError
 from cutgate.runtime.audit import log_keys
 from cutgate.runtime.audit.directory import HEAD, Previous
 from cutgate.runtime.audit.disk import SystemDisk
+from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.log_keys import (
     ENROLLED_ANEW,
     ENROLLED_HERE,
@@ -25,6 +26,7 @@ from cutgate.runtime.audit.log_keys import (
     to_continue,
 )
 from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
+from cutgate.runtime.commands.audit_folder import read_folder
 from tests.logs import create, judged
 from tests.runtime.audit.build import OPENED, PATIENCE_S, Ticking, WatchedDisk
 
@@ -158,6 +160,16 @@ def test_a_session_cut_short_while_it_begins_leaves_no_key_used_twice_and_no_epo
     )
     assert epochs == list(range(1, epoch + 1))
     assert len(names) == epoch
+    assert following["previous_crashed"] is (epoch == 4), "only what has a record 0 is a session"
+    assert following["previous_epoch"] == epoch - 1
+    read = read_folder(room.folder)
+    named = (operation, number) != (
+        "replace",
+        0,
+    )  # else an empty file that nothing names: no session was begun
+    assert read.found.status is (Status.INCOMPLETE if named else Status.OK), [
+        str(one) for one in read.found.findings
+    ]
 
 
 def test_a_log_that_never_got_a_record_leaves_the_one_before_as_the_session_before(room):

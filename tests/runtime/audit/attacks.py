@@ -449,6 +449,17 @@ def close_record(**fields: Any) -> Callable[[Scene], None]:
     return unsigned_then(on_log(edit(records.AuditClose.TOPIC, **fields)))
 
 
+def called_a_crash(act: Callable[[Scene], None]) -> Callable[[Scene], None]:
+    """The same, and HEAD says that the session was never closed."""
+
+    def both(scene: Scene) -> None:
+        act(scene)
+        path = scene.folder / HEAD
+        path.write_text(json.dumps(json.loads(path.read_bytes()) | {"state": "open"}))
+
+    return both
+
+
 def sidecar_of_another(number: int) -> Callable[[Scene], None]:
     def act(scene: Scene) -> None:
         sidecar_of(scene.logs[scene.at]).write_bytes(sidecar_of(scene.logs[number]).read_bytes())
@@ -704,6 +715,18 @@ ATTACKS: Final[dict[str, tuple[Attack, ...]]] = {
             of(LAST, close_record(final_state="x")),
             *I2T,
             "head-differs",
+        ),
+        Attack(
+            "the last session cut and called a crash in HEAD",
+            of(LAST, called_a_crash(torn(2))),
+            *I3,
+            "crashed-last",
+        ),
+        Attack(
+            "the last session's close record changed, signature gone, called a crash in HEAD",
+            of(LAST, called_a_crash(close_record(final_state="x"))),
+            *I3,
+            "crashed-last",
         ),
         Attack("the last session cut, HEAD left", of(LAST, torn(2)), *I2T, "cut-off"),
     ),

@@ -650,10 +650,18 @@ ATTACKS: Final[dict[str, tuple[Attack, ...]]] = {
     ),
     "What no record covers": (
         Attack(
-            "an attachment's content", on_log(lambda links: links, attached=lambda _entry: b"other"), *T3, ""
+            "an attachment's content",
+            on_log(lambda links: links, attached=lambda _entry: b"other"),
+            *T3,
+            "attachment 0",
         ),
-        Attack("a chunk's index", index_of_a_chunk, *T3, ""),
-        Attack("the summary alone", bytes_replaced(b"/audit/open", b"/audit/opem"), *T3, ""),
+        Attack("a chunk's index", index_of_a_chunk, *T3, "the index at offset"),
+        Attack(
+            "the summary alone",
+            bytes_replaced(b"/audit/open", b"/audit/opem"),
+            *T3,
+            "the summary is not that",
+        ),
         Attack(
             "the same records in one chunk",
             on_log(lambda links: links),

@@ -70,7 +70,7 @@ def test_untouched_it_is_ok(scene):
 def test_an_attack_is_answered_as_the_table_says(scene, attack):
     found, names = answers(scene, attack)
     assert found == (attack.alone, attack.pinned, attack.folder), names
-    assert any(attack.named in name for name in names) or not (attack.named or names), names
+    assert any(attack.named in name for name in names) if attack.named else not names, names
 
 
 def test_of_the_faults_of_journald_none_is_ok_where_it_can_be_known():

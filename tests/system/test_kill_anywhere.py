@@ -28,6 +28,8 @@ pytestmark = pytest.mark.processes
 
 SEED = 16
 DISK_STEPS = 100
+BEGINNING = 24
+"""Steps of the disk until the next session's key is in the place of this one's."""
 TURNS = 150
 """About those of a whole session; one that ends before its moment is counted as such."""
 
@@ -52,19 +54,24 @@ class Left:
 
 
 def moments(count: int) -> list[Script]:
-    """Seeded; every other one a step of the disk, the rest turns."""
+    """Seeded: a third turns, a third steps of the disk, and a third while the log begins, which is one step in ten."""
     draw = random.Random(SEED)
-    return [
-        Script(disk_step=draw.randrange(DISK_STEPS)) if number % 2 else Script(turn=draw.randrange(TURNS))
-        for number in range(count)
-    ]
+
+    def one(number: int) -> Script:
+        if number % 3 == 0:
+            return Script(turn=draw.randrange(TURNS))
+        if number % 3 == 1:
+            return Script(disk_step=draw.randrange(DISK_STEPS))
+        return Script(disk_step=number % BEGINNING // 3 * 3 + draw.randrange(3))  # from each part of it one
+
+    return [one(number) for number in range(count)]
 
 
 def session_before(folder: Path, number: int) -> int:
     """One closed session in it, or none; how many."""
-    if number % 3:
+    if number % 2:
         a_session(folder)
-    return bool(number % 3)
+    return number % 2
 
 
 def a_session(folder: Path) -> Log:

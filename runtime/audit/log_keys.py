@@ -12,15 +12,30 @@ so that whoever takes or rewrites the logs does not hold it too.
 import os
 import pwd
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
 from cutgate.config.durable import create_durably, left_over
 from cutgate.config.load import InputError
 from cutgate.config.ours import read_ours
+from cutgate.runtime.audit.container.scan import walk
+from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.directory import HEAD, Previous, signed_head
 from cutgate.runtime.audit.disk import Disk
-from cutgate.runtime.audit.signing.log_key import FILE_MAX, FIRST_EPOCH, KEY_BYTES, SERIES_BYTES, LogKey
+from cutgate.runtime.audit.judge import parse_object
+from cutgate.runtime.audit.records import AuditOpen
+from cutgate.runtime.audit.signing.log_key import (
+    FILE_MAX,
+    FIRST_EPOCH,
+    KEY_BYTES,
+    SERIES_BYTES,
+    LogKey,
+    PublicLogKey,
+)
+from cutgate.runtime.audit.signing.note import NoteError
+from cutgate.runtime.audit.signing.signatures import key_of
+from cutgate.runtime.audit.witness import BEGINNING
 
 ENROLLED_HERE: Final = "enrolled here"
 ENROLLED_ANEW: Final = "enrolled anew: no key before it certifies it"
@@ -67,6 +82,7 @@ def held_key(directory: Path, previous: Previous, key_file: Path | None, disk: D
             cannot be written.
     """
     if previous.series is None:
+        _unsigned(directory, previous)
         return _enrolled(key_file)
     path = key_file or default_path(previous.series)
     for file in left_over(path):
@@ -82,6 +98,29 @@ def held_key(directory: Path, previous: Previous, key_file: Path | None, disk: D
     return held if held.key.certificate else replace(held, enrolled=ENROLLED_ANEW)
 
 
+def key_in_log(path: Path) -> PublicLogKey | None:
+    """The key that a log's record 0 names; None where there is none, or no log."""
+    try:
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            first = next(walk(BytesIO(file.read(BEGINNING)), Scan()), None)
+        if first is None or first.topic != AuditOpen.TOPIC:
+            return None
+        return key_of(parse_object(first.data) or {})
+    except (OSError, NoteError):
+        return None
+
+
+def _unsigned(directory: Path, previous: Previous) -> None:
+    """Raises InputError where HEAD names no series and its log does: else a series would end by a line taken out of HEAD."""
+    key = key_in_log(directory / previous.log) if previous.log else None
+    if key is not None:
+        bound = f"{key.series.hex()}, as {previous.log} names it"
+        remedy = "restore HEAD from a backup, or name another log directory with --log-dir"
+        raise InputError(directory / HEAD, "series", "missing", bound, remedy)
+
+
 def check_key(directory: Path, key_file: Path | None) -> None:
     """Refuses what ``held_key`` would, for who does not hold the lock; nothing is made or changed.
 
@@ -90,6 +129,7 @@ def check_key(directory: Path, key_file: Path | None) -> None:
     """
     head = signed_head(directory)
     if head is None or head.series is None:
+        _unsigned(directory, Previous(log=head.log if head else None))
         if key_file is not None:
             _unused(key_file)
         return

@@ -2,25 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from cutgate.config.load import InputError, read_bytes
-from cutgate.runtime.audit.container.scan import walk
-from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.folder import STUB_SUFFIX
-from cutgate.runtime.audit.judge import parse_object
-from cutgate.runtime.audit.records import AuditOpen
+from cutgate.runtime.audit.log_keys import key_in_log
 from cutgate.runtime.audit.signing.checkpoint import HASH_BYTES
 from cutgate.runtime.audit.signing.log_key import FILE_MAX, PublicLogKey
 from cutgate.runtime.audit.signing.note import NoteError, VerifierKey
-from cutgate.runtime.audit.signing.signatures import key_of
 from cutgate.runtime.audit.stub import key_in_stub
 from cutgate.runtime.audit.trust import Trust
-from cutgate.runtime.audit.witness import BEGINNING
 
 LOGS_MAX: Final = 100_000
 """Logs of a folder that are looked into for certificates."""
@@ -79,24 +73,10 @@ def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:
     """The keys that the logs of a folder name, by epoch, and what archived ones left. None is believed by that."""
     found: dict[int, PublicLogKey] = {}
     for path in sorted((*folder.glob("*.mcap"), *folder.glob(f"*{STUB_SUFFIX}")))[:LOGS_MAX]:
-        key = key_in_stub(path) if path.suffix == STUB_SUFFIX else _key_in(path)
+        key = key_in_stub(path) if path.suffix == STUB_SUFFIX else key_in_log(path)
         if key is not None and key.series == series:
             found.setdefault(key.epoch, key)
     return found
-
-
-def _key_in(path: Path) -> PublicLogKey | None:
-    """The key that a log's record 0 names; None where there is none."""
-    try:
-        if not path.is_file():
-            return None
-        with path.open("rb") as file:
-            first = next(walk(BytesIO(file.read(BEGINNING)), Scan()), None)
-        if first is None or first.topic != AuditOpen.TOPIC:
-            return None
-        return key_of(parse_object(first.data) or {})
-    except (OSError, NoteError):
-        return None
 
 
 def _pinned(path: Path) -> PublicLogKey:

@@ -20,15 +20,17 @@ from cutgate.runtime.audit.log_keys import (
     check_key,
     default_path,
     held_key,
+    key_in_log,
     new_log_key,
     public_path,
     put_following,
     to_continue,
 )
 from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
+from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.commands.audit_folder import read_folder
 from tests.logs import create, judged
-from tests.runtime.audit.build import OPENED, PATIENCE_S, Ticking, WatchedDisk
+from tests.runtime.audit.build import OPENED, PATIENCE_S, Ticking, WatchedDisk, decision, forge
 
 DISK = SystemDisk()
 SERIES = bytes(range(16))
@@ -297,6 +299,46 @@ def test_a_directory_of_which_head_names_no_epoch_has_used_none(tmp_path):
 def test_the_last_epoch_has_none_behind_it(tmp_path):
     with pytest.raises(ValueError, match="is the last one"):
         LogKey(SERIES, EPOCH_MAX, bytes(32)).following(bytes(32))
+
+
+def test_a_head_that_has_lost_its_series_begins_no_new_one(room, state):
+    """A line taken out of HEAD would end the series, and enrol whoever comes next."""
+    room()
+    head = json.loads((room.folder / HEAD).read_bytes())
+    (room.folder / HEAD).write_bytes(json.dumps({k: v for k, v in head.items() if k != "series"}).encode())
+    problem = refusal(room)
+    assert (problem.key, problem.value) == ("series", "missing")
+    assert refusal(check_key, room.folder, None).key == "series"
+    assert [file.name for file in state.glob("*.key")] == [f"{head['series']}.key"]
+    assert refusal(room).key == "series", "nothing was changed by the try"
+
+
+@pytest.mark.parametrize("content", [b"", b"no log", bytes(5000)])
+def test_where_there_is_no_log_there_is_no_key_in_it(tmp_path, content):
+    (tmp_path / "a.mcap").write_bytes(content)
+    assert key_in_log(tmp_path / "a.mcap") is None
+    assert key_in_log(tmp_path / "missing.mcap") is None
+    assert key_in_log(tmp_path) is None
+
+
+def test_the_key_in_a_log_is_that_of_its_record_0(room, tmp_path):
+    record = room()
+    (log,) = room.folder.glob("*.mcap")
+    assert key_in_log(log).public.hex() == record["public_key"]
+    other = LogWriter("ab" * 16, {})
+    other.add(decision(1), log_time_ns=0, monotonic_ns=0)
+    other.finish()
+    (tmp_path / "other.mcap").write_bytes(other.take())
+    assert key_in_log(tmp_path / "other.mcap") is None
+    (tmp_path / "bad.mcap").write_bytes(
+        forge(
+            log.read_bytes(),
+            lambda one: one.model_copy(update={"epoch": 0}) if one.TOPIC == "/audit/open" else one,
+        )
+    )
+    assert key_in_log(tmp_path / "bad.mcap") is None
+    log.chmod(0o000)
+    assert os.geteuid() == 0 or key_in_log(log) is None
 
 
 # ---------------------------------------------------------------- files

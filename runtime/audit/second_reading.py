@@ -77,6 +77,4 @@ def _by_index(file: BinaryIO) -> tuple[bytes, list[tuple[str, str]]]:
 
 def add_message(digest: Any, topic: str, sequence: int, data: bytes) -> None:
     """One message into the digest of all."""
-    digest.update(b"%d %d %d " % (len(topic), sequence, len(data)))
-    digest.update(topic.encode())
-    digest.update(data)
+    digest.update(b"%d %d %d %b%b" % (len(topic), sequence, len(data), topic.encode(), data))

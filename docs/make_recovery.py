@@ -44,9 +44,6 @@ What this says of the readers:
 - The stream reader hands out what was whole. Of a chunk that ends in zeros it hands out more: records before the zeros,
   and the one in which they begin, with zeros in it. It compares no checksum unless it is told to, follows no chain, and
   makes no file that a viewer opens.
-- `audit recover` copies no log in which zeros follow the close record: `audit verify` takes that for altered, since a log
-  counts as closed only once it is synced. A power cut right before that can leave it all the same; the stream reader
-  then shows what is whole.
 """
 BEGIN: Final = "the first bytes, header, metadata"
 ENDING: Final = "end of the data, summary, footer"

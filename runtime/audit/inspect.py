@@ -19,7 +19,7 @@ from cutgate.runtime.audit.container.raw import PIECE
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
-from cutgate.runtime.audit.records import AuditClose, CanFrame
+from cutgate.runtime.audit.records import CanFrame
 from cutgate.runtime.audit.second_reading import read_again
 from cutgate.runtime.audit.signing.log_key import PublicLogKey
 from cutgate.runtime.audit.signing.signer import Sidecar
@@ -230,8 +230,6 @@ def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
     wrong.add(TREE, filter(None, [judge.roots.wrong]))
     wrong.add(STRUCTURE, judge.content(found))
     wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
-    if found.zeros and judge.last_topic == AuditClose.TOPIC:
-        wrong.add(STRUCTURE, ["zeros stand behind its close record"])
 
 
 def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") -> tuple[str, ...]:

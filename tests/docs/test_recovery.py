@@ -2,9 +2,12 @@
 
 import re
 
+import pytest
+
 from docs.make_recovery import PAGE, READERS, page
 
 
+@pytest.mark.slow
 def test_the_page_is_the_scripts():
     assert page() == PAGE.read_text(encoding="utf-8"), "run: python -m docs.make_recovery"
 

@@ -145,6 +145,7 @@ def run(folder: Path) -> None:
         archive_sessions(folder, to=folder.parent / "old", keep=1)
 
 
+@pytest.mark.no_cover
 def test_wherever_power_fails_nothing_is_lost_or_doubled_and_asking_again_completes_it(
     made, tmp_path, capsys
 ):

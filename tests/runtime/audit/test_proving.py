@@ -127,6 +127,7 @@ def test_nothing_behind_the_checkpoint_is_read(log, tmp_path):
         prove(broken, 1, latest=True)
 
 
+@pytest.mark.no_cover
 def test_memory_goes_by_a_chunk_and_not_by_the_log(tmp_path):
     """A log of 12 000 records, 2 MB, whose hashes alone would take more than is allowed here."""
     key = LogKey(bytes(16), 1, b"\1" * 32)

@@ -179,6 +179,7 @@ def test_a_finished_log_without_close_record_is_not_recovered(whole):
     assert remedy == "read it as it is (audit show, audit replay)"
 
 
+@pytest.mark.no_cover
 def test_a_recovered_copy_is_not_recovered_nor_what_is_left_of_it(whole):
     copy, told, _ = recovered(whole.data[: whole.closed_at - 1])
     told_so = "it is a recovered copy of cut.mcap, and no log that was cut"
@@ -297,6 +298,7 @@ def test_an_attachment_is_copied_in_pieces(whole, monkeypatch):
     assert sum(len(piece) == 100 for piece in pieces) == whole_ones > 10
 
 
+@pytest.mark.no_cover
 def test_memory_is_bounded_by_a_chunk_and_the_index_not_by_the_log():
     def copy_it(file):
         file.truncate(file.seek(0, io.SEEK_END) - 30)

@@ -59,12 +59,14 @@ def check(whole, cut, left):
     assert agrees(read, original, told)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("part", ["boundaries", "seeded"])
 def test_wherever_a_log_is_cut_what_is_whole_comes_back(whole, part):
     for cut, left in each(whole, getattr(whole, part)(), cut_off):
         check(whole, cut, left)
 
 
+@pytest.mark.no_cover
 def test_zeros_behind_the_cut_change_nothing(whole):
     """A loss of power leaves them, also between the close record and the sync of the file's end."""
     for cut, left in each(whole, whole.seeded(), zeros_behind):

@@ -236,6 +236,7 @@ def test_the_one_leaf_is_the_root():
     assert root_of(leaf_hash(b"a"), 0, 1, ()) == tree_of([b"a"]).root == leaf_hash(b"a")
 
 
+@pytest.mark.no_cover
 def test_a_proof_takes_the_memory_of_its_hashes():
     """A hundred thousand leaves, of which a list of hashes alone would take 6 MB."""
     tree = ProvingTree(77_777)

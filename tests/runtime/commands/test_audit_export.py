@@ -373,6 +373,7 @@ def test_what_a_log_says_reaches_no_terminal_as_control_characters(export, tmp_p
         assert [c for c in out if not (c.isprintable() or c == "\n")] == []
 
 
+@pytest.mark.no_cover
 def test_memory_does_not_grow_with_the_log(tmp_path, export):
     """A log of 1000 frames, and one of four times as many."""
     peaks = []

@@ -222,6 +222,7 @@ def test_what_cannot_be_read_is_refused(decode, name):
     assert name in err
 
 
+@pytest.mark.no_cover
 def test_memory_is_bounded_whatever_the_file(decode, file):
     """Also by a line without end, and by a record that never ends."""
     peaks = []

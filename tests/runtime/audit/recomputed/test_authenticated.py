@@ -268,6 +268,7 @@ def test_a_record_whose_raw_frames_are_altered_is_found(cut, reset, name):
     assert "raw frames" in found.wrong[0]
 
 
+@pytest.mark.no_cover
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     site=st.sampled_from(["open", "opened", "permit", "start"]),
@@ -294,6 +295,7 @@ def test_every_flipped_byte_of_a_code_is_found(cut, site, place, mask):
 TAGGED = [(OURS, "sent", (3, 4)), (THEIRS, "received", (3, 4)), (IDS[Joint4], "received", (6, 7))]
 
 
+@pytest.mark.no_cover
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_every_flipped_byte_of_a_tag_is_found(cut, data):
@@ -664,6 +666,7 @@ def few(coded):
     return found
 
 
+@pytest.mark.no_cover
 def test_no_value_that_no_session_writes_is_an_exception(forged):
     """Each in each field, in a log whose chain and index fit."""
     sound, few_frames = few(forged), forged.frames[:1000]

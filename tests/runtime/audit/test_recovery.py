@@ -179,7 +179,6 @@ def test_a_finished_log_without_close_record_is_not_recovered(whole):
     assert remedy == "read it as it is (audit show, audit replay)"
 
 
-@pytest.mark.no_cover
 def test_a_recovered_copy_is_not_recovered_nor_what_is_left_of_it(whole):
     copy, told, _ = recovered(whole.data[: whole.closed_at - 1])
     told_so = "it is a recovered copy of cut.mcap, and no log that was cut"

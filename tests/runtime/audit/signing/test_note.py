@@ -273,3 +273,8 @@ def test_a_note_without_what_others_signed():
         assert alone(COSIGNED, VerifierKey.parse(key)) == "".join((*lines[:4], lines[place]))
     with pytest.raises(NoteError, match="it has no signature of the key"):
         alone(SIGNED_ONCE, VerifierKey.parse(ENOCH))
+
+
+def test_no_note_is_signed_by_a_key_whose_name_cannot_be_written():
+    with pytest.raises(NoteError, match="not UTF-8"):
+        verify(SIGNED_ONCE, VerifierKey("cutgate/\ud800", bytes(32)))

@@ -18,6 +18,7 @@ from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.recomputed.authenticated import CodesFound, check_codes
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
+from cutgate.runtime.audit.series_rules import worst
 from cutgate.runtime.audit.signing.log_key import PublicLogKey
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
 from cutgate.runtime.commands import audit_prove
@@ -49,7 +50,6 @@ Json = Annotated[
     bool, typer.Option("--json", help="One JSON document on standard output; of several logs a list of them.")
 ]
 
-VERIFY_WORST = (Status.TAMPERED, Status.UNREADABLE, Status.INCOMPLETE, Status.OK)
 REPLAY_WORST = (ReplayOutcome.DIFFERS, ReplayOutcome.BAD_INPUT, ReplayOutcome.IDENTICAL)
 """Of several logs the first of these is the exit code."""
 
@@ -103,7 +103,7 @@ def verify(
     if explain and not json:
         echo(NOT_FOUND)
     told.end()
-    raise typer.Exit(min(found, key=VERIFY_WORST.index))
+    raise typer.Exit(worst(found))
 
 
 def _verified(log: Path, told: "_Documents", trust: Trust, key: bytes | SessionKeys | None) -> Status:

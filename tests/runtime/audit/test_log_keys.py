@@ -8,6 +8,7 @@ import stat
 from dataclasses import FrozenInstanceError, replace
 
 import pytest
+from mcap.writer import CompressionType, Writer
 
 from cutgate.config.load import InputError
 from cutgate.runtime.audit import log_keys
@@ -318,7 +319,19 @@ def test_where_there_is_no_log_there_is_no_key_in_it(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
     assert key_in_log(tmp_path / "a.mcap") is None
     assert key_in_log(tmp_path / "missing.mcap") is None
+    os.mkfifo(tmp_path / "pipe.mcap")
+    assert key_in_log(tmp_path / "pipe.mcap") is None, "nobody is waited for"
     assert key_in_log(tmp_path) is None
+
+
+def test_a_record_0_that_is_no_object_names_no_key(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start("cutgate.audit/1", "x")
+        schema = writer.register_schema("cutgate.Open", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/audit/open", "json", schema), 0, b"7", 0)
+        writer.finish()
+    assert key_in_log(tmp_path / "a.mcap") is None
 
 
 def test_the_key_in_a_log_is_that_of_its_record_0(room, tmp_path):

@@ -21,6 +21,8 @@ LEADING: Final = ("log_sequence", "log_time_s", "publish_time_s")
 """The first columns of every table; what the record holds stands behind them."""
 COLUMNS_MAX: Final = 1000
 """Of one table; no record of ours has a tenth of it."""
+NESTING_MAX: Final = 64
+"""Levels of what is written as JSON; a record of ours has five."""
 _DEPTH: Final = 8
 """Levels of objects that become columns; what lies deeper is JSON text."""
 _FORMULA: Final = ("=", "+", "-", "@", "'")
@@ -33,7 +35,10 @@ _TIME: Final = {"sec", "nsec"}
 
 
 def json_line(message: Stored) -> str:
-    """One record as one line: topic, sequence, times, data. What is no JSON object of finite numbers is there in hex."""
+    """One record as one line: topic, sequence, times, data.
+
+    What is no JSON object of finite numbers, or is nested over ``NESTING_MAX`` levels, is there in hex.
+    """
     head: dict[str, Any] = {
         "topic": message.topic,
         "sequence": message.sequence,
@@ -41,10 +46,10 @@ def json_line(message: Stored) -> str:
         "publish_time": _time(message.publish_time),
     }
     data = parse_object(message.data)
-    if data is not None:
+    if data is not None and _within(data, NESTING_MAX):
         try:
             return _json({**head, "data": data}) + "\n"
-        except (ValueError, RecursionError):  # infinite, or nested without end
+        except ValueError:  # infinite
             pass
     return _json({**head, "data_hex": message.data.hex()}) + "\n"
 
@@ -52,6 +57,12 @@ def json_line(message: Stored) -> str:
 def _json(document: Any) -> str:
     """ASCII on one line."""
     return json.dumps(document, allow_nan=False, separators=(",", ":"))
+
+
+def _within(value: Any, levels: int) -> bool:
+    """Whether it is nested no deeper than this: how deep Python reads it differs from version to version."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return not inner or (levels > 0 and all(_within(one, levels - 1) for one in inner))
 
 
 def _time(nanoseconds: int) -> dict[str, int]:
@@ -65,10 +76,9 @@ def _time(nanoseconds: int) -> dict[str, int]:
 def row_of(message: Stored) -> dict[str, Any]:
     """What a record holds by column: parts of objects behind dots, lists as JSON text, times as seconds."""
     data = parse_object(message.data)
-    try:
-        return {"data_hex": message.data.hex()} if data is None else dict(_flat(data, "", 0))
-    except RecursionError:
+    if data is None or not _within(data, NESTING_MAX):
         return {"data_hex": message.data.hex()}
+    return dict(_flat(data, "", 0))
 
 
 def header_line(columns: Iterable[str]) -> str:

@@ -9,7 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cutgate.runtime.audit.container.stored import ChannelInfo, Stored
-from cutgate.runtime.review.exported import LEADING, header_line, json_line, row_line, row_of, table_name
+from cutgate.runtime.review.exported import (
+    LEADING,
+    NESTING_MAX,
+    header_line,
+    json_line,
+    row_line,
+    row_of,
+    table_name,
+)
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 scalars = st.none() | st.booleans() | st.integers() | finite | st.text(max_size=9)
@@ -64,6 +72,17 @@ def test_what_is_no_object_of_finite_numbers_is_there_in_hex(data):
     found = json.loads(json_line(stored(data)))
     assert bytes.fromhex(found["data_hex"]) == data
     assert "data" not in found
+
+
+@pytest.mark.parametrize(
+    ("levels", "whole"), [(1, True), (NESTING_MAX, True), (NESTING_MAX + 1, False), (400, False)]
+)
+def test_how_deep_a_record_may_be_nested_is_no_matter_of_pythons_version(levels, whole):
+    data = b'{"x":' * levels + b"1" + b"}" * levels
+    assert ("data" in json.loads(json_line(stored(data)))) == whole
+    assert ("data_hex" not in row_of(stored(data))) == whole
+    data = b'{"x":' + b"[" * (levels - 1) + b"1" + b"]" * (levels - 1) + b"}"
+    assert ("data" in json.loads(json_line(stored(data)))) == whole
 
 
 # ---------------------------------------------------------------- tables

@@ -18,12 +18,14 @@ AT_ONCE ?= 4
 # The tests start many interpreters: none of them needs to compile everything anew, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
-	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(COVER)$(BRIEF), and not no_cover)" $(if $(COVER),$(MEASURED))
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(COVER)$(BRIEF), and not no_cover)" $(if $(COVER),$(MEASURED)) $(if $(BRIEF),$(BRIEFLY))
 	$(if $(COVER),$(WHOLE))
 	$(if $(COVER),$(PYTEST) $(BY_FILE) --numprocesses auto -m "no_cover and not processes and not slow and not long")
 	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
 
-# With BRIEF=1 those that repeat one act hundreds of times, which are not measured either, are left out: on a second Python.
+# With BRIEF=1, on a second Python, those are left out that repeat one act hundreds of times, and are not measured either,
+# and whole sessions in virtual time with every error and fault, which are the same on any.
+BRIEFLY := --ignore tests/errors --ignore tests/fault_injection
 # With COVER=1 branch coverage is measured on what runs in one process; a report of nothing is not a whole one.
 STATEMENTS_MIN := 26000
 MEASURED := --cov --cov-report=term --cov-report=json:.coverage.json

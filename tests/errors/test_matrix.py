@@ -12,6 +12,8 @@ from cutgate.runtime.audit.inspect import Status
 from docs.make_error_matrix import PAGE, page
 from tests.errors.matrix import FOUND, GOES_ON, MESSAGES, NO_ROW, ROWS, End, Error
 
+pytestmark = pytest.mark.no_cover  # whole sessions, one an error: measured they take three times as long
+
 SLACK_S = 1e-6
 
 

@@ -17,7 +17,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from cutgate.config.durable import left_over, replace_durably, sync_folder
+from cutgate.config.durable import left_over, replace_durably, sync_folder, write_all
 from cutgate.config.load import InputError
 from cutgate.config.ours import open_ours, read_ours
 from cutgate.config.screen import printable
@@ -232,9 +232,7 @@ def _copy(source: Path, copy: Path) -> None:
     try:
         try:
             for part in _parts(source):
-                rest = memoryview(part)
-                while rest:
-                    rest = rest[os.write(descriptor, rest) :]
+                write_all(descriptor, part)
             os.fsync(descriptor)
         finally:
             os.close(descriptor)

@@ -18,26 +18,23 @@ AT_ONCE ?= 4
 # The tests start many interpreters: none of them needs to compile everything anew, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
-	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(COVER)$(BRIEF), and not no_cover)" $(if $(COVER),$(MEASURED)) $(if $(BRIEF),$(BRIEFLY))
-	$(if $(COVER),$(WHOLE))
-	$(if $(COVER),$(PYTEST) $(BY_FILE) --numprocesses auto -m "no_cover and not processes and not slow and not long")
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(BRIEF), and not no_cover)" $(if $(BRIEF),$(BRIEFLY))
 	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
 
-# With BRIEF=1, on a second Python, those are left out that repeat one act hundreds of times, and are not measured either,
-# and whole sessions in virtual time with every error and fault, which are the same on any.
+# With BRIEF=1, on a second Python, those are left out that repeat one act hundreds of times, and whole sessions in virtual
+# time with every error and fault, which are the same on any.
 BRIEFLY := --ignore tests/errors --ignore tests/fault_injection
-# With COVER=1 branch coverage is measured on what runs in one process; a report of nothing is not a whole one.
-STATEMENTS_MIN := 26000
-MEASURED := --cov --cov-report=term --cov-report=json:.coverage.json
-WHOLE = $(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 # All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,
 # a sample of mutants, larger worlds, the packages' index, the wheel, real SocketCAN.
 test-all: $(READY) coverage coverage-own test-slow test-vcan
 
+# Of what runs in one process, but for what repeats one act hundreds of times; a report of nothing is not a whole one.
+STATEMENTS_MIN := 26000
 coverage: $(READY)
-	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" $(MEASURED)
-	$(WHOLE)
+	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long and not no_cover" \
+		--cov --cov-report=term --cov-report=json:.coverage.json
+	$(BIN)/python tools/coverage_whole.py .coverage.json $(STATEMENTS_MIN)
 
 test-slow: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "slow and not long" --ignore tests/vcan

@@ -129,6 +129,8 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
     plan = [str(EXAMPLES / "hip-stem.plan.json"), *robot]
     second = ["--registration", str(EXAMPLES / "registration-second.json")]
     log = str(next(files.glob("*.mcap")))
+    logs = files / "demo" / "logs"
+    cut = str(max(logs.glob("*.mcap")))
     return {
         "--help": (["--help"], 0),
         "verify": (["verify", *plan, *second], 0),
@@ -141,6 +143,18 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         "register": (["register", str(files / "landmarks.csv"), "--out", "{fresh}/registration.json"], 0),
         "example": (["example", "{fresh}/example"], 0),
         "key new": (["key", "new", "{fresh}/key"], 0),
+        "key session": (
+            [
+                "key",
+                "session",
+                cut,
+                "--key",
+                str(files / "demo" / "site.key"),
+                "--out",
+                "{fresh}/session.key",
+            ],
+            0,
+        ),
         "key fingerprint": (["key", "fingerprint", str(files / "site.key")], 0),
         "config show": (["config", "show", "--site", str(EXAMPLES / "site.toml")], 0),
         "config check": (["config", "check", *plan[:1], str(EXAMPLES / "site.toml")], 0),
@@ -149,11 +163,22 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         "audit replay": (["audit", "replay", log], 0),
         "audit diff": (["audit", "diff", log, log], 0),
         "audit export": (["audit", "export", log, "--to", "jsonl"], 0),
+        "audit list": (["audit", "list", str(logs)], 0),
+        "audit archive": (
+            ["audit", "archive", str(logs), "--to", "{fresh}/old", "--before", "2001-01-01"],
+            0,
+        ),
+        "audit prove": (["audit", "prove", cut, "--record", "1", "--out", "{fresh}/record.proof"], 0),
+        "audit check-proof": (["audit", "check-proof", str(files / "record.proof")], 0),
+        "audit recover": (
+            ["audit", "recover", str(files / "torn.mcap"), "--out", "{fresh}/recovered.mcap"],
+            0,
+        ),
         "decode": (["decode", str(files / "bus.log")], 0),
     }
 
 
-UNREAD: Final = ("key new",)
+UNREAD: Final = ("key new", "key session", "audit prove")
 """Say nothing on standard output: whoever does not read it misses nothing."""
 
 
@@ -491,19 +516,20 @@ def costs(files: Path) -> list[str]:
 
 
 def made(files: Path) -> None:
-    """A log, frames, a key, a proof and landmarks to work on."""
+    """A log, a folder of sessions, a torn one, frames, a key, proofs and landmarks to work on."""
+    cutgate = Path(sys.executable).with_name("cutgate")
     session_log(files)
+    subprocess.run([cutgate, "demo", "--out", files / "demo"], check=True, capture_output=True)
+    signed = max((files / "demo" / "logs").glob("*.mcap"))
+    (files / "torn.mcap").write_bytes(signed.read_bytes()[:-1000])
+    prove = [cutgate, "audit", "prove", signed, "--record", "1", "--out", files / "record.proof"]
+    subprocess.run(prove, check=True, capture_output=True)
     (files / "bus.log").write_text("(1.000000) can0 080#0011223344556677\n" * 20, encoding="utf-8")
     (files / "landmarks.csv").write_text(LANDMARKS, encoding="utf-8")
     new_key(files)
     robot = ["--robot", str(EXAMPLES / "robot.toml")]
     placed = ["--registration", str(EXAMPLES / "registration-second.json")]
-    command = [
-        Path(sys.executable).with_name("cutgate"),
-        "verify",
-        str(EXAMPLES / "hip-stem.plan.json"),
-        *robot,
-    ]
+    command = [cutgate, "verify", str(EXAMPLES / "hip-stem.plan.json"), *robot]
     subprocess.run([*command, *placed, "--certificate", files / "proof"], check=True, capture_output=True)
 
 

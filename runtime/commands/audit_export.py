@@ -16,7 +16,6 @@ from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
-from cutgate.runtime.audit.records import CanFrame
 from cutgate.runtime.commands.screen import echo, working
 from cutgate.runtime.commands.sinks import OPTION, Sink, TextSink, new_file, new_folder, standard_output
 from cutgate.runtime.review.exported import (
@@ -92,9 +91,9 @@ def export(
             stack.enter_context(working(f"exporting {log}"))
         read = stack.enter_context(reading(log))
         _told(log, read)
-        missing = [one for one in topics if one not in _topics(read)]
+        missing = [one for one in topics if one not in read.topics]
         if missing:
-            bound = f"one of {', '.join(sorted(_topics(read)))}"
+            bound = f"one of {', '.join(sorted(read.topics))}"
             raise InputError(log, "--topic", missing[0], bound, "name topics of this log")
         written = write(read)
     echo(printable(written if standard else f"{written} to {out}"), err=True)
@@ -130,10 +129,6 @@ def _told(log: Path, read: Log) -> None:
     if report.status is not Status.OK:
         told = f"{log}: {report.status.name}: {report.reasons[0]}; what can be read of it is exported"
         echo(printable(told), err=True)
-
-
-def _topics(read: Log) -> set[str]:
-    return {CanFrame.TOPIC, *(name for name, _, _ in read.places)}
 
 
 def _messages(read: Log, topics: tuple[str, ...]) -> Iterator[Stored]:

@@ -59,13 +59,14 @@ class Cycle:
         now_s: when this cycle began.
         gap_s: so long after the one before.
         next_heartbeat_s: when one is due; whoever opens a session sets it.
+        late_s: so long after it was due the last one was made.
     """
 
     def __init__(self, port: Port, clock: Callable[[], float]) -> None:
         self._port = port
         self._clock = clock
         self.now_s = self.next_heartbeat_s = clock()
-        self.gap_s = 0.0
+        self.gap_s = self.late_s = 0.0
 
     def wait_s(self, next_s: float | None = None) -> float:
         """How long there is nothing to do unless something arrives, s.
@@ -112,6 +113,7 @@ class Cycle:
         """Whether this cycle makes a heartbeat: one is due, or takes the place of one that has not left. Ask once."""
         due = self.now_s >= self.next_heartbeat_s
         if due:
+            self.late_s = self.now_s - self.next_heartbeat_s
             period_s = self._port.endpoint.link.heartbeat_s
             self.next_heartbeat_s = max(self.next_heartbeat_s + period_s, self.now_s)
         return due or self._port.endpoint.heartbeat_waits

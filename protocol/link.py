@@ -213,6 +213,8 @@ class Link:
         """Our last heartbeat's counter, extended to 32 bits; -1 before the first."""
         self._echoing_from: int | None = None
         """The first of our heartbeats that echoed one of the peer's."""
+        self.round_trip_s: float | None = None
+        """From the sending of our heartbeat that was echoed last, and in time, to its echo; the peer's own wait is in it."""
         self._sent_s: dict[int, float] = {}
         self._answered = False
         self._heard = False
@@ -474,6 +476,7 @@ class Link:
             self._count(stale_heartbeats=1)
             return False
         self._heard = True
+        self.round_trip_s = now_s - sent_s
         self._answered = self._answered or (self._echoing_from is not None and echo >= self._echoing_from)
         self._refreshed_s = sent_s if self._refreshed_s is None else max(self._refreshed_s, sent_s)
         return True

@@ -5,7 +5,8 @@ inconsistent TAMPERED, and a file that is no log of ours UNREADABLE. A log that 
 OK: whoever takes the signatures away must not get what an old log gets. Without a pinned key the log's own is believed,
 and that is said.
 
-A log is read once from front to back, a chunk at a time. What is kept of it is where its records stand, frames apart.
+A log is read once from front to back, a chunk at a time. What is kept of it is where its records stand, those of
+streamed topics (frames, tracking, timing) apart.
 """
 
 from collections.abc import Iterable, Iterator
@@ -19,7 +20,7 @@ from cutgate.runtime.audit.container.raw import PIECE
 from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
-from cutgate.runtime.audit.records import CanFrame
+from cutgate.runtime.audit.records import STREAMED
 from cutgate.runtime.audit.second_reading import read_again
 from cutgate.runtime.audit.signing.log_key import PublicLogKey
 from cutgate.runtime.audit.signing.signer import Sidecar
@@ -134,11 +135,18 @@ class Log:
     report: Report
     file: BinaryIO = field(repr=False)
     places: tuple[tuple[str, int, int], ...] = field(repr=False)
-    """Topic, offset and size of each record that is no frame, in file order."""
+    """Topic, offset and size of each record whose topic is not streamed, in file order."""
+    streamed: frozenset[str] = frozenset()
+    """Topics that are, of which there are records."""
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Of which there are records."""
+        return self.streamed | {topic for topic, _, _ in self.places}
 
     def each(self, *topics: str) -> Iterator[tuple[str, bytes]]:
-        """Topic and data of every record of these topics, in file order; frames are looked for in the whole file."""
-        if CanFrame.TOPIC in topics:
+        """Topic and data of every record of these topics, in file order; streamed ones are looked for in the whole file."""
+        if not STREAMED.isdisjoint(topics):
             for message in walk(self.file, Scan()):
                 if message.topic in topics:
                     yield message.topic, message.data
@@ -221,7 +229,7 @@ def read_log(
         signed=judge.count if whole else judge.signatures.covered,
         steps=steps,
     )
-    return Log(found, report, file, tuple(judge.places))
+    return Log(found, report, file, tuple(judge.places), frozenset(judge.streamed))
 
 
 def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:

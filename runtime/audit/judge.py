@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED, follow
 from cutgate.runtime.audit.container.stored import Scan, Stored
-from cutgate.runtime.audit.records import AuditAttachment, AuditClose, AuditOpen, CanFrame
+from cutgate.runtime.audit.records import STREAMED, AuditAttachment, AuditClose, AuditOpen
 from cutgate.runtime.audit.recovered import RECOVERED, is_copy, told_by
 from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.second_reading import add_message
@@ -30,7 +30,7 @@ from cutgate.runtime.audit.signing.signatures import Signatures
 from cutgate.runtime.audit.writer import ENCODING, METADATA
 
 KEPT_MAX: Final = 1_000_000
-"""Records beside frames whose place is kept; a session has thousands."""
+"""Records whose place is kept, of topics that are not streamed; a session has thousands."""
 
 
 class Judge:
@@ -41,7 +41,8 @@ class Judge:
         count: records so far.
         read: digest of topic, sequence and data of all of them.
         first, last: parsed record 0 and the last one; None where it is no JSON object, or none.
-        places: topic, offset and size of each record that is no frame.
+        places: topic, offset and size of each record whose topic is not streamed.
+        streamed: topics that are, of which there are records.
         problems: the first record whose place in the chain is wrong.
         anchors: those of the ``anchors`` asked for that were found, with the number of the last record they cover.
         signatures: the rule on what is signed.
@@ -61,6 +62,7 @@ class Judge:
         self.last: dict[str, Any] | None = None
         self.last_topic = ""
         self.places: list[tuple[str, int, int]] = []
+        self.streamed: set[str] = set()
         self.problems: list[str] = []
         self.roots = Roots()
         self._first_topic: str | None = None
@@ -93,7 +95,9 @@ class Judge:
         self.last, self.last_topic = record, topic
         if self._closes == 1 and self._after_close is None:
             self._after_close = (number, topic)
-        if topic != CanFrame.TOPIC:
+        if topic in STREAMED:
+            self.streamed.add(topic)
+        else:
             self._keep(message, record)
 
     def _follows(self, number: int, message: Stored, record: dict[str, Any] | None) -> None:
@@ -139,7 +143,7 @@ class Judge:
             elif count != self.count:
                 yield f"the close record counts {count} messages, the file holds {self.count}"
         if self._too_many:
-            yield f"it holds over {KEPT_MAX} records beside frames; no session writes so many"
+            yield f"it holds over {KEPT_MAX} records that are not streamed; no session writes so many"
         yield from self._attachments(found)
         if self.count:
             yield from self._metadata(found)

@@ -114,6 +114,7 @@ class AuditLog:
         previous: what the directory says of the session before.
         listed: how the list of withdrawn registrations stands, for HEAD; whoever adds to it says so here.
         held: the key that signs it, and where it came from.
+        commit_s: how long the last commit took, from handing over to being told that it is durable; None before the first.
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class AuditLog:
         self._locked = locked
         self._clock = clock
         self.hand_over_after_s = CHUNK_SHARE * chunk_period_s
+        self.commit_s: float | None = None
         self._failure = ""
         self._finished = False
         self._closed = False
@@ -303,6 +305,8 @@ class AuditLog:
         for event in found:
             if isinstance(event, Durable):
                 self._durable = event.offset
+                if self._pending and self._pending[0][0] <= self._durable:
+                    self.commit_s = self.oldest_pending_s(self._now_s)
                 while self._pending and self._pending[0][0] <= self._durable:
                     self._pending.popleft()
             elif isinstance(event, LogFailed):
@@ -323,6 +327,11 @@ class AuditLog:
     def size(self) -> int:
         """Bytes of log handed over so far."""
         return self._handed
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that are handed over but not known to be durable."""
+        return self._handed - self._durable
 
     def oldest_pending_s(self, now_s: float) -> float:
         """How long the oldest bytes that are handed over but not durable have waited; 0 if there are none.

@@ -12,7 +12,7 @@ from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, sidecar_of
 from cutgate.runtime.audit.trust import NOBODY, Trust
 
 SIZE_MAX: Final = 1 << 32
-"""Bytes of the largest log that is read: four hours of cutting at the shortest heartbeat, nineteen at the usual one."""
+"""Bytes of the largest log that is read: four hours of cutting at the shortest heartbeat, twelve at the usual one."""
 COPY: Final = ".recovered"
 """What the name of a recovered copy has before its ending."""
 _REMEDY: Final = "it is no session's log; name another file"

@@ -569,8 +569,60 @@ class CanTransfer(LogRecord):
     sha256: str
 
 
+class TrackingSample(LogRecord):
+    """One measured sample of the moving arm beside the nearest place of the reference trajectory, as it was judged."""
+
+    TOPIC: ClassVar[str] = "/tracking"
+
+    leg: Literal["approach", "entry", "cut", "exit", "retract"]
+    """Of the nearest place."""
+    reference_s: float
+    """Seconds of the trajectory to there, from its start."""
+    segment: int | None = None
+    fraction: float | None = None
+    """Of the path, there; absent outside the cut."""
+    q0_deviation_deg: float
+    q1_deviation_deg: float
+    q2_deviation_mm: float
+    q3_deviation_deg: float
+    q4_deviation_deg: float
+    """Measured less reference."""
+    tip_distance_mm: float
+    """Of the measured tip from the reference trajectory's."""
+    wrist_deviation_mm: float
+    """A bound of the wrist centre's distance from the reference, at every elbow angle: that is judged, and each turning joint."""
+    wrist_tolerance_mm: float
+    joint_tolerance_deg: float
+    age_ms: float | None = None
+    """The sample is no older; absent where nothing proves its age."""
+
+
+class LoopTiming(LogRecord):
+    """How the runtime's loop, the bus and the disk keep their time, in a cycle that has sent a heartbeat."""
+
+    TOPIC: ClassVar[str] = "/timing"
+
+    heartbeat_age_ms: float
+    """What the time-out counts: since the sending of the heartbeat that the controller echoed last."""
+    timeout_ms: float
+    round_trip_ms: float | None = None
+    """From that sending to the echo; absent before the first."""
+    heartbeat_late_ms: float
+    """Between when a heartbeat was due and the cycle that made it."""
+    longest_gap_ms: float
+    """The longest from one cycle's begin to the next, since the record before."""
+    commit_ms: float | None = None
+    """From handing over to durable, of the last commit; absent before the first."""
+    waiting_ms: float
+    waiting_bytes: int
+    """Of the log, handed over and not durable: for how long, and how many."""
+
+
+STREAMED: Final = frozenset({CanFrame.TOPIC, TrackingSample.TOPIC, LoopTiming.TOPIC})
+"""Topics with records by the second: of these no reader keeps where each one stands."""
+
 MODELS: Final[tuple[type[LogRecord], ...]] = (
     AuditOpen, AuditCheckpoint, AuditDecision, AuditCollected, AuditVerdict, AuditBoundary, AuditApproach, AuditGuidance, AuditPermit, AuditSession, AuditWitness, AuditController, AuditFault, AuditOperator, AuditProcess, AuditAttachment, AuditClose,
-    CanFrame, CanTransfer,
+    CanFrame, CanTransfer, TrackingSample, LoopTiming,
 )  # fmt: skip
 """Every model, one per topic."""

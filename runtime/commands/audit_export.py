@@ -16,7 +16,8 @@ from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan, Stored
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
-from cutgate.runtime.audit.records import CanFrame
+from cutgate.runtime.commands.foxglove.export import write_foxglove
+from cutgate.runtime.commands.foxglove.lichtblick import layout_bytes
 from cutgate.runtime.commands.screen import echo, working
 from cutgate.runtime.commands.sinks import OPTION, Sink, TextSink, new_file, new_folder, standard_output
 from cutgate.runtime.review.exported import (
@@ -34,6 +35,7 @@ from cutgate.runtime.review.recorded_frames import SessionFrames
 TABLES_MAX: Final = 40
 """Topics that are written at the same time, a file each."""
 STANDARD: Final = "-"
+LAYOUT_OPTION: Final = "--layout"
 _BLF_FIRST_S: Final = 631152000
 """1990: python-can writes no earlier time of a file's start, and so must not count from one."""
 
@@ -46,10 +48,11 @@ class Form(StrEnum):
     CANDUMP = "candump"
     BLF = "blf"
     ASC = "asc"
+    FOXGLOVE = "foxglove"
 
 
 RECORDS: Final = (Form.JSONL, Form.CSV)
-"""Forms of records; the others are of frames."""
+"""Forms of records; those of frames are the others but foxglove."""
 
 
 def export(
@@ -66,12 +69,22 @@ def export(
         list[str] | None,
         typer.Option("--topic", metavar="T", help="Only this topic, of jsonl and csv; can be repeated."),
     ] = None,
+    layout: Annotated[
+        Path | None,
+        typer.Option(
+            LAYOUT_OPTION,
+            metavar="FILE",
+            help="Of foxglove: write the layout for Lichtblick there, a new file.",
+        ),
+    ] = None,
 ) -> None:
-    """Write a log's records (jsonl, csv) or its frames (candump, blf, asc) for other programs.
+    """Write a log's records (jsonl, csv), its frames (candump, blf, asc), or what viewers draw of it (foxglove).
 
     jsonl: a line for each record with topic, sequence, times and data. csv: a table for each topic, in a new folder that
     -o names, or of one --topic in one file. candump: the raw frames beside the log where they are those that its close
-    record names, else the log's single frames. blf, asc: the same frames as Vector's programs read them.
+    record names, else the log's single frames. blf, asc: the same frames as Vector's programs read them. foxglove: an MCAP
+    file for Lichtblick and Foxglove with path, workspace and arm as a scene, and clearances, joints, tracking and timing as
+    plots; a layout is in it as an attachment.
 
     Nothing is overwritten. Attachments and key files are not exported. A log that does not verify is exported as far as
     it can be read, and that is said.
@@ -80,7 +93,7 @@ def export(
     """
     topics = tuple(dict.fromkeys(topic or ()))
     standard = out is None or str(out) == STANDARD
-    _check(to, topics, standard=standard)
+    _check(to, topics, layout, standard=standard)
     with ExitStack() as stack:
         if to is Form.CSV and len(topics) != 1:
             folder = stack.enter_context(new_folder(_named(out)))
@@ -88,22 +101,30 @@ def export(
         else:
             sink = stack.enter_context(standard_output() if standard else new_file(_named(out)))
             write = _written(to, log, topics, sink)
+        if layout is not None:
+            stack.enter_context(new_file(layout, LAYOUT_OPTION)).write(layout_bytes())
         if not standard:
             stack.enter_context(working(f"exporting {log}"))
         read = stack.enter_context(reading(log))
         _told(log, read)
-        missing = [one for one in topics if one not in _topics(read)]
+        missing = [one for one in topics if one not in read.topics]
         if missing:
-            bound = f"one of {', '.join(sorted(_topics(read)))}"
+            bound = f"one of {', '.join(sorted(read.topics))}"
             raise InputError(log, "--topic", missing[0], bound, "name topics of this log")
         written = write(read)
-    echo(printable(written if standard else f"{written} to {out}"), err=True)
+    beside = "" if layout is None else f", layout to {layout}"
+    echo(printable(written if standard else f"{written} to {out}{beside}"), err=True)
 
 
-def _check(to: Form, topics: tuple[str, ...], *, standard: bool) -> None:
+def _check(to: Form, topics: tuple[str, ...], layout: Path | None, *, standard: bool) -> None:
     """Refuses what does not go together."""
     if topics and to not in RECORDS:
-        _refuse("--topic", topics[0], "of --to jsonl or csv: frames have no topics", "leave it out")
+        why = "it has topics of its own" if to is Form.FOXGLOVE else "frames have no topics"
+        _refuse("--topic", topics[0], f"of --to jsonl or csv: {why}", "leave it out")
+    if layout is not None and to is not Form.FOXGLOVE:
+        _refuse(LAYOUT_OPTION, str(layout), "of --to foxglove", "leave it out")
+    if to is Form.FOXGLOVE and standard:
+        _refuse(OPTION, STANDARD, "a file: MCAP is not text", "name one with -o FILE.mcap")
     if to is Form.BLF and standard:
         _refuse(OPTION, STANDARD, "a file: BLF is not text", "name one with -o FILE")
     if to is Form.CSV and len(topics) != 1 and standard:
@@ -132,10 +153,6 @@ def _told(log: Path, read: Log) -> None:
         echo(printable(told), err=True)
 
 
-def _topics(read: Log) -> set[str]:
-    return {CanFrame.TOPIC, *(name for name, _, _ in read.places)}
-
-
 def _messages(read: Log, topics: tuple[str, ...]) -> Iterator[Stored]:
     """The records of these topics, or all, in file order, a chunk at a time."""
     for message in walk(read.file, Scan()):
@@ -150,6 +167,8 @@ def _written(to: Form, log: Path, topics: tuple[str, ...], sink: Sink) -> Callab
             return lambda read: _lines(read, topics, sink)
         case Form.CSV:
             return lambda read: _table(read, topics[0], sink)
+        case Form.FOXGLOVE:
+            return lambda read: write_foxglove(read, log.name, sink)
         case _:
             return lambda read: _frames(to, log, read, sink)
 

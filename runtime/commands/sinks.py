@@ -136,8 +136,12 @@ def _flushed() -> None:
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[Sink]:
+def new_file(path: Path, option: str = OPTION) -> Iterator[Sink]:
     """A new file for its owner alone; where the block is left by an exception none is left there.
+
+    Args:
+        path: the file.
+        option: that names it.
 
     Raises:
         InputError: something stands there, or it cannot be written.
@@ -146,11 +150,11 @@ def new_file(path: Path) -> Iterator[Sink]:
         with creating(path) as descriptor, os.fdopen(os.dup(descriptor), "wb") as stream:
             yield Sink(stream)
     except FileExistsError:
-        raise InputError(path, OPTION, None, "exists already", _ANOTHER) from None
+        raise InputError(path, option, None, "exists already", _ANOTHER) from None
     except UnwrittenError as failed:
-        raise _refused(path, failed.error) from None
+        raise _refused(path, failed.error, option) from None
     except OSError as error:
-        raise _refused(path, error) from None
+        raise _refused(path, error, option) from None
 
 
 @contextmanager
@@ -175,6 +179,6 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def _refused(path: Path, error: OSError) -> InputError:
+def _refused(path: Path, error: OSError, option: str = OPTION) -> InputError:
     reason = error.strerror or str(error)
-    return InputError(path, OPTION, None, f"cannot be written ({reason})", "name another place")
+    return InputError(path, option, None, f"cannot be written ({reason})", "name another place")

@@ -17,6 +17,7 @@ from cutgate.protocol.states import (
 )
 from cutgate.runtime.interlock.tracking import (
     Deviation,
+    Nearest,
     ReferenceTrajectory,
     TrackingMonitor,
     TrackingTolerance,
@@ -286,6 +287,8 @@ class Interlock:
     """They are no older than this."""
     tracking: TrackingMonitor | None = None
     """Holds the arm against the verified path from the start on, as long as it may move."""
+    nearest: Nearest | None = field(default=None, compare=False)
+    """What the last sample of the moving arm was held against; for the log alone, nothing is decided by it."""
     log: LogHealth = field(default_factory=LogHealth)
     registration_withdrawn: bool = False
     """In this session; what an earlier one withdrew stands in the job."""

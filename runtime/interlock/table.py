@@ -689,6 +689,7 @@ def measured_while_moving(state: Interlock, event: JointsMeasured, now_s: float)
     seen, _ = measured(state, event, now_s)
     joints = joints_to_memory(event.joints_u)
     monitor, deviation = _monitor(state).sample(joints, event.measured_s, now_s)
+    seen = replace(seen, nearest=(deviation or monitor).nearest)
     return _deviates(seen, deviation, now_s) if deviation else (replace(seen, tracking=monitor), ())
 
 

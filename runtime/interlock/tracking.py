@@ -18,8 +18,8 @@ has gained one time-out on the trajectory.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal
 
 import numpy as np
 
@@ -36,6 +36,8 @@ CLOCKS: Final = 1.001
 MISSING_TIMEOUTS: Final = 2.0
 REMEDY: Final = "find out why the arm is not where it was verified, before the next session"
 _ROTARY: Final = (0, 1, 3, 4)
+Leg = Literal["approach", "entry", "cut", "exit", "retract"]
+"""A joint line, straight in, the cut, straight out, a joint line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +91,18 @@ class ReferenceTrajectory:
 
     def name(self, time_s: float) -> str:
         """The place in words."""
+        leg, segment, fraction = self.place(time_s)
+        return f"the {leg}" if leg != "cut" else f"segment {segment}, fraction {fraction:.3f}"
+
+    def place(self, time_s: float) -> tuple[Leg, int | None, float | None]:
+        """The place: its leg, and on the cut segment and fraction."""
         if time_s < self.poses_s[0]:
-            return "the entry" if time_s >= self.times_s[1] else "the approach"
+            return ("entry" if time_s >= self.times_s[1] else "approach"), None, None
         if time_s > self.poses_s[-1]:
-            return "the exit" if time_s <= self.times_s[-2] else "the retract"
+            return ("exit" if time_s <= self.times_s[-2] else "retract"), None, None
         segment = min(int(np.searchsorted(self.poses_s, time_s, "right")), self.segments) - 1
         start_s, end_s = self.poses_s[segment : segment + 2]
-        fraction = (time_s - start_s) / (end_s - start_s) if end_s > start_s else 0.0
-        return f"segment {segment}, fraction {fraction:.3f}"
+        return "cut", segment, float((time_s - start_s) / (end_s - start_s)) if end_s > start_s else 0.0
 
 
 @dataclass(frozen=True)
@@ -165,6 +171,32 @@ class Deviation:
 
     reason: str
     judged: tuple[Permissive, ...]
+    nearest: "Nearest | None" = field(default=None, compare=False)
+    """Where the deviating joints are nearest to the path; for the log alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The place of those tried that is nearest to measured joints, how far off it is, and between which places they reach.
+
+    Attributes:
+        joints: as measured, rad and mm, shape (5,).
+        time_s: the place.
+        off: how far off, in tolerances; the greater of the following two.
+        off_mm, off_rad: wrist centre and the turning joint that is furthest off, in tolerances.
+        near_mm, near_rad: the tolerances there.
+        earliest_s, latest_s: places between which the joints lie within tolerance; infinite where there are none.
+    """
+
+    joints: Floats
+    time_s: float
+    off: float
+    off_mm: float
+    off_rad: float
+    near_mm: float
+    near_rad: float
+    earliest_s: float
+    latest_s: float
 
 
 @dataclass(frozen=True)
@@ -180,6 +212,8 @@ class TrackingMonitor:
     lead_s: float
     """The least, over all frames, of the place at the latest less what the arm may gain until it was sent."""
     progress: tuple[int, int] = (0, 0)
+    nearest: Nearest | None = field(default=None, compare=False)
+    """What the last sample was held against; for the log alone, nothing is decided by it."""
 
     @classmethod
     def begin(
@@ -226,7 +260,8 @@ class TrackingMonitor:
             return self, _off(found, f"near {trajectory.name(found.time_s)}")
         lead_s, young = self._lead(found.latest_s, sent_s), now_s - measured_s <= bounds.missing_s
         heard_s = now_s if young else self.heard_s  # off the path it would count at any age
-        return replace(self, sampled=FrameSeen(found.earliest_s, now_s), heard_s=heard_s, lead_s=lead_s), None
+        sampled = FrameSeen(found.earliest_s, now_s)
+        return replace(self, sampled=sampled, heard_s=heard_s, lead_s=lead_s, nearest=found), None
 
     # ------------------------------------------------------------ progress
 
@@ -328,20 +363,7 @@ def _breaks(
 # ---------------------------------------------------------------- the nearest place
 
 
-class _Found(NamedTuple):
-    """The nearest place of those tried, how far off it is in tolerances, and between which places they reach."""
-
-    time_s: float
-    off: float
-    off_mm: float
-    off_rad: float
-    near_mm: float
-    near_rad: float
-    earliest_s: float
-    latest_s: float
-
-
-def _off(found: _Found, near: str) -> Deviation:
+def _off(found: Nearest, near: str) -> Deviation:
     """Off the verified path: by how much, beside which tolerances."""
     near_mm, near_deg = found.near_mm, math.degrees(found.near_rad)
     off_mm, off_deg = found.off_mm * near_mm, found.off_rad * near_deg
@@ -358,12 +380,13 @@ def _off(found: _Found, near: str) -> Deviation:
             rule("measured wrist centre", found.off_mm, off_mm, f"{near_mm:.3f} mm"),
             rule("measured joints", found.off_rad, off_deg, f"{near_deg:.3f} deg"),
         ),
+        found,
     )
 
 
 def _nearest(
     trajectory: ReferenceTrajectory, bounds: Bounds, joints: Floats, between_s: tuple[float, float]
-) -> _Found:
+) -> Nearest:
     """The nearest place of a part of the trajectory.
 
     On each chord the place with the least sum of squares is tried, differences over tolerance; what is admitted is
@@ -391,7 +414,8 @@ def _nearest(
     seconds = times[1:] - times[:-1]
     slack = 1.0 / np.sqrt(square)  # one tolerance further along the chord is within tolerance as well
     within = off <= 1.0
-    return _Found(
+    return Nearest(
+        joints=joints,
         time_s=float(times[at] + t[at] * seconds[at]),
         off=float(off[at]),
         off_mm=float(off_mm[at]),

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from cutgate.protocol import candump, records
+from cutgate.protocol.cycle import Cycle
 from cutgate.protocol.differences import differences
 from cutgate.protocol.endpoint import RecordReceived, Sent
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
-from cutgate.protocol.link import Statistics
+from cutgate.protocol.link import Link, Statistics
 from cutgate.protocol.port import Passed
 from cutgate.protocol.states import Purpose, Refusal, StopCause
 from cutgate.runtime.audit import names
@@ -61,6 +62,7 @@ from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.review.last_seen import LastSeen
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.space import space, waiting_s
+from cutgate.runtime.session.telemetry import Telemetry
 
 Kind = Literal["permit", "start", "reset"]
 
@@ -138,6 +140,7 @@ class Journal:
     def __init__(self, log: AuditLog, interface: str) -> None:
         self.log = log
         self.last_seen = LastSeen()
+        self.telemetry = Telemetry()
         self._interface = plain(interface)
         self._sequence = 0
         self._view: ControllerView | None = None
@@ -152,7 +155,10 @@ class Journal:
     def step(
         self, before: Interlock, event: Event, after: Interlock, effects: tuple[Effect, ...], now_s: float
     ) -> None:
-        """Record one step, if it changed anything that matters."""
+        """Record one step, if it changed anything that matters; and each sample of the moving arm, as it was judged."""
+        sample = self.telemetry.tracking(before, after, now_s)
+        if sample is not None:
+            self.log.write(sample)
         self._facts(before, event, after, effects)
         self._controller(event)
         if isinstance(event, QUIET) and before.phase is after.phase and not effects:
@@ -402,6 +408,12 @@ class Journal:
         self.log.write(audit.AuditProcess(role="verifier", pid=worker_pid))
 
     # ------------------------------------------------------------ the bus
+
+    def timing(self, link: Link, cycle: Cycle) -> None:
+        """How loop, bus and disk keep their time, in a cycle that has sent a heartbeat."""
+        found = self.telemetry.timing(link, cycle, self.log)
+        if found is not None:
+            self.log.write(found)
 
     def frame(self, passed: Passed) -> None:
         """One frame that passed the bus; transfers' frames go to the candump file only."""

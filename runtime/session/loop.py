@@ -221,6 +221,7 @@ class Session:
         cycle = self._cycle
         cycle.begin()
         self._pauses.cycle(cycle.gap_s, cycle.now_s)
+        self._journal.telemetry.cycle(cycle.gap_s)
         try:
             self._look_at_clocks()
             for item in cycle.read():
@@ -229,8 +230,10 @@ class Session:
             self._hear_witness()
             self._verdict(ready)
             self._read_commands(ready)
-            self._heartbeat()
+            beats = self._heartbeat()
             self._port.flush()
+            if beats:  # behind it, so that it holds nothing up
+                self._journal.timing(self._port.endpoint.link, cycle)
             self._go_on_verifying()
             if self._bus_error is not None:
                 raise self._bus_error
@@ -521,9 +524,11 @@ class Session:
             self._journal.log.attach(name, "application/octet-stream", data)
         self._verifying.begin(wanted, held)
 
-    def _heartbeat(self) -> None:
-        """What leaves was made in this cycle."""
+    def _heartbeat(self) -> bool:
+        """What leaves was made in this cycle; whether one was made."""
         endpoint, state = self._port.endpoint, self.state
-        if self._cycle.heartbeat_due() and endpoint.link.is_open:
+        due = self._cycle.heartbeat_due() and endpoint.link.is_open
+        if due:
             beat = RuntimeHeartbeat(PHASES[state.phase].heartbeat, state.epoch, state.told(state.cause))
             endpoint.send_frame(beat, self._cycle.now_s)
+        return due

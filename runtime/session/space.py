@@ -1,6 +1,7 @@
 """How much space a session takes on the disk until its end: the log, and the raw frames beside it. Pure.
 
-Each heartbeat brings the same frames, and each frame one line and one record, which are taken here at their widest.
+Each heartbeat brings the same frames, and each frame one line and one record; and a record of tracking and of timing,
+as often as these may come. All are taken here at their widest.
 How long it lasts is estimated from the path before the session opens, so that a disk that is too full is known at
 once; and known with the verdict, from the verified trajectory. The interlock asks for twice what is told here
 (``permissives.log_space``): frames of others on the bus come out of the second half.
@@ -13,10 +14,11 @@ from typing import Final
 import numpy as np
 
 from cutgate.protocol import candump, records
-from cutgate.runtime.audit.records import CanFrame, Time
+from cutgate.runtime.audit.records import CanFrame, LogRecord, LoopTiming, Time, TrackingSample
 from cutgate.runtime.interlock.state import Job
 from cutgate.runtime.kinematics.arm import REVOLUTION
 from cutgate.runtime.kinematics.pose import turn_angles
+from cutgate.runtime.session.telemetry import PER_SECOND_MAX
 
 FRAMES_PER_HEARTBEAT: Final = 6
 """Both heartbeats, three frames of a joint sample, one of progress; the two sides have one period."""
@@ -75,12 +77,52 @@ def space(seconds: float, timing: records.Timing, *, chunk_period_s: float, inte
         chunk_period_s: so often a chunk of the log is closed, at least.
         interface: the bus's name in the raw frames.
     """
-    frames = math.ceil(seconds * 1000.0 / timing.heartbeat_ms) * FRAMES_PER_HEARTBEAT
+    beats = math.ceil(seconds * 1000.0 / timing.heartbeat_ms)
+    frames, samples = beats * FRAMES_PER_HEARTBEAT, min(beats, math.ceil(seconds) * PER_SECOND_MAX)
     line = len(candump.line(_LATEST_NS, interface, 0x7FF, bytes(8)))
-    record = len(_widest().encode()) + MESSAGE_BYTES
     chunks = math.ceil(seconds / chunk_period_s)
-    log = FIXED_BYTES + frames * record + chunks * CHUNK_BYTES
+    telemetry = _bytes_of(_widest_sample()) + _bytes_of(_widest_timing())
+    log = FIXED_BYTES + frames * _bytes_of(_widest()) + samples * telemetry + chunks * CHUNK_BYTES
     return Space(log, FIXED_BYTES // 4 + frames * line)
+
+
+def _bytes_of(record: LogRecord) -> int:
+    """What a record takes in the file."""
+    return len(record.encode()) + MESSAGE_BYTES
+
+
+def _widest_sample() -> TrackingSample:
+    """A long record of tracking: every number with all its decimals, of an arm in the midst of a long path."""
+    return TrackingSample(
+        leg="cut",
+        reference_s=1234.1234,
+        segment=123456,
+        fraction=0.1234,
+        q0_deviation_deg=-0.1234,
+        q1_deviation_deg=-0.1234,
+        q2_deviation_mm=-0.1234,
+        q3_deviation_deg=-0.1234,
+        q4_deviation_deg=-0.1234,
+        tip_distance_mm=0.1234,
+        wrist_deviation_mm=0.1234,
+        wrist_tolerance_mm=0.1234,
+        joint_tolerance_deg=0.1234,
+        age_ms=123.12,
+    )
+
+
+def _widest_timing() -> LoopTiming:
+    """A long record of timing."""
+    return LoopTiming(
+        heartbeat_age_ms=123.12,
+        timeout_ms=1234.5,
+        round_trip_ms=123.12,
+        heartbeat_late_ms=123.12,
+        longest_gap_ms=123.12,
+        commit_ms=123.12,
+        waiting_ms=123.12,
+        waiting_bytes=1234567,
+    )
 
 
 def _widest() -> CanFrame:

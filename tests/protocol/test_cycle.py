@@ -195,6 +195,15 @@ def test_heartbeats_keep_their_pace_and_none_is_made_up_for(gaps_s):
     assert len(made_s) <= 1 + (loop.cycle.now_s - START_S) / HEARTBEAT_S + 1
 
 
+def test_how_late_a_heartbeat_was_made_is_known_until_the_next(loop):
+    late = []
+    for after in (0.0, 0.5, 1.0, 0.25, 0.75):  # of a period
+        loop.begin(after * HEARTBEAT_S)
+        loop.cycle.heartbeat_due()
+        late.append(loop.cycle.late_s / HEARTBEAT_S)
+    assert late == [0.0, 0.0, 0.5, 0.5, 0.5]
+
+
 def test_one_that_has_not_left_is_made_anew_each_cycle(loop):
     loop.bus.room = False
     loop.begin(0.0)

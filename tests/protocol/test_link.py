@@ -715,6 +715,21 @@ def test_who_holds_the_last_heartbeat_back_gains_nothing():
     assert controller.expire(sent_s + TIMEOUT_S + 1e-6) is StopCause.HEARTBEAT_LOST
 
 
+def test_the_round_trip_is_from_the_sending_of_what_is_echoed_to_its_echo():
+    """An echo that comes too late, or none, leaves it as it was; a new session knows of none."""
+    runtime, controller = pair()
+    assert runtime.round_trip_s is None
+    deliver(runtime, controller, CUT, 0.01)
+    deliver(controller, runtime, CUTTING, 0.04)
+    assert runtime.round_trip_s == pytest.approx(0.03)
+    deliver(controller, runtime, CUTTING, 0.05)
+    assert runtime.round_trip_s == pytest.approx(0.04), "the same is echoed again, later"
+    assert not deliver(controller, runtime, CUTTING, 0.01 + TIMEOUT_S + 0.001).fresh
+    assert runtime.round_trip_s == pytest.approx(0.04)
+    runtime.open(CODES, 1.0)
+    assert runtime.round_trip_s is None
+
+
 def test_an_earlier_echo_does_not_shorten_the_time_out():
     runtime, controller = pair()
     now_s = exchange(runtime, controller, 5)

@@ -847,7 +847,7 @@ def test_what_a_file_says_of_itself_is_bounded():
 
 def test_a_file_with_more_records_than_any_session_is_tampered(data, monkeypatch):
     monkeypatch.setattr("cutgate.runtime.audit.judge.KEPT_MAX", 5)
-    judged(data, "it holds over 5 records beside frames")
+    judged(data, "it holds over 5 records that are not streamed")
 
 
 def test_a_file_that_is_cut_while_it_is_read_is_torn(data):

@@ -88,8 +88,10 @@ def test_a_log_that_keeps_every_rule_has_no_problem():
     assert log.judge.last_topic == "/audit/close"
 
 
-def test_places_are_those_of_all_records_but_frames():
-    judge = Records().opened().add("/can/frame", {"id": 1}).closed().judge
+@pytest.mark.parametrize("topic", ["/can/frame", "/tracking", "/timing"])
+def test_places_are_those_of_all_records_whose_topic_is_not_streamed(topic):
+    judge = Records().opened().add(topic, {"id": 1}).closed().judge
+    assert judge.streamed == {topic}
     assert [(topic, offset) for topic, offset, _ in judge.places] == [
         ("/audit/open", 1000),
         ("/audit/close", 1002),
@@ -323,14 +325,14 @@ def test_a_record_of_an_attachment_that_is_none_fits_none():
     assert told in log.problems(found(attachments=[stored()]))
 
 
-def test_records_beside_frames_are_bounded(monkeypatch):
+def test_records_that_are_not_streamed_are_bounded(monkeypatch):
     monkeypatch.setattr(module, "KEPT_MAX", 2)
     log = Records().opened()
     for _ in range(5):
         log.add("/can/frame", {"id": 1})
     assert log.add("/audit/decision").problems() == []
     log.add("/audit/decision")
-    assert log.problems() == ["it holds over 2 records beside frames; no session writes so many"]
+    assert log.problems() == ["it holds over 2 records that are not streamed; no session writes so many"]
     assert len(log.judge.places) == 2
     assert module.KEPT_MAX == 2
 

@@ -206,6 +206,41 @@ def test_what_is_durable_is_not_pending(tmp_path):
     close(log)
 
 
+def test_bytes_wait_until_they_are_durable_and_how_long_that_took_is_known(tmp_path):
+    """The clock goes on by a millisecond whenever it is read; the disk does not answer before it is let go."""
+    clock, disk = Ticking(), WatchedDisk()
+    log = make(tmp_path, clock=clock.clock(), disk=disk)
+    log.commit(1)
+    wait_for(log, durable(1))
+    assert log.waiting_bytes == 0
+    with hanging(disk, "sync"):
+        log.write(records.AuditOperator(word="stop", accepted=True))
+        assert log.waiting_bytes == 0, "it stands in memory yet"
+        before, log.commit_s = log.size, None
+        log.commit(2)
+        assert log.waiting_bytes == log.size - before > 0
+        assert log.events() == []
+        assert log.commit_s is None
+        clock.now_ns += 700_000_000
+    # What hung ends with an error: nothing more becomes durable, and it goes on waiting.
+    wait_for(log, lambda event: isinstance(event, LogFailed))
+    assert (log.commit_s, log.waiting_bytes) == (None, log.size - before)
+    close(log)
+
+
+def test_a_commits_time_is_from_handing_over_to_being_told(tmp_path):
+    clock = Ticking()
+    log = make(tmp_path, clock=clock.clock())
+    log.commit(1)
+    wait_for(log, durable(1))
+    log.write(records.AuditOperator(word="stop", accepted=True))
+    log.commit(2)
+    clock.now_ns += 250_000_000
+    wait_for(log, durable(2))
+    assert log.commit_s == pytest.approx(0.25, abs=0.1)
+    close(log)
+
+
 def test_records_wait_in_memory_for_less_than_the_chunk_period(tmp_path):
     clock = Ticking()
     log = make(tmp_path, clock=clock.clock(), chunk_period_s=1.0)

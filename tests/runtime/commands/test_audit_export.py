@@ -22,6 +22,7 @@ from cutgate.runtime.audit.inspect import read_log
 from cutgate.runtime.audit.writer import LogWriter
 from cutgate.runtime.commands import sinks
 from cutgate.runtime.commands.app import execute
+from cutgate.runtime.commands.foxglove.lichtblick import layout_bytes
 from cutgate.runtime.review.recorded_frames import SessionFrames
 from tests.runtime.audit.build import LOG_ID, MODELS, forge, session_log, small_log
 from tests.runtime.audit.test_replay import changed
@@ -251,7 +252,11 @@ def test_any_record_is_taken_as_it_is_whatever_its_topic(export, tmp_path):
         (["--to", "candump", "--topic", "/audit/open"], "frames have no topics"),
         (["--to", "asc", "--topic", "/can/frame"], "frames have no topics"),
         (["--to", "jsonl", "--topic", "/audit/opened"], "must be one of /audit/approach, "),
-        (["--to", "foxglove"], "foxglove"),
+        (["--to", "foxglove"], "must be a file: MCAP is not text"),
+        (["--to", "foxglove", "-o", "-"], "name one with -o FILE.mcap"),
+        (["--to", "foxglove", "-o", "x", "--topic", "/log"], "it has topics of its own; leave it out"),
+        (["--to", "jsonl", "--layout", "x"], "must be of --to foxglove; leave it out"),
+        (["--to", "rosbag"], "foxglove"),
         ([], "--to"),
     ],
 )
@@ -261,7 +266,7 @@ def test_what_does_not_go_together_is_refused(export, arguments, told):
     assert told in " ".join(err.split())
 
 
-@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc"])
+@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc", "foxglove"])
 @pytest.mark.parametrize("kind", ["file", "folder", "link", "the log"])
 def test_nothing_is_ever_overwritten(export, tmp_path, form, kind):
     log = tmp_path / CUT.name
@@ -283,7 +288,7 @@ def test_nothing_is_ever_overwritten(export, tmp_path, form, kind):
     assert not (tmp_path / "nowhere").exists()
 
 
-@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc"])
+@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc", "foxglove"])
 @pytest.mark.parametrize("log", ["absent.mcap", "pyproject.toml", "key"])
 def test_what_is_no_log_is_refused_and_leaves_nothing(export, tmp_path, form, log):
     key = tmp_path / "key"
@@ -295,7 +300,7 @@ def test_what_is_no_log_is_refused_and_leaves_nothing(export, tmp_path, form, lo
     assert sorted(path.name for path in tmp_path.iterdir()) == ["key"]
 
 
-@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc"])
+@pytest.mark.parametrize("form", ["jsonl", "csv", "candump", "blf", "asc", "foxglove"])
 def test_what_cannot_be_written_leaves_nothing(export, tmp_path, monkeypatch, form):
     class Full(sinks.Sink):
         def write(self, data):
@@ -305,6 +310,29 @@ def test_what_cannot_be_written_leaves_nothing(export, tmp_path, monkeypatch, fo
     code, _, err = export(CUT, "--to", form, "-o", tmp_path / "out")
     assert code == 2
     assert "cannot be written (No space left on device)" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_layout_is_written_beside_it_and_never_over_anything(export, tmp_path):
+    out, layout = tmp_path / "x.mcap", tmp_path / "layout.json"
+    code, _, err = export(CUT, "--to", "foxglove", "-o", out, "--layout", layout)
+    assert code == 0
+    assert layout.read_bytes() == layout_bytes()
+    assert f"layout to {layout}" in " ".join(err.split())
+    out.unlink()
+    layout.write_bytes(b"mine")
+    code, _, err = export(CUT, "--to", "foxglove", "-o", out, "--layout", layout)
+    assert code == 2
+    assert f"{layout}: --layout: exists already; name another, or remove it first" in " ".join(err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["layout.json"]
+    assert layout.read_bytes() == b"mine"
+
+
+def test_a_layout_in_the_place_of_the_file_is_refused(export, tmp_path):
+    out = tmp_path / "x.mcap"
+    code, _, err = export(CUT, "--to", "foxglove", "-o", out, "--layout", out)
+    assert code == 2
+    assert "exists already" in err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -374,7 +402,8 @@ def test_what_a_log_says_reaches_no_terminal_as_control_characters(export, tmp_p
 
 
 @pytest.mark.no_cover
-def test_memory_does_not_grow_with_the_log(tmp_path, export):
+@pytest.mark.parametrize("form", ["jsonl", "foxglove"])
+def test_memory_does_not_grow_with_the_log(tmp_path, export, form):
     """A log of 1000 frames, and one of four times as many."""
     peaks = []
     for times in (1, 4):
@@ -386,7 +415,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, export):
             many(small_log(tmp_path / str(times), decisions=2).log.read_bytes(), frame, 1000 * times)
         )
         tracemalloc.start()
-        assert export(log, "--to", "jsonl", "-o", tmp_path / f"{times}.jsonl")[0] == 0
+        assert export(log, "--to", form, "-o", tmp_path / f"{times}.{form}")[0] == 0
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + (1 << 20)

@@ -406,6 +406,53 @@ def test_a_place_has_its_legs_name(time_s, name):
     assert ReferenceTrajectory(np.arange(6.0), joints, np.array([2.0, 3.0]), LINKS).name(time_s) == name
 
 
+@pytest.mark.parametrize(
+    ("time_s", "place"),
+    [
+        (0.5, ("approach", None, None)),
+        (1.0, ("entry", None, None)),
+        (2.25, ("cut", 0, 0.25)),
+        (4.0, ("exit", None, None)),
+        (4.5, ("retract", None, None)),
+    ],
+)
+def test_a_place_is_a_leg_and_on_the_cut_a_part_of_a_segment(time_s, place):
+    joints = np.tile([0.4, 1.2, 250.0, -0.7, 0.6], (6, 1))
+    assert ReferenceTrajectory(np.arange(6.0), joints, np.array([2.0, 3.0]), LINKS).place(time_s) == place
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), part=st.floats(0.0, 1.0), slip=st.floats(0.0, 3.0), joint=st.integers(0, 4)
+)
+def test_what_a_sample_was_held_against_is_kept_whether_it_deviates_or_not(seed, part, slip, joint):
+    """The joints as measured, and a place of the trajectory that they are so far from as is said."""
+    trajectory = trajectory_from(seed)
+    monitor = TrackingMonitor.begin(trajectory, TIMING, TRACKING, 60.0, 0.0)
+    assert monitor.nearest is None
+    bounds, now_s = monitor.bounds, trajectory.end_s
+    joints = trajectory.joints_at(part * trajectory.end_s)
+    joints[joint] += slip * (bounds.near_mm if joint == 2 else bounds.near_rad)
+    after, found = monitor.sample(joints, now_s, now_s)
+    nearest = (found or after).nearest
+    assert nearest.joints is joints
+    assert (found is None) is (nearest.off <= 1.0)
+    assert nearest.off == max(nearest.off_mm, nearest.off_rad)
+    d0, d1, d2, d3, d4 = np.abs(joints - trajectory.joints_at(nearest.time_s))
+    assert nearest.off_rad * nearest.near_rad == pytest.approx(max(d0, d1, d3, d4), abs=1e-9)
+    assert nearest.off_mm * nearest.near_mm >= d2 - 1e-9
+    if found is None:
+        assert nearest.earliest_s <= nearest.time_s <= nearest.latest_s
+    else:
+        assert (nearest.earliest_s, nearest.latest_s) == (math.inf, -math.inf)
+
+
+def test_two_states_are_the_same_whatever_the_last_sample_was_held_against():
+    monitor = TrackingMonitor.begin(trajectory_from(1), TIMING, TRACKING, 1.0, 0.0)
+    after, _ = monitor.sample(monitor.trajectory.joints_at(0.0), 0.0, 0.0)
+    assert replace(after, nearest=None) == after
+
+
 def test_a_segment_without_a_duration_has_a_name_and_a_place():
     joints = np.tile([0.4, 1.2, 250.0, -0.7, 0.6], (7, 1))
     joints[3:, 3] += 0.1

@@ -1,0 +1,1 @@
+"""What viewers are given, beside what Foxglove publishes of its messages."""

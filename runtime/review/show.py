@@ -11,7 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from cutgate.config.screen import printable
-from cutgate.runtime.review.stopped import APPROACH, RETRACT, SAFE
+from cutgate.runtime.review.stop_words import phase_words, place_words, rest_words
+from cutgate.runtime.review.stopped import SAFE
 from cutgate.runtime.review.story import failing
 
 GOOD: Final = "bold green"
@@ -43,8 +44,8 @@ def print_story(console: Console, story: Mapping[str, Any]) -> None:
 def stop_lines(stop: Mapping[str, Any]) -> list[RenderableType]:
     """What is told after a stop (`stop_document`): a block of its own."""
     told = Table.grid(padding=(0, 2, 0, 0))
-    told.add_row("  what", Text(printable(f"{stop['text']} ({stop['cause']}, while {_phase(stop)})")))
-    for label, text in _where(stop):
+    told.add_row("  what", Text(printable(f"{stop['text']} ({stop['cause']}, while {phase_words(stop)})")))
+    for label, text in place_words(stop):
         told.add_row(f"  {label}", Text(text))
     told.add_row("  at rest", _at_rest(stop))
     steps = Table.grid(padding=(0, 1, 0, 0))
@@ -55,40 +56,7 @@ def stop_lines(stop: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _at_rest(stop: Mapping[str, Any]) -> Text:
-    if stop["confirmed"]:
-        return Text("yes: the controller's last heartbeat says that it inhibits motion", GOOD)
-    if stop["moving"]:
-        return Text("NO: nobody has confirmed that the arm stands", BAD)
-    if stop["where"] is None:
-        return Text("no motion was started in this session; the controller has not confirmed the stop")
-    return Text("not confirmed by the controller", BAD)
-
-
-def _phase(stop: Mapping[str, Any]) -> str:
-    return str(stop["while"]).replace("_", " ")
-
-
-def _where(stop: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """The place on the path, and the tip's in the robot frame: label and text."""
-    where = stop["where"]
-    if where is None:
-        yield "where", "not known" if stop["moving"] else "the arm had not been started"
-        return
-    heard = "" if stop["confirmed"] else ", as last heard"
-    if where["leg"] == APPROACH:
-        yield "where", f"on the approach, before the cut{heard}"
-    elif where["segment"] is None:
-        yield "where", "not known: no progress was reported"
-    elif where["leg"] == RETRACT:
-        yield "where", f"on the retract: the whole path is cut{heard}"
-    else:
-        done = f"{where['percent']:.1f} % of the path is cut, {where['to_go_mm']:.1f} mm to go"
-        yield "where", f"segment {where['segment']} of {where['segments']}: {done}{heard}"
-    if where["tip_mm"] is not None:
-        x, y, z = where["tip_mm"]
-        side = "below" if where["depth_mm"] > 0.0 else "above"
-        depth = f"{abs(where['depth_mm']):.1f} mm {side} the entry plane, along the tool"
-        yield "tip", f"x {x:.1f} y {y:.1f} z {z:.1f} mm; {depth}{heard}"
+    return Text(rest_words(stop), GOOD if stop["confirmed"] else BAD if stop["moving"] or stop["where"] else "")
 
 
 def _head(console: Console, story: Mapping[str, Any]) -> None:

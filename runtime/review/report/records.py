@@ -3,7 +3,7 @@
 import json
 import re
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from cutgate.runtime.audit.container.scan import walk
@@ -33,12 +33,14 @@ _NAMES: Final = (
 )
 """Fields of which the first that is there says what a record is about."""
 _LONG: Final = re.compile(r"[0-9a-f]{32,}")
+_LONG_TEXTS: Final = frozenset({"document", "note"})
+"""Of these only how long they are: JSON documents and signed notes."""
 _DIGITS_SHOWN: Final = 16
 _TIME_MAX: Final = 1 << 40
 _NANOSECONDS: Final = 1_000_000_000
 
 
-def rows(log: Log) -> dict[str, Any]:
+def rows(log: Log, shown: Callable[[Any], Any] = lambda record: record) -> dict[str, Any]:
     """Number in the file, seconds since record 0, topic, what it is about, and its other fields in words.
 
     At most `ROWS_MAX` rows: of more the middle is left out, and a row says how many. Never raises, whatever the log
@@ -46,6 +48,7 @@ def rows(log: Log) -> dict[str, Any]:
 
     Args:
         log: the log as read; its file is open.
+        shown: what of a record is shown, as ``Redaction.apply``.
     """
     first: list[list[Any]] = []
     last: deque[list[Any]] = deque(maxlen=ROWS_MAX // 2)
@@ -57,7 +60,7 @@ def rows(log: Log) -> dict[str, Any]:
         record = parse_object(message.data) or {}
         at_ns = _time_ns(record)
         start_ns = at_ns if start_ns is None else start_ns
-        row = _row(number, message.topic, record, at_ns, start_ns)
+        row = _row(number, message.topic, shown(record), at_ns, start_ns)
         count += 1
         if len(first) < ROWS_MAX - ROWS_MAX // 2:
             first.append(row)
@@ -81,15 +84,17 @@ def _row(
 
 def _words(fields: Mapping[str, Any]) -> str:
     return ", ".join(
-        f"{key.replace('_', ' ')} {_value(value)}" for key, value in fields.items() if value not in ([], "")
+        f"{key.replace('_', ' ')} {_value(key, value)}"
+        for key, value in fields.items()
+        if value not in ([], "")
     )
 
 
-def _value(value: Any) -> str:
+def _value(key: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, str):
-        return value
+        return f"of {len(value)} characters" if key in _LONG_TEXTS else value
     try:
         return json.dumps(value, ensure_ascii=False)
     except (ValueError, RecursionError):

@@ -81,7 +81,7 @@ def _decisive(decisions: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _is_decisive(one: Mapping[str, Any]) -> bool:
-    before, after = one.get("from_state"), one.get("to_state")
+    before, after = text_of(one, "from_state"), text_of(one, "to_state")
     moved = before != after
     return (
         one.get("disposition") in ("sent", "withheld")
@@ -92,7 +92,7 @@ def _is_decisive(one: Mapping[str, Any]) -> bool:
 
 
 def _stops(one: Mapping[str, Any]) -> bool:
-    return one.get("from_state") not in STOPPING and one.get("to_state") in STOPPING
+    return text_of(one, "from_state") not in STOPPING and text_of(one, "to_state") in STOPPING
 
 
 def _sent(one: Mapping[str, Any]) -> str:
@@ -106,7 +106,7 @@ def _sent(one: Mapping[str, Any]) -> str:
 
 def _told(one: Mapping[str, Any], story: Mapping[str, Any]) -> tuple[str, str, str]:
     """Title, kind and the sentence. What stopped is said before what left: a stop is never shown as something good."""
-    reason, after = text_of(one, "reason"), one.get("to_state")
+    reason, after = text_of(one, "reason"), text_of(one, "to_state")
     missing = failing(one)
     if _stops(one):
         cause = text_of(one, "first_out")
@@ -134,7 +134,12 @@ def _sentence(*parts: str) -> str:
 def _inputs(one: Mapping[str, Any], story: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """The digests that a permit bound, or of what the verdict is."""
     kind = _sent(one)
-    permits = [entry for entry in story["permits"] if entry.get("kind") == "permit"]
+    at_s = seconds(one.get("offset_s"))
+    permits = [
+        entry
+        for entry in story["permits"]
+        if entry.get("kind") == "permit" and "path_sha256" in entry and seconds(entry.get("offset_s")) <= at_s
+    ]
     source: Mapping[str, Any] = {}
     if kind in ("permit", "start") and permits:
         source = permits[-1]
@@ -165,7 +170,10 @@ def _body(card: Card) -> Iterator[Markup]:
     one = card.decision
     yield pairs(
         (
-            ("step", f"{state(one.get('from_state'))} \N{RIGHTWARDS ARROW} {state(one.get('to_state'))}"),
+            (
+                "step",
+                f"{state(text_of(one, 'from_state'))} \N{RIGHTWARDS ARROW} {state(text_of(one, 'to_state'))}",
+            ),
             ("on", text_of(one, "event")),
             ("disposition", text_of(one, "disposition")),
             ("first-out", text_of(one, "first_out")),

@@ -54,9 +54,17 @@ def _parts(report: Report, replay: Replay | None, steps: tuple[TrustStep, ...]) 
     yield table(("asked in this order", "answer", "what was found"), rows, class_="trust")
     if replay is not None:
         yield listed((*replay.differences, *replay.notes))
-    first, *rest = NOT_FOUND.split("\n")
-    yield tag("h3", first)
-    yield tag("pre", "\n".join(rest))
+    yield from _not_found()
+
+
+def _not_found() -> Iterator[Markup]:
+    """What `verify --explain` says: a heading, a list, and what to do."""
+    head, _, rest = NOT_FOUND.partition("\n- ")
+    *items, last = rest.split("\n- ")
+    last, _, remedy = last.partition(".\n")
+    yield tag("h3", head)
+    yield listed(" ".join(item.split()) for item in (*items, f"{last}."))
+    yield tag("p", " ".join(remedy.split()))
 
 
 def _kind(answer: TrustAnswer) -> str:

@@ -29,10 +29,10 @@ from cutgate.runtime.audit.records import (
 LEFT_OUT: Final = "(left out)"
 WORDS_MAX: Final = 300
 """Names that a log may have; a session has some thirty. Of a log with more every text is left out."""
-WORD_MAX: Final = 4000
+NAME_MAX: Final = 4000
 """Characters of one name."""
 _WHOLE: Final = 8
-"""Characters from which a name is left out inside a longer word as well."""
+"""Characters from which a name is left out inside a longer named as well."""
 _TAG: Final = 8
 """Digits of a session's or a log's name that file names and frames carry."""
 _NAMED: Final[dict[str, tuple[str, ...]]] = {
@@ -92,12 +92,12 @@ class Redaction:
     """
 
     def __init__(self, words: set[str]) -> None:
-        shown = {form for word in words for form in (word, printable(word)) if any(map(str.isalnum, form))}
-        known = sorted(shown, key=lambda word: (-len(word), word))
+        shown = {form for named in words for form in (named, printable(named)) if any(map(str.isalnum, form))}
+        known = sorted(shown, key=lambda named: (-len(named), named))
         self._everything = len(known) > WORDS_MAX
         patterns = (
-            re.escape(word) if len(word) >= _WHOLE else rf"(?<![0-9A-Za-z]){re.escape(word)}(?![0-9A-Za-z])"
-            for word in known[:WORDS_MAX]
+            re.escape(named) if len(named) >= _WHOLE else rf"(?<![0-9A-Za-z]){re.escape(named)}(?![0-9A-Za-z])"
+            for named in known[:WORDS_MAX]
         )
         self._pattern = re.compile("|".join(patterns) or r"(?!)", re.IGNORECASE)
 
@@ -110,13 +110,13 @@ class Redaction:
             paths: of the log and what lies beside it.
         """
         words: set[str] = set()
-        for word in (
+        for named in (
             *_recorded(log),
             *_attached(log),
             *(part for path in paths for part in _file_words(path)),
         ):
-            if word not in _COMMON and len(words) <= WORDS_MAX:
-                words.add(word[:WORD_MAX])
+            if named not in _COMMON and len(words) <= WORDS_MAX:
+                words.add(named[:NAME_MAX])
         return cls(words)
 
     def text(self, text: str) -> str:
@@ -159,7 +159,7 @@ def _recorded(log: Log) -> Iterator[str]:
             for key in keys:
                 yield from _words_of(record.get(key), key)
     for given in log.one_by_one(AuditOperator.TOPIC):
-        if given.get("accepted") is not True:  # what was taken is a word of the program's
+        if given.get("accepted") is not True:  # what was taken is a named of the program's
             yield from _words_of(given.get("what"), "what")
     for opened in log.one_by_one(AuditOpen.TOPIC):
         options = opened.get("simulation")

@@ -73,7 +73,7 @@ def lanes(story: Mapping[str, Any], cards: Sequence[Card]) -> list[dict[str, Any
         {
             "name": "operator",
             "marks": [
-                _mark(entry, _word(entry), NOTE if entry.get("accepted") is True else BAD)
+                _mark(entry, _command(entry), NOTE if entry.get("accepted") is True else BAD)
                 for entry in story["operator"][:MARKS_MAX]
             ],
         },
@@ -95,8 +95,8 @@ def section(story: Mapping[str, Any], cards: Sequence[Card]) -> Markup:
         shown.append(("", "", f"{left_out} rows are left out here; the log has them", ""))
         rest = rest[-(ROWS_MAX // 2) :]
     shown += [(f"{at_s:.3f}", who_, what, why) for at_s, who_, what, why in rest]
-    said_by = who(story["opened"])
-    named = tag("p", f"Words of the operator were said here: {said_by}.") if said_by else Markup()
+    operator = who(story["opened"])
+    named = tag("p", f"Words of the operator were said here: {operator}.") if operator else Markup()
     return joined([named, table(("time s", "who", "what", "why"), shown, class_="timeline")])
 
 
@@ -157,7 +157,7 @@ def _rows(story: Mapping[str, Any], cards: Sequence[Card]) -> Iterator[tuple[flo
         text = f"fault: {text_of(entry, 'cause')}"
         yield seconds(entry.get("offset_s")), text_of(entry, "source"), text, text_of(entry, "detail")
     for entry in story["operator"]:
-        yield seconds(entry.get("offset_s")), "operator", _word(entry), refused(entry).strip()
+        yield seconds(entry.get("offset_s")), "operator", _command(entry), refused(entry).strip()
     for entry in story["collected"]:
         kind, same = text_of(entry, "kind"), entry.get("matches_approved") is True
         what = f"{kind} {'equal' if same else 'NOT equal to'} the approved"
@@ -169,13 +169,13 @@ def _rows(story: Mapping[str, Any], cards: Sequence[Card]) -> Iterator[tuple[flo
         yield seconds(story["closed"].get("offset_s")), "runtime", "log closed", outcome
 
 
-def _word(entry: Mapping[str, Any]) -> str:
+def _command(entry: Mapping[str, Any]) -> str:
     return f"{text_of(entry, 'word')} {text_of(entry, 'what')}".strip()
 
 
 def _step(first: Mapping[str, Any], count: int, card: Card | None) -> Markup:
     """From state to state, on what, with a link to the card where there is one."""
-    before, after = (state(first.get(name)) for name in ("from_state", "to_state"))
+    before, after = (state(text_of(first, name)) for name in ("from_state", "to_state"))
     moved = before if before == after else f"{before} \N{RIGHTWARDS ARROW} {after}"
     times = f" (\N{MULTIPLICATION SIGN}{count})" if count > 1 else ""
     disposition = text_of(first, "disposition")

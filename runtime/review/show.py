@@ -56,7 +56,9 @@ def stop_lines(stop: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _at_rest(stop: Mapping[str, Any]) -> Text:
-    return Text(rest_words(stop), GOOD if stop["confirmed"] else BAD if stop["moving"] or stop["where"] else "")
+    return Text(
+        rest_words(stop), GOOD if stop["confirmed"] else BAD if stop["moving"] or stop["where"] else ""
+    )
 
 
 def _head(console: Console, story: Mapping[str, Any]) -> None:
@@ -72,7 +74,7 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
         "opened": f"{moment:%Y-%m-%d %H:%M:%S} UTC" if moment else "",
         "software": f"{_text(opened, 'software')}, verifier {_text(opened, 'verifier')}",
         "previous session": _previous(opened),
-        "who": _who(opened),
+        "who": who(opened),
         "simulation": ", ".join(
             f"{_text(option, 'name')} {_text(option, 'value')}" for option in _entries(opened, "simulation")
         ),
@@ -82,7 +84,7 @@ def _head(console: Console, story: Mapping[str, Any]) -> None:
     _pairs(console, rows)
 
 
-def _who(opened: Mapping[str, Any]) -> str:
+def who(opened: Mapping[str, Any]) -> str:
     """Account and host, which the operating system knows, and the name that was given."""
     account, host, operator = (_text(opened, key) for key in ("account", "host", "operator"))
     parts = (operator and f"operator {operator}", account and f"account {account}", host and f"on {host}")
@@ -142,7 +144,7 @@ def _verdict(console: Console, verdict: Mapping[str, Any]) -> None:
     for warning in verdict["warnings"]:
         console.print(f"WARNING {_text(warning, 'code')}: {_text(warning, 'text')}")
     if verdict["guidance"]:
-        console.print(_guidance(verdict["guidance"]))
+        console.print(guidance_line(verdict["guidance"]))
     elif "guidance_note" in verdict:
         console.print(f"Guidance: none, {_text(verdict, 'guidance_note')}")
 
@@ -169,7 +171,7 @@ def _allowed(console: Console, allowed: list[dict[str, Any]]) -> None:
         for entry in one["permissives"]:
             name, holds = _text(entry, "name"), entry.get("holds") is True
             cells = asked.setdefault(name, [Text("")] * len(allowed))
-            cells[number] = Text(_shown(entry)) if holds else Text(f"{_shown(entry)}: DID NOT HOLD", BAD)
+            cells[number] = Text(value_of(entry)) if holds else Text(f"{value_of(entry)}: DID NOT HOLD", BAD)
             bounds[name] = _text(entry, "bound")
     for name, cells in asked.items():
         table.add_row(name, *cells, bounds[name])
@@ -181,7 +183,7 @@ def _um(record: Mapping[str, Any], key: str) -> str:
     return _number(value / 1000 if isinstance(value, int) and abs(value) <= _SHOWN_MAX else None)
 
 
-def _guidance(guidance: Mapping[str, Any]) -> str:
+def guidance_line(guidance: Mapping[str, Any]) -> str:
     """The combined move of the bone that was shown, in one line."""
     move = guidance.get("translation_mm")
     if not isinstance(move, list):
@@ -201,7 +203,7 @@ def print_time_line(
     table = _table("time s", "state", "event", "", "why")
     table.columns[0].justify = "right"
     table.columns[4].ratio = 1
-    for first, count in _runs(decisions):
+    for first, count in runs(decisions):
         before, after = (_text(first, name).replace("_", " ") for name in ("from_state", "to_state"))
         disposition = _text(first, "disposition")
         table.add_row(
@@ -214,7 +216,7 @@ def print_time_line(
     console.print(table)
 
 
-def _runs(decisions: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], int]]:
+def runs(decisions: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], int]]:
     """Equal steps that follow each other as one line: the first, and how many."""
 
     def key(decision: dict[str, Any]) -> tuple[str, ...]:
@@ -231,7 +233,7 @@ def _why(decision: Mapping[str, Any]) -> str:
     """First-out, reason, and each permissive that does not hold with its value, bound and remedy."""
     reason, first_out = _text(decision, "reason"), _text(decision, "first_out")
     missing = [
-        f"{_text(entry, 'name')}: {_shown(entry)} (required: {_text(entry, 'bound')})"
+        f"{_text(entry, 'name')}: {value_of(entry)} (required: {_text(entry, 'bound')})"
         for entry in failing(decision)
     ]
     told_already = any(reason in line for line in missing)
@@ -239,7 +241,7 @@ def _why(decision: Mapping[str, Any]) -> str:
     return "\n".join(filter(None, parts))
 
 
-def _shown(permissive: Mapping[str, Any]) -> str:
+def value_of(permissive: Mapping[str, Any]) -> str:
     """A permissive's value, in the unit of its bound."""
     if "value" not in permissive:
         return _text(permissive, "text")
@@ -254,7 +256,7 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
         *(
             (
                 entry["offset_s"],
-                f"operator: {_text(entry, 'word')} {_text(entry, 'what')}".rstrip() + _refused(entry),
+                f"operator: {_text(entry, 'word')} {_text(entry, 'what')}".rstrip() + refused(entry),
             )
             for entry in story["operator"]
         ),
@@ -273,7 +275,7 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
             for entry in story["collected"]
             if entry.get("matches_approved") is not True
         ),
-        *((entry["offset_s"], _witness(entry)) for entry in story["witness"]),
+        *((entry["offset_s"], witness_line(entry)) for entry in story["witness"]),
     ]
     if not lines:
         return
@@ -282,14 +284,15 @@ def _facts(console: Console, story: Mapping[str, Any]) -> None:
         console.print(f"{offset_s:9.3f}  {text.strip()}")
 
 
-def _witness(entry: Mapping[str, Any]) -> str:
+def witness_line(entry: Mapping[str, Any]) -> str:
     """Whether the log was found that the controller saw at the start before this session."""
     reason = _text(entry, "reason")
     found = _text(entry, "log") if entry.get("found") is True else "NOT FOUND"
     return f"the log that the controller saw last: {': '.join(filter(None, (found, reason)))}"
 
 
-def _refused(entry: Mapping[str, Any]) -> str:
+def refused(entry: Mapping[str, Any]) -> str:
+    """Why a word of the operator was not taken, in brackets; empty where it was."""
     return "" if entry.get("accepted") is True else f" (refused: {_text(entry, 'reason')})"
 
 

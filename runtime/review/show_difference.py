@@ -100,20 +100,25 @@ def _table(*columns: str) -> Table:
 
 def _cells(entry: Mapping[str, Any]) -> Iterator[Text]:
     """Both values, with as many decimals as it takes to tell them apart."""
+    decimals = decimals_of(entry)
+    for side in ("a", "b"):
+        yield Text(value_words(entry[side], decimals)) if side in entry else Text(ABSENT, "italic")
+
+
+def decimals_of(entry: Mapping[str, Any]) -> int | None:
+    """How many decimals tell both values apart; None for all."""
     sides = [entry.get(side) for side in ("a", "b")]
-    decimals = next((d for d in _DECIMALS if len({_told(one, d) for one in sides}) > 1), None)
-    for side, value in zip(("a", "b"), sides, strict=True):
-        yield Text(_told(value, decimals)) if side in entry else Text(ABSENT, "italic")
+    return next((d for d in _DECIMALS if len({value_words(one, d) for one in sides}) > 1), None)
 
 
-def _told(value: Any, decimals: int | None) -> str:
+def value_words(value: Any, decimals: int | None) -> str:
     """A value in few characters; numbers with so many decimals, or with all."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "none"}[value]
     if isinstance(value, float):
         return repr(value) if decimals is None else f"{value:.{decimals}f}"
     if isinstance(value, list):
-        return f"[{', '.join(_told(one, decimals) for one in value)}]"[:_VALUE_MAX]
+        return f"[{', '.join(value_words(one, decimals) for one in value)}]"[:_VALUE_MAX]
     text = str(value)
     if _DIGEST.fullmatch(text):
         return text[:_DIGEST_SHOWN]

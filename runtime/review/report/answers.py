@@ -118,7 +118,12 @@ def _facts(story: Mapping[str, Any], status: Status, replayed: Fact) -> Iterator
     yield replayed
     verdict = next(reversed(story["verdicts"]), None)
     if verdict is not None:
-        yield Fact("Verdict", str(verdict.get("verdict", "")).upper(), verdict.get("verdict") == "admissible", "decisions")
+        yield Fact(
+            "Verdict",
+            str(verdict.get("verdict", "")).upper(),
+            verdict.get("verdict") == "admissible",
+            "decisions",
+        )
     tightest = tightest_of(story)
     if tightest is not None:
         yield Fact("Tightest clearance", boundary_words(tightest), not tightest.get("violated"), "place")
@@ -165,7 +170,11 @@ def _allowed(story: Mapping[str, Any]) -> Iterator[str]:
                 "and its record was on the disk before."
             )
     if "start" not in left:
-        yield "No: cutting was never started." if "permit" in left else "No: no permit left, so that nothing could move."
+        yield (
+            "No: cutting was never started."
+            if "permit" in left
+            else "No: no permit left, so that nothing could move."
+        )
     verdict = next(reversed(story["verdicts"]), None)
     if verdict is None:
         yield "No verdict was reached."
@@ -213,7 +222,11 @@ def _move(verdict: Mapping[str, Any]) -> Iterator[str]:
 def _stopped(story: Mapping[str, Any]) -> Iterator[str]:
     stop = story["stop"]
     if stop is None:
-        yield "Nothing: it came to its end." if _final(story) == DONE else "Nothing moved, so that nothing was to be stopped."
+        yield (
+            "Nothing: it came to its end."
+            if _final(story) == DONE
+            else "Nothing moved, so that nothing was to be stopped."
+        )
         return
     cause = f" ({stop['cause']}, while {phase_words(stop)})"
     yield f"{stop['text']}{cause}" + (f" What was found: {stop['reason']}." if stop["reason"] else "")

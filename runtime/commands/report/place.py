@@ -35,7 +35,7 @@ def place_document(decision: DrawnDecision, arm: ShownArm | None) -> dict[str, A
         "limiting": _limiting(decision),
         "workspace": [_flat(points) for points in _workspace(decision)],
         "deadband": [_flat(points) for points in _deadbands(decision)],
-        "worst": [_worst(decision, one) for one in scene.worst if one.above is not None],
+        "worst": _together([_worst(decision, one) for one in scene.worst if one.above is not None], decision),
         "tool_mm": arm.tool_mm if arm else None,
     }
 
@@ -118,6 +118,24 @@ def _deadbands(decision: DrawnDecision) -> list[Floats]:
     low, high = _ends(decision, decision.scene.arm_mm)
     parts = decision.scene.deadbands if low < high else ()
     return [decision.in_robot(part, np.full(len(part), end)) for part in parts for end in (low, high)]
+
+
+TOGETHER: Final = 0.05
+"""Parts of the path's size: worst places that lie nearer to each other have one label."""
+
+
+def _together(worst: list[dict[str, Any]], decision: DrawnDecision) -> list[dict[str, Any]]:
+    """Those that lie together under one label, the violated first."""
+    near_mm = TOGETHER * float(np.ptp(decision.wrist_mm, axis=0).max())
+    groups: list[dict[str, Any]] = []
+    for one in sorted(worst, key=lambda entry: not entry["violated"]):
+        group = next((g for g in groups if math.dist(g["place"], one["place"]) <= near_mm), None)
+        if group is None:
+            groups.append(one)
+        else:
+            group["letter"] += f" {one['letter']}"
+            group["text"] += f"; {one['text']}"
+    return groups
 
 
 def _worst(decision: DrawnDecision, worst: Worst) -> dict[str, Any]:

@@ -51,20 +51,20 @@ function view3d(holder, session, dark) {
   };
   const letter = (text, place, bad) => {
     const canvas = document.createElement("canvas");
-    canvas.width = 128;
+    canvas.width = 512;
     canvas.height = 64;
     const draw = canvas.getContext("2d");
-    draw.font = "bold 44px system-ui, sans-serif";
+    draw.font = "bold 40px system-ui, sans-serif";
     draw.textAlign = "center";
     draw.lineWidth = 8;
     draw.strokeStyle = dark ? "#15181c" : "#ffffff";
-    draw.strokeText(text, 64, 48);
+    draw.strokeText(text, 256, 48);
     draw.fillStyle = bad ? wrong : ink;
-    draw.fillText(text, 64, 48);
+    draw.fillText(text, 256, 48);
     const texture = new three.CanvasTexture(canvas);
     texture.colorSpace = three.SRGBColorSpace;
     const sprite = new three.Sprite(new three.SpriteMaterial({ map: texture, depthTest: false, sizeAttenuation: false }));
-    sprite.scale.set(0.07, 0.035, 1);
+    sprite.scale.set(0.28, 0.035, 1);
     sprite.center.set(0.5, -0.25);
     sprite.position.copy(place);
     sprite.renderOrder = 2;
@@ -151,7 +151,7 @@ function view3d(holder, session, dark) {
     const middle = box.getCenter(new three.Vector3());
     const half = (camera.fov * Math.PI) / 360;
     const wide = Math.atan(Math.tan(half) * camera.aspect);
-    const away = (box.getSize(new three.Vector3()).length() / 2 / Math.sin(Math.min(half, wide))) * 1.02;
+    const away = (box.getSize(new three.Vector3()).length() / 2 / Math.sin(Math.min(half, wide))) * 0.8;
     camera.position.copy(middle).addScaledVector(new three.Vector3(...from).normalize(), away);
     controls.target.copy(middle);
     controls.update();

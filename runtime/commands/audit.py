@@ -27,6 +27,7 @@ from cutgate.runtime.commands.audit_diff import diff
 from cutgate.runtime.commands.audit_export import export
 from cutgate.runtime.commands.audit_folder import list_sessions, verify_folder
 from cutgate.runtime.commands.audit_recover import recover
+from cutgate.runtime.commands.audit_report import report
 from cutgate.runtime.commands.audit_trust import (
     AnchorOption,
     CosignerOption,
@@ -251,6 +252,7 @@ app.command("export")(export)
 def register(root: typer.Typer) -> None:
     """Adds the command."""
     app.command("recover")(recover)
+    app.command("report")(report)
     root.add_typer(app, name="audit")
 
 

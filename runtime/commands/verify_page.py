@@ -26,6 +26,8 @@ TEXT: Final = {"near": 26.0, "whole": 40.0}
 """Height of letters, in these units: about 12 px on a page 800 px wide."""
 NONE: Final = -2
 BAD: Final = -1
+SCALE_STYLE: Final = "".join(f".c{k}{{stroke:{colour}}}" for k, colour in enumerate(CIVIDIS))
+"""The classes of the lines' colours."""
 TITLES: Final = {
     ("above", "near"): "From above, near the path (mm)",
     ("above", "whole"): "From above, the whole workspace",
@@ -59,9 +61,7 @@ def page(shown: Scene) -> str:
     """The page as HTML."""
     folder = files("cutgate.runtime.commands")
     script = (folder / "verify_page.js").read_text(encoding="utf-8")
-    style = (folder / "verify_page.css").read_text(encoding="utf-8") + "".join(
-        f".c{k}{{stroke:{colour}}}" for k, colour in enumerate(CIVIDIS)
-    )
+    style = (folder / "verify_page.css").read_text(encoding="utf-8") + SCALE_STYLE
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; "
         "base-uri 'none'; form-action 'none'"
@@ -73,11 +73,11 @@ def page(shown: Scene) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{title}</title><style>{style}</style></head><body>\n"
         f'<h1>{title}</h1>\n<p id="verdict">{html.escape(shown.verdict)}</p>\n{_move(shown)}'
-        f'<div class="views">{_views(shown)}</div>\n'
+        f'<div class="views">{pictures(shown)}</div>\n'
         '<section id="tools" hidden><label for="along">Along the path</label>'
         '<input type="range" id="along" min="0" value="0"><p id="reading" aria-live="polite">'
         "Point at the path, or move the slider.</p></section>\n"
-        f"{_legend(shown)}{_table(shown)}{_notes(shown)}"
+        f"{legend(shown)}{_table(shown)}{_notes(shown)}"
         f'<script type="application/json" id="data">{_data(shown)}</script>\n'
         f"<script>{script}</script></body></html>\n"
     )
@@ -91,8 +91,13 @@ def _move(shown: Scene) -> str:
     return f"<p>Proposed move: {html.escape(shown.proposed[1])}</p>\n" if shown.proposed else ""
 
 
-def _views(shown: Scene) -> str:
-    """All four; the path of a view is drawn once and used twice."""
+def pictures(shown: Scene, prefix: str = "") -> str:
+    """All four views; the path of a view is drawn once and used twice.
+
+    Args:
+        shown: what they show.
+        prefix: of the names of parts that are used twice, each scene's own in a page of several.
+    """
     parts = windows(shown)
     out = ""
     for view in ("above", "side"):
@@ -101,10 +106,10 @@ def _views(shown: Scene) -> str:
             title = TITLES[view, size]
             inner = _grid(window, TEXT[size]) + _bounds(shown, view, window)
             if size == "near":
-                inner += f'<g id="{view}" transform="{_onto(window)}">{_paths(shown, view)}</g>'
+                inner += f'<g id="{prefix}{view}" transform="{_onto(window)}">{_paths(shown, view)}</g>'
                 inner += _marks(shown, view, window)
             else:
-                inner += f'<use href="#{view}" transform="{_across(parts[view, "near"], window)}"/>'
+                inner += f'<use href="#{prefix}{view}" transform="{_across(parts[view, "near"], window)}"/>'
                 inner += _frame(parts[view, "near"], window) + _column(shown, view, window)
             out += (
                 f"<figure><figcaption>{title}</figcaption>"
@@ -251,7 +256,8 @@ def _column(shown: Scene, view: str, window: Window) -> str:
     return out
 
 
-def _legend(shown: Scene) -> str:
+def legend(shown: Scene) -> str:
+    """What its colours and lines mean."""
     edges = steps(shown)
     open_end = bool((shown.ratios[np.isfinite(shown.ratios)] > edges[-1]).any())
     scale = "".join(

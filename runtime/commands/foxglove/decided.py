@@ -54,7 +54,7 @@ class DrawnDecision:
     def wrist_mm(self) -> Floats:
         """The wrist centre's way in the robot's frame, at the scene's points, shape (n, 3)."""
         path = self.scene.path
-        return self._in_robot(path.above, path.side[:, 1])
+        return self.in_robot(path.above, path.side[:, 1])
 
     @property
     def tips_mm(self) -> Floats:
@@ -126,19 +126,19 @@ class DrawnDecision:
         low, high = (min(max(end, -HEIGHT_MAX_MM), HEIGHT_MAX_MM) for end in scene.heights)
         out = []
         for _, arc in scene.arcs:
-            out += [line(self._in_robot(arc, np.full(len(arc), end)), _EDGE, 1.5) for end in (low, high)]
+            out += [line(self.in_robot(arc, np.full(len(arc), end)), _EDGE, 1.5) for end in (low, high)]
             for corner in (arc[0], arc[-1]):
-                upright = self._in_robot(np.stack((corner, corner)), np.array([low, high]))
+                upright = self.in_robot(np.stack((corner, corner)), np.array([low, high]))
                 out.append(line(upright, _EDGE, 1.0))
         inside = (low + scene.arm_mm, high - scene.arm_mm)
         for part in scene.deadbands if inside[0] < inside[1] else ():
-            out += [line(self._in_robot(part, np.full(len(part), end)), _DEADBAND, 1.0) for end in inside]
+            out += [line(self.in_robot(part, np.full(len(part), end)), _DEADBAND, 1.0) for end in inside]
         return out
 
     def _worst(self, worst: Worst, at: Time) -> Any:
         """A letter at a worst place, and what it means when it is pointed at."""
         assert worst.above is not None and worst.side is not None  # noqa: S101, PT018 - asked before
-        place = self._in_robot(np.array([worst.above]), np.array([worst.side[1]]))[0]
+        place = self.in_robot(np.array([worst.above]), np.array([worst.side[1]]))[0]
         sign = "!" if worst.violated else ""
         text = f"{LETTERS[worst.name]}{sign} {worst.value} of {worst.required:g}"
         told = (
@@ -150,7 +150,7 @@ class DrawnDecision:
         shown = label(place, text, _BAD if worst.violated else _KEPT)
         return entity(f"worst/{worst.name}", ROBOT, at, told=told, texts=(shown,))
 
-    def _in_robot(self, above_mm: Floats, heights_mm: Floats) -> Floats:
+    def in_robot(self, above_mm: Floats, heights_mm: Floats) -> Floats:
         """Wrist centres from slide coordinates, which lean with the slide, shapes (n, 2) and (n,), to the robot's, (n, 3)."""
         leaning = above_mm + heights_mm[:, None] * self.problem.calibration.slide_tilt
         return np.column_stack((leaning, heights_mm))

@@ -1,5 +1,7 @@
-"""What a reviewer asks first of a session, answered from its log: was it allowed and why; what stopped it, where, and what
-was done then; how close did it come. Words alone, nothing is decided. Never raises, whatever the log holds.
+"""What a reviewer asks first of a session, answered from its log.
+
+Was it allowed and why; what stopped it, where, and what was done then; how close did it come. Words alone, nothing is
+decided. Never raises, whatever the log holds.
 """
 
 import math
@@ -263,7 +265,7 @@ def tightest_of(story: Mapping[str, Any]) -> Mapping[str, Any] | None:
 def _margin(boundary: Mapping[str, Any]) -> float:
     certified, deadband = boundary.get("certified"), boundary.get("deadband")
     if not is_number(certified) or not is_number(deadband) or not deadband > 0.0:
-        return -math.inf
+        return math.inf  # undefined is no number to be told as the tightest, where another is one
     return certified / deadband
 
 

@@ -1,0 +1,1 @@
+"""``cutgate audit report``: sessions as one page that loads nothing."""

@@ -1,0 +1,127 @@
+"""One session of the report: what stands in the page as words, and as JSON what its script draws. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, BinaryIO, Final
+
+from cutgate.config.screen import printable
+from cutgate.runtime.audit.container.scan import walk
+from cutgate.runtime.audit.container.stored import Scan
+from cutgate.runtime.audit.inspect import Log
+from cutgate.runtime.audit.replay import Replay
+from cutgate.runtime.audit.trust import REPLAY, TrustAnswer
+from cutgate.runtime.commands.foxglove.known import known_of
+from cutgate.runtime.commands.foxglove.streams import Known
+from cutgate.runtime.commands.report.course import Course
+from cutgate.runtime.commands.report.place import along_the_path, place_document
+from cutgate.runtime.review.decoding import Decoding
+from cutgate.runtime.review.recorded_frames import SessionFrames
+from cutgate.runtime.review.report.answers import Answers, Fact, answers
+from cutgate.runtime.review.report.cards import Card, cards_of
+from cutgate.runtime.review.report.integrity import steps_of
+from cutgate.runtime.review.report.measured import measured_of
+from cutgate.runtime.review.report.records import rows
+from cutgate.runtime.review.report.timeline import duration_s, lanes
+from cutgate.runtime.review.told import text_line
+
+BEFORE_S: Final = 0.15
+BEHIND_S: Final = 0.1
+"""Messages this long before and behind a decision are shown beside it."""
+MESSAGES_MAX: Final = 60
+"""Of one decision."""
+_NS: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedSession:
+    """What the page shows of a session.
+
+    Attributes:
+        log: as read.
+        told: `story` of it.
+        replay: what deciding again has shown; None where it was left out.
+        answers: the first screen.
+        cards: decisions that are told at length.
+        known: what can be drawn.
+        missing: what cannot be drawn, and why.
+        source: where the messages on the bus come from.
+        document: for the script.
+    """
+
+    log: Log
+    told: Mapping[str, Any]
+    replay: Replay | None
+    answers: Answers
+    cards: Sequence[Card]
+    known: Known
+    missing: Sequence[str]
+    source: str
+    document: Mapping[str, Any]
+
+
+def reported(
+    log: Log, name: str, told: Mapping[str, Any], raw: BinaryIO | None, replay: Replay | None, prefix: str
+) -> ReportedSession:
+    """Reads the log from front to back, and the raw frames once. Never raises, whatever they hold.
+
+    Args:
+        log: the log as read; its file is open.
+        name: of its file.
+        told: `story` of the log.
+        raw: the raw frames beside it, open, or None.
+        replay: what deciding again has shown; None where it was left out.
+        prefix: of the names of its cards, each session's own.
+    """
+    known, _, missing = known_of(log, name)
+    cards = cards_of(told, prefix)
+    start_ns = told["opened"].get("utc_ns") or 0
+    course = Course(known, start_ns)
+    for message in walk(log.file, Scan()):
+        course.take(message)
+    frames = SessionFrames(log, raw)
+    along = [along_the_path(known.decision)] if known.decision else []
+    document = {
+        "name": printable(name),
+        "began": _moment(start_ns),
+        "end": round(max(duration_s(told), 0.001), 3),
+        "lanes": lanes(told, cards),
+        "moments": [
+            {"t_s": round(one.t_s, 3), "name": printable(one.title), "card": one.id} for one in cards
+        ],
+        "place": place_document(known.decision, known.arm) if known.decision else None,
+        "arm": course.arm(),
+        "plots": [*along, *course.plots()],
+        "records": rows(log),
+        "frames": _about(frames, cards, start_ns),
+    }
+    answered = answers(told, log.report.status, _replayed(log, replay), measured_of(log))
+    return ReportedSession(log, told, replay, answered, cards, known, missing, frames.source, document)
+
+
+def _replayed(log: Log, replay: Replay | None) -> Fact:
+    step = next(step for step in steps_of(log.report, replay) if step.name == REPLAY)
+    good = {TrustAnswer.YES: True, TrustAnswer.NO: False}.get(step.answer)
+    return Fact("Replay", step.text, good, "integrity")
+
+
+def _moment(time_ns: int) -> str:
+    if not 0 < time_ns < 1 << 62:
+        return ""
+    return f"{datetime.fromtimestamp(time_ns // _NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _about(frames: SessionFrames, cards: Sequence[Card], start_ns: int) -> dict[str, list[str]]:
+    """The messages on the bus about each decision, a line each, by the name of its card."""
+    windows = {
+        one.id: (start_ns + int((one.t_s - BEFORE_S) * _NS), start_ns + int((one.t_s + BEHIND_S) * _NS))
+        for one in cards
+    }
+    lines: dict[str, list[str]] = {one.id: [] for one in cards}
+    decoding = Decoding()
+    for direction, frame in frames.each():
+        for heard in decoding.take(frame, direction):
+            for name, (begin_ns, end_ns) in windows.items():
+                if begin_ns <= heard.time_ns <= end_ns and len(lines[name]) < MESSAGES_MAX:
+                    lines[name].append(text_line(heard, start_ns, interfaces=False).rstrip("\n"))
+    return lines

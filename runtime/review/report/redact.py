@@ -96,7 +96,9 @@ class Redaction:
         known = sorted(shown, key=lambda named: (-len(named), named))
         self._everything = len(known) > WORDS_MAX
         patterns = (
-            re.escape(named) if len(named) >= _WHOLE else rf"(?<![0-9A-Za-z]){re.escape(named)}(?![0-9A-Za-z])"
+            re.escape(named)
+            if len(named) >= _WHOLE
+            else rf"(?<![0-9A-Za-z]){re.escape(named)}(?![0-9A-Za-z])"
             for named in known[:WORDS_MAX]
         )
         self._pattern = re.compile("|".join(patterns) or r"(?!)", re.IGNORECASE)

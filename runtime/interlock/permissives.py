@@ -651,6 +651,8 @@ FOLLOWS: dict[Evaluate, Evaluate] = {
     trajectory_known: approach_admissible,
 }
 """What fails only because another one does: a person need not read it."""
+FOLLOWING = frozenset({"approach and retract", "reference trajectory"})
+"""Their names, as logs have them."""
 
 
 def unrecoverable(state: Interlock, now_s: float) -> tuple[Permissive, ...]:

@@ -47,6 +47,7 @@ class ShownArm:
         offset: true less reported joints, shape (5,).
         tilt: lean of the slide toward x and y, ratio, shape (2,).
         heights_mm: lower and upper end of the slide.
+        bounds: least and largest reported joints, rad and mm, shape (2, 5).
     """
 
     upper_mm: float
@@ -55,6 +56,7 @@ class ShownArm:
     offset: Floats
     tilt: Floats
     heights_mm: tuple[float, float]
+    bounds: Floats
 
     @classmethod
     def of(cls, limits: bytes, calibration: bytes, tool: bytes) -> "ShownArm":
@@ -71,6 +73,7 @@ class ShownArm:
             found.joint_offset,
             found.slide_tilt,
             (float(bounds.q_min[2]), float(bounds.q_max[2])),
+            np.stack((bounds.q_min, bounds.q_max)),
         )
 
     def transforms(self, joints: Floats, at: Time) -> FoxgloveFrameTransforms:

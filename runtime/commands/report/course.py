@@ -10,12 +10,14 @@ import numpy as np
 from cutgate.protocol.arrays import Floats
 from cutgate.runtime.audit.container.stored import Stored
 from cutgate.runtime.audit.records import LoopTiming, TrackingSample
+from cutgate.runtime.commands.foxglove.arm import ShownArm
 from cutgate.runtime.commands.foxglove.schemas import BoundaryClearances, JointValues
 from cutgate.runtime.commands.foxglove.streams import Known, Streams
 from cutgate.runtime.commands.report.curves import ROWS_MAX, Curves
 from cutgate.runtime.commands.report.place import ALONG_MAX, arm_points
 
 DEGREES: Final = ("q0", "q1", "q3", "q4")
+JOINTS: Final = ("q0", "q1", "q2", "q3", "q4")
 _JOINTS: Final = ("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
 
 
@@ -27,6 +29,7 @@ class Course:
         self._streams = Streams(known, 0)
         self._start_ns = start_ns
         self._turning, self._slide = Curves(DEGREES), Curves(("q2",))
+        self._ranges = Curves(JOINTS)
         self._clearance = Curves(("nearest limit",))
         self._deviation = Curves(("wrist centre, at most", "tip"))
         self._bus = Curves(("age of the heartbeat echoed last", "round trip"))
@@ -77,10 +80,16 @@ class Course:
         values = [getattr(joints, name.replace("_", "_measured_")) for name in _JOINTS]
         self._turning.add(at_s, dict(zip(DEGREES, (*values[:2], *values[3:]), strict=True)))
         self._slide.add(at_s, {"q2": values[2]})
-        arm = self._known.arm
-        if arm is not None and self._samples % self._every == 0:
-            measured = np.where(np.arange(5) == 2, values, np.radians(values))
-            self._arm.append((at_s, arm_points(arm, measured)))
+        if self._known.arm is not None:
+            self._moved(at_s, self._known.arm, np.where(np.arange(5) == 2, values, np.radians(values)))
+
+    def _moved(self, at_s: float, arm: ShownArm, joints: Floats) -> None:
+        low, high = arm.bounds
+        with np.errstate(divide="ignore", invalid="ignore"):  # a joint without a range has no part of it
+            parts = 100.0 * (joints - low) / (high - low)
+        self._ranges.add(at_s, dict(zip(JOINTS, parts.tolist(), strict=True)))
+        if self._samples % self._every == 0:
+            self._arm.append((at_s, arm_points(arm, joints)))
             if len(self._arm) > ROWS_MAX:  # half as often from here on, and before
                 self._arm, self._every = self._arm[::2], 2 * self._every
         self._samples += 1
@@ -100,9 +109,11 @@ class Course:
         timeout = _line("time-out", self._timeout_ms)
         deadband = _line("deadband", 1.0)
         near = f"Clearance where it cut, in deadbands (at most {ALONG_MAX:g} are shown)"
-        found = (
+        limits = _line("lower limit", 0.0) + _line("upper limit", 100.0)
+        found: tuple[tuple[str, str, str, Curves, list[dict[str, Any]]], ...] = (
             ("clearance", near, "deadbands", self._clearance, deadband),
             ("deviation", "Distance of the arm from its verified way", "mm", self._deviation, tolerance),
+            ("ranges", "Measured joints between their limits", "%", self._ranges, limits),
             ("turning", "Measured joints that turn", "deg", self._turning, []),
             ("slide", "Measured slide", "mm", self._slide, []),
             ("bus", "Heartbeats", "ms", self._bus, timeout),

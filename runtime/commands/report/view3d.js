@@ -69,6 +69,7 @@ function view3d(holder, session, dark) {
     sprite.position.copy(place);
     sprite.renderOrder = 2;
     scene.add(sprite);
+    return sprite;
   };
   // A tube of five sides about a polyline, each piece in its colour.
   const tube = (points, radius, colourOf, outline) => {
@@ -107,6 +108,9 @@ function view3d(holder, session, dark) {
     scene.add(new three.Mesh(geometry, outline ? new three.MeshBasicMaterial({ color: ink, side: back }) : new three.MeshBasicMaterial({ vertexColors: true, side: both })));
   };
 
+  // From afar the letters of worst places would lie on each other: there one word says where the path is.
+  const letters = [];
+  let farther = null;
   const all = new three.Box3();
   const near = new three.Box3();
   const place = session.place;
@@ -127,7 +131,8 @@ function view3d(holder, session, dark) {
     for (const flat of place.workspace) polyline(vectors(flat), ink, false);
     for (const flat of place.deadband) polyline(vectors(flat), soft, true);
     for (const flat of place.workspace) all.union(new three.Box3().setFromPoints(vectors(flat)));
-    for (const one of place.worst) letter(one.letter, vectors(one.place)[0], one.violated);
+    for (const one of place.worst) letters.push(letter(one.letter, vectors(one.place)[0], one.violated));
+    farther = letter("path", near.getCenter(new three.Vector3()), place.worst.some((one) => one.violated));
     all.union(near);
   }
   all.expandByPoint(new three.Vector3(0, 0, 0));
@@ -146,7 +151,12 @@ function view3d(holder, session, dark) {
     if (!place) near.setFromPoints(tips);
   }
 
-  const draw = () => renderer.render(scene, camera);
+  const draw = () => {
+    const away = near.isEmpty() || camera.position.distanceTo(near.getCenter(new three.Vector3())) > 6 * near.getSize(new three.Vector3()).length();
+    for (const one of letters) one.visible = !away;
+    if (farther) farther.visible = away;
+    renderer.render(scene, camera);
+  };
   const fit = (box, from) => {
     const middle = box.getCenter(new three.Vector3());
     const half = (camera.fov * Math.PI) / 360;

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.interlock.permissives import FOLLOWING
 from cutgate.runtime.review.comparable import is_number
 from cutgate.runtime.review.report.measured import Measured
 from cutgate.runtime.review.stop_words import phase_words, place_words, rest_words
@@ -21,7 +22,8 @@ NOT_BELIEVED: Final = {
     Status.TAMPERED: "The log was TAMPERED with: nothing that it says is to be believed.",
     Status.UNREADABLE: "The log cannot be read: nothing that it seems to say is to be believed.",
 }
-SHOWN_FAILING: Final = 4
+VERDICT: Final = "verdict"
+SHOWN_FAILING: Final = 3
 """Permissives that did not hold, told in the first screen; the decision's card has all."""
 
 
@@ -128,7 +130,7 @@ def _facts(story: Mapping[str, Any], status: Status, replayed: Fact) -> Iterator
         )
     tightest = tightest_of(story)
     if tightest is not None:
-        yield Fact("Tightest clearance", boundary_words(tightest), not tightest.get("violated"), "place")
+        yield Fact("Nearest limit", boundary_words(tightest), not tightest.get("violated"), "place")
     yield _simulated(opened)
     yield Fact("Opened", f"{_moment(opened.get('utc_ns'))}{_lasted(story)}")
     yield Fact("Who", _who(opened) or "not recorded")
@@ -183,13 +185,15 @@ def _allowed(story: Mapping[str, Any]) -> Iterator[str]:
     elif verdict.get("reason"):
         yield f"Verdict: {verdict['reason']}."
     if "permit" not in left:
-        yield from _why_not(story)
         yield from _move(verdict or {})
+        yield from _why_not(story)
 
 
 def _why_not(story: Mapping[str, Any]) -> Iterator[str]:
     """The permissives that did not hold when it was decided last."""
     found = next((failing(one) for one in reversed(story["decisions"]) if failing(one)), [])
+    own = [entry for entry in found if entry.get("name") not in FOLLOWING]
+    found = [entry for entry in own or found if entry.get("name") != VERDICT]  # that is told already
     for entry in found[:SHOWN_FAILING]:
         value = entry.get("text") or entry.get("value", "not known")
         yield f"Did not hold: {entry.get('name')}: {value} (required: {entry.get('bound')}). {_sentence(entry.get('remedy'))}"

@@ -1,6 +1,9 @@
 """``cutgate audit report``: one session, or two side by side, as a page that shows why."""
 
 from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -8,7 +11,7 @@ import typer
 
 from cutgate.config.load import InputError, open_input
 from cutgate.config.screen import printable
-from cutgate.runtime.audit.inspect import Status
+from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.replay import replay
 from cutgate.runtime.audit.trust import NOBODY, Trust
@@ -25,12 +28,15 @@ from cutgate.runtime.commands.report.session import ReportedSession, reported
 from cutgate.runtime.commands.screen import echo, working
 from cutgate.runtime.review.comparable import comparable, timing
 from cutgate.runtime.review.difference import SCHEMA, difference, equal, time_difference
+from cutgate.runtime.review.report.redact import Redaction
 from cutgate.runtime.review.story import story
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.verification import certified
 
 OPTION: Final = "--out"
 _PREFIXES: Final = ("c", "d")
+_NAMES: Final = {"c": "first session", "d": "second session"}
+"""What a session is called whose file's name is left out."""
 _REMEDY: Final = "name a session's .mcap file"
 
 
@@ -50,6 +56,12 @@ def report(
             "--replay/--no-replay", help="Decide again from the log alone, and say what came of it."
         ),
     ] = True,
+    redact: Annotated[
+        bool,
+        typer.Option(
+            "--redact", help="Leave out what names persons, bones, files and sessions, to show it to others."
+        ),
+    ] = False,
 ) -> None:
     """Write a page: was it allowed and why, what stopped it, how close did it come; and the session, played.
 
@@ -57,11 +69,13 @@ def report(
     written.
     """
     trust = trust_of(public_key, anchor, cosigner)
-    size = write_report([log] if other is None else [log, other], out, trust, again=again)
+    size = write_report([log] if other is None else [log, other], out, trust, again=again, redact=redact)
     echo(f"{printable(str(out))}: written, {size / 1000:.0f} kB")
 
 
-def write_report(logs: list[Path], out: Path, trust: Trust = NOBODY, *, again: bool = True) -> int:
+def write_report(
+    logs: list[Path], out: Path, trust: Trust = NOBODY, *, again: bool = True, redact: bool = False
+) -> int:
     """Write the page of one or two logs.
 
     Args:
@@ -69,6 +83,7 @@ def write_report(logs: list[Path], out: Path, trust: Trust = NOBODY, *, again: b
         out: where it goes; an older page there is replaced.
         trust: what the reviewer brings.
         again: decide again from each log alone.
+        redact: leave out names.
 
     Returns:
         Its size, bytes.
@@ -79,28 +94,54 @@ def write_report(logs: list[Path], out: Path, trust: Trust = NOBODY, *, again: b
     if out.suffix.lower() != ".html":
         raise InputError(out, OPTION, out.suffix or "without extension", ".html", "name another file")
     with ExitStack() as files, working("making the report"):
+        opened = [_opened(log, trust, files) for log in logs]
+        redaction = _redaction(opened) if redact else None
         read = [
-            _read(log, trust, prefix, files, again=again)
-            for log, prefix in zip(logs, _PREFIXES, strict=False)
+            _read(one, prefix, files, redaction, again=again)
+            for one, prefix in zip(opened, _PREFIXES, strict=False)
         ]
-        content = page(read, _difference(read) if len(read) > 1 else None).encode()
+        different = _difference(opened) if len(opened) > 1 else None
+        if redaction is not None:
+            different = redaction.apply(different)
+        content = page(read, different, redaction).encode()
     write_whole(out, content, OPTION)
     return len(content)
 
 
-def _read(path: Path, trust: Trust, prefix: str, files: ExitStack, *, again: bool) -> ReportedSession:
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """A log, its file, and all that it tells."""
+
+    path: Path
+    log: Log
+    told: dict[str, Any]
+
+
+def _opened(path: Path, trust: Trust, files: ExitStack) -> _Opened:
     log = files.enter_context(reading(path, beside(trust, path)))
     if log.report.status is Status.UNREADABLE:
         raise InputError(path, "", None, log.report.reasons[0], _REMEDY)
-    candump = candump_of(path)
+    return _Opened(path, log, story(log, path, None))
+
+
+def _redaction(opened: list[_Opened]) -> Redaction:
+    """What is left out of both: a session names the one before it."""
+    return reduce(or_, (Redaction.of(one.log, str(one.path), str(candump_of(one.path))) for one in opened))
+
+
+def _read(
+    one: _Opened, prefix: str, files: ExitStack, redaction: Redaction | None, *, again: bool
+) -> ReportedSession:
+    candump = candump_of(one.path)
     raw = files.enter_context(open_input(candump)) if candump.is_file() else None
-    found = replay(log, certified.verify, verifier=VERIFIER) if again else None
-    return reported(log, path.name, story(log, path, None), raw, found, prefix)
+    found = replay(one.log, certified.verify, verifier=VERIFIER) if again else None
+    name = one.path.name if redaction is None else _NAMES[prefix]
+    return reported(one.log, name, one.told, raw, found, prefix, redaction)
 
 
-def _difference(read: list[ReportedSession]) -> dict[str, Any]:
-    """As ``audit diff --json`` has it."""
-    first, second = read
+def _difference(opened: list[_Opened]) -> dict[str, Any]:
+    """As ``audit diff --json`` has it; of all that both tell, for two names that are left out are not equal."""
+    first, second = opened
     sections = difference(comparable(first.log, first.told), comparable(second.log, second.told))
     return {
         "schema": SCHEMA,

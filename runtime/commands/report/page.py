@@ -16,8 +16,10 @@ from cutgate.runtime.commands.verify_page import SCALE_STYLE, legend, pictures
 from cutgate.runtime.review.report import cards, differing, integrity, timeline
 from cutgate.runtime.review.report.answers import Answers, Fact
 from cutgate.runtime.review.report.markup import Markup, joined, tag
+from cutgate.runtime.review.report.redact import Redaction
 
 SCHEMA: Final = "cutgate.report/1"
+REDACTED: Final = "Names of persons, bones, files and sessions are left out of this page."
 _SCRIPTS: Final = ("report/vendor/drawing.js", "report/view3d.js", "report/page.js")
 _STYLES: Final = ("report/vendor/uplot.css", "verify_page.css", "report/page.css")
 _SIGNS: Final = {True: "\N{HEAVY CHECK MARK} ", False: "\N{HEAVY BALLOT X} ", None: ""}
@@ -28,13 +30,19 @@ _QUESTIONS: Final = (
 )
 
 
-def page(sessions: Sequence[ReportedSession], difference: Mapping[str, Any] | None = None) -> str:
+def page(
+    sessions: Sequence[ReportedSession],
+    difference: Mapping[str, Any] | None = None,
+    redaction: Redaction | None = None,
+) -> str:
     """The page as HTML.
 
     Args:
         sessions: one, or two that are held against each other.
         difference: of the two, as ``audit diff --json`` has it.
+        redaction: what is left out of every text; None for nothing.
     """
+    shown = redaction.page if redaction else str
     script = "\n".join(map(_file, _SCRIPTS))
     style = "\n".join((*map(_file, _STYLES), SCALE_STYLE))
     policy = (
@@ -52,16 +60,18 @@ def page(sessions: Sequence[ReportedSession], difference: Mapping[str, Any] | No
             tag("title", f"cutgate report: {names}"),
             f"<style>{style}</style></head>",
             f'<body class="{"two" if len(sessions) > 1 else "one"}">\n',
-            _top(sessions),
-            tag("section", tag("h2", "What differs"), differing.section(difference), id="differences")
-            if difference
-            else "",
-            tag(
-                "main",
-                _PLAYER,
-                *(_session(one, number, several=len(sessions) > 1) for number, one in enumerate(sessions)),
-                _RECORDS,
+            tag("p", REDACTED, id="redacted") if redaction else "",
+            shown(_top(sessions)),
+            shown(
+                tag("section", tag("h2", "What differs"), differing.section(difference), id="differences")
+                if difference
+                else ""
             ),
+            "<main>",
+            _PLAYER,
+            *(shown(_session(one, number, several=len(sessions) > 1)) for number, one in enumerate(sessions)),
+            _RECORDS,
+            "</main>",
             _footer(sessions),
             f'<script type="application/json" id="data">{text.replace("<", chr(92) + "u003c")}</script>\n',
             f"<script>{script}</script></body></html>\n",

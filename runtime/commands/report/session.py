@@ -22,6 +22,7 @@ from cutgate.runtime.review.report.cards import Card, cards_of
 from cutgate.runtime.review.report.integrity import steps_of
 from cutgate.runtime.review.report.measured import measured_of
 from cutgate.runtime.review.report.records import rows
+from cutgate.runtime.review.report.redact import Redaction
 from cutgate.runtime.review.report.timeline import duration_s, lanes
 from cutgate.runtime.review.told import text_line
 
@@ -61,7 +62,13 @@ class ReportedSession:
 
 
 def reported(
-    log: Log, name: str, told: Mapping[str, Any], raw: BinaryIO | None, replay: Replay | None, prefix: str
+    log: Log,
+    name: str,
+    told: Mapping[str, Any],
+    raw: BinaryIO | None,
+    replay: Replay | None,
+    prefix: str,
+    redaction: Redaction | None = None,
 ) -> ReportedSession:
     """Reads the log from front to back, and the raw frames once. Never raises, whatever they hold.
 
@@ -72,8 +79,11 @@ def reported(
         raw: the raw frames beside it, open, or None.
         replay: what deciding again has shown; None where it was left out.
         prefix: of the names of its cards, each session's own.
+        redaction: what is left out of the document and of what is told; None for nothing. The log itself keeps it.
     """
     known, _, missing = known_of(log, name)
+    shown = redaction.apply if redaction else _whole
+    told = shown(told)
     cards = cards_of(told, prefix)
     start_ns = told["opened"].get("utc_ns") or 0
     course = Course(known, start_ns)
@@ -83,6 +93,7 @@ def reported(
     along = [along_the_path(known.decision)] if known.decision else []
     document = {
         "name": printable(name),
+        "redacted": redaction is not None,
         "began": _moment(start_ns),
         "end": round(max(duration_s(told), 0.001), 3),
         "lanes": lanes(told, cards),
@@ -92,11 +103,15 @@ def reported(
         "place": place_document(known.decision, known.arm) if known.decision else None,
         "arm": course.arm(),
         "plots": [*along, *course.plots()],
-        "records": rows(log),
+        "records": rows(log, shown),
         "frames": _about(frames, cards, start_ns),
     }
     answered = answers(told, log.report.status, _replayed(log, replay), measured_of(log))
-    return ReportedSession(log, told, replay, answered, cards, known, missing, frames.source, document)
+    return ReportedSession(log, told, replay, answered, cards, known, missing, frames.source, shown(document))
+
+
+def _whole(document: Any) -> Any:
+    return document
 
 
 def _replayed(log: Log, replay: Replay | None) -> Fact:

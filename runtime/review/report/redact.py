@@ -5,14 +5,16 @@ records are kept: nothing can be made of one, and whoever holds the file can sho
 of a session is its name, and is left out; so are what was sent in its bytes, and what a process was called with.
 """
 
+import html
 import re
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import PurePath
 from typing import Any, Final
 
 from cutgate.config.load import DEFAULT_LIMIT
 from cutgate.config.screen import printable
-from cutgate.runtime.audit import names
+from cutgate.runtime.audit import names as attachments
 from cutgate.runtime.audit.container.stored import StoredAttachment
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.judge import parse_object
@@ -27,12 +29,12 @@ from cutgate.runtime.audit.records import (
 )
 
 LEFT_OUT: Final = "(left out)"
-WORDS_MAX: Final = 300
+NAMES_MAX: Final = 300
 """Names that a log may have; a session has some thirty. Of a log with more every text is left out."""
 NAME_MAX: Final = 4000
 """Characters of one name."""
 _WHOLE: Final = 8
-"""Characters from which a name is left out inside a longer named as well."""
+"""Characters from which a name is left out inside a longer word as well."""
 _TAG: Final = 8
 """Digits of a session's or a log's name that file names and frames carry."""
 _NAMED: Final[dict[str, tuple[str, ...]]] = {
@@ -60,12 +62,12 @@ _FILE_KEYS: Final = frozenset(
     {"id", "ct_id", "name", "operator", "patient", "comment", "description", "source"}
 )
 """Keys of a plan or registration whose text names something."""
-_FILES: Final = frozenset({names.PLAN, names.REGISTRATION, names.REGISTRATION_SOURCE})
+_FILES: Final = frozenset({attachments.PLAN, attachments.REGISTRATION, attachments.REGISTRATION_SOURCE})
 _NUMBER: Final = re.compile(r"[-+.\d]*")
 _COMMON: Final = frozenset(
     {
-        names.ROBOT,
-        names.SITE,
+        attachments.ROBOT,
+        attachments.SITE,
         "robot",
         "site",
         "plan",
@@ -80,6 +82,8 @@ _COMMON: Final = frozenset(
 )
 """Names of files, and parts of them, that name nobody."""
 _FIELD: Final = re.compile(r"[a-z][a-z0-9_]{0,40}")
+_TEXT: Final = re.compile(r"(?<=>)[^<>]+(?=<)")
+"""Text between two elements: what is escaped holds neither of these signs."""
 _ACCOUNT: Final = re.compile(r"(.*) \(uid \d+\)", re.DOTALL)
 _DEPTH: Final = 40
 
@@ -88,20 +92,24 @@ class Redaction:
     """What of a log is left out.
 
     Args:
-        words: the names.
+        names: what names somebody or something.
     """
 
-    def __init__(self, words: set[str]) -> None:
-        shown = {form for named in words for form in (named, printable(named)) if any(map(str.isalnum, form))}
-        known = sorted(shown, key=lambda named: (-len(named), named))
-        self._everything = len(known) > WORDS_MAX
+    def __init__(self, names: frozenset[str]) -> None:
+        self._names = names
+        shown = {
+            form
+            for name in names
+            for form in (name, printable(name), html.escape(printable(name)))
+            if any(map(str.isalnum, form))
+        }
+        known = sorted(shown, key=lambda name: (-len(name), name))
+        self._everything = len(names) > NAMES_MAX
         patterns = (
-            re.escape(named)
-            if len(named) >= _WHOLE
-            else rf"(?<![0-9A-Za-z]){re.escape(named)}(?![0-9A-Za-z])"
-            for named in known[:WORDS_MAX]
+            re.escape(name) if len(name) >= _WHOLE else rf"(?<![0-9A-Za-z]){re.escape(name)}(?![0-9A-Za-z])"
+            for name in known
         )
-        self._pattern = re.compile("|".join(patterns) or r"(?!)", re.IGNORECASE)
+        self._pattern = re.compile("|".join(() if self._everything else patterns) or r"(?!)", re.IGNORECASE)
 
     @classmethod
     def of(cls, log: Log, *paths: str) -> "Redaction":
@@ -111,15 +119,25 @@ class Redaction:
             log: as read; its file is open.
             paths: of the log and what lies beside it.
         """
-        words: set[str] = set()
-        for named in (
-            *_recorded(log),
-            *_attached(log),
-            *(part for path in paths for part in _file_words(path)),
-        ):
-            if named not in _COMMON and len(words) <= WORDS_MAX:
-                words.add(named[:NAME_MAX])
-        return cls(words)
+        found: set[str] = set()
+        for name in chain(_recorded(log), _attached(log), chain.from_iterable(map(_file_names, paths))):
+            if name not in _COMMON:
+                found.add(name[:NAME_MAX])
+            if len(found) > NAMES_MAX:  # of more, nothing is told apart
+                break
+        return cls(frozenset(found))
+
+    def __or__(self, other: "Redaction") -> "Redaction":
+        """What either leaves out."""
+        return Redaction(self._names | other._names)
+
+    def page(self, text: str) -> str:
+        """HTML whose elements are as they were, and whose text is without the names.
+
+        Args:
+            text: HTML in which each text is escaped.
+        """
+        return _TEXT.sub(lambda found: self.text(found[0]) if found[0].strip() else found[0], text)
 
     def text(self, text: str) -> str:
         """A text without the names."""
@@ -159,22 +177,22 @@ def _recorded(log: Log) -> Iterator[str]:
     for topic, keys in _NAMED.items():
         for record in log.one_by_one(topic):
             for key in keys:
-                yield from _words_of(record.get(key), key)
+                yield from _names_of(record.get(key), key)
     for given in log.one_by_one(AuditOperator.TOPIC):
-        if given.get("accepted") is not True:  # what was taken is a named of the program's
-            yield from _words_of(given.get("what"), "what")
+        if given.get("accepted") is not True:  # what was taken is a name of the program's
+            yield from _names_of(given.get("what"), "what")
     for opened in log.one_by_one(AuditOpen.TOPIC):
         options = opened.get("simulation")
         for option in options if isinstance(options, list) else ():
             if isinstance(option, dict) and option.get("name") == "bus":
-                yield from _words_of(option.get("value"), "bus")
+                yield from _names_of(option.get("value"), "bus")
 
 
-def _words_of(value: object, key: str) -> Iterator[str]:
+def _names_of(value: object, key: str) -> Iterator[str]:
     if isinstance(value, list):
         for one in value:
             if isinstance(one, str) and ("/" in one or "." in one) and not _NUMBER.fullmatch(one):
-                yield from _file_words(one.partition("=")[2] if one.startswith("-") else one)
+                yield from _file_names(one.partition("=")[2] if one.startswith("-") else one)
         return
     if not isinstance(value, str) or not value:
         return
@@ -184,10 +202,10 @@ def _words_of(value: object, key: str) -> Iterator[str]:
     if key == "account" and (found := _ACCOUNT.fullmatch(value)):
         yield found[1]
     if key in ("candump", "previous_log", "log", "bus"):
-        yield from _file_words(value)
+        yield from _file_names(value)
 
 
-def _file_words(path: str) -> Iterator[str]:
+def _file_names(path: str) -> Iterator[str]:
     """A path, its folder, the file's name and what stands before its endings."""
     pure = PurePath(path)
     yield path

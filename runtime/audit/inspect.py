@@ -61,7 +61,7 @@ class Report:
 
     Attributes:
         status: the judgement.
-        reasons: why it is not OK; the first names the first bad record. Empty if it is OK.
+        reasons: why it is not OK; the first names the first bad record in file order. Empty if it is OK.
         notes: what was not checked.
         log_id: from record 0; empty if there is none.
         messages: whole messages.
@@ -188,7 +188,7 @@ def read_log(
     found, judge = Scan(), Judge(trust.anchors)
     for message in walk(file, found):
         judge.take(message)
-    judge.signatures.end(judge.count, judge.last_topic)
+    judge.signatures.end(judge.count)
     wrong = _Found()
     _rules(judge, found, wrong)
     notes = _second_reading(file, found, judge, wrong)
@@ -225,18 +225,18 @@ def read_log(
 
 
 def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
-    """What the rules over the records find, the first bad record first."""
-    wrong.add(CHAIN if judge.unlinked else STRUCTURE, judge.problems)
-    wrong.add(TREE, filter(None, [judge.roots.wrong]))
-    wrong.add(STRUCTURE, judge.content(found))
-    wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
+    """What the rules find, the first bad record of the file first; the first that cannot be read is behind all others."""
+    told = judge.told(found)
+    for one in (one for one in told if one.at is not None):
+        wrong.add(one.step, [one.text])
+    wrong.add(STRUCTURE, found.problems)
+    for one in (one for one in told if one.at is None):
+        wrong.add(one.step, [one.text])
 
 
 def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") -> tuple[str, ...]:
     """What the stock reader finds in a log that is sound so far; and what it was not asked."""
-    sound = not wrong.texts
-    wrong.add(STRUCTURE, found.problems)
-    if not (found.finished and sound):
+    if not found.finished or wrong.texts:
         return ()
     unread, notes = read_again(file, found, judge.read.digest())
     wrong.add(STRUCTURE, filter(None, [unread]))

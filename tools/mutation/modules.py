@@ -98,7 +98,12 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/proving.py": ("tests/runtime/audit/test_proving.py",),
     "runtime/audit/signed.py": ("tests/runtime/audit/test_signed.py",),
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
-    "runtime/audit/witness.py": ("tests/runtime/audit/test_witness.py",),
+    "runtime/audit/witness.py": (
+        "tests/runtime/audit/test_witness.py",
+        "tests/runtime/audit/test_signed_start.py",
+    ),
+    "runtime/audit/signed_start.py": ("tests/runtime/audit/test_signed_start.py",),
+    "runtime/audit/container/places.py": ("tests/runtime/audit/test_signed_start.py",),
     "runtime/audit/judge.py": ("tests/runtime/audit/test_judge.py",),
     "runtime/audit/recovered.py": ("tests/runtime/audit/test_recovered.py",),
     "runtime/audit/recovery.py": ("tests/runtime/audit/test_recovery.py",),

@@ -21,7 +21,7 @@ from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.series import examine
 from cutgate.runtime.audit.series_facts import Folder, HeadNamed
 from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
-from cutgate.runtime.audit.signing.signer import Sidecar
+from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, Sidecar
 from cutgate.runtime.audit.trust import Trust, TrustAnswer, key_chain
 from cutgate.runtime.commands import audit_trust
 from cutgate.runtime.commands.app import execute
@@ -39,6 +39,7 @@ from tests.runtime.audit.attacks import (
     left_out,
     rewritten,
     sessions,
+    stripped,
     swapped,
 )
 
@@ -307,6 +308,25 @@ def test_a_log_of_any_id_is_answered(scene, capsys, log_id):
         for target in (path, scene.folder):
             assert execute(["audit", "verify", str(target), *options]) == Status.TAMPERED
     assert "\x1b" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("size", [SIDECAR_MAX + 1, 1 << 33])
+def test_a_signature_that_is_larger_than_any_is_that_of_somebody_else(scene, size, capsys):
+    """The log can be read: what stands beside it was exchanged. However large it is, it is not read."""
+    os.truncate(scene.files(ATTACKED)[2], size)
+    status, reasons = told(scene, Trust())
+    assert status is Status.TAMPERED
+    assert reasons == (f"the signature beside it cannot be read: it has {size} bytes, at most {SIDECAR_MAX}",)
+    assert execute(["audit", "verify", str(scene.folder)]) == Status.TAMPERED
+    assert reasons[0] in capsys.readouterr().out
+
+
+def test_a_log_of_before_signatures_is_of_that_time_whatever_stands_beside_it(scene):
+    log = scene.logs[ATTACKED]
+    log.write_bytes(rewritten(log.read_bytes(), stripped))
+    for content in (b"", b"{}", scene.files(STARTED)[2].read_bytes(), b" " * (SIDECAR_MAX + 1)):
+        scene.files(ATTACKED)[2].write_bytes(content)
+        assert told(scene, Trust())[0] is Status.INCOMPLETE
 
 
 def test_a_public_key_of_any_size_is_refused_with_what_to_name(scene, tmp_path, capsys):

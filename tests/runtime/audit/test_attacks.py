@@ -32,10 +32,12 @@ from tests.runtime.audit.attacks import (
     ATTACKS,
     FIRST,
     JOURNALD,
+    LAST,
     STARTED,
     Scene,
     changed,
     doubled,
+    edit,
     left_out,
     rewritten,
     sessions,
@@ -327,6 +329,45 @@ def test_a_log_of_before_signatures_is_of_that_time_whatever_stands_beside_it(sc
     for content in (b"", b"{}", scene.files(STARTED)[2].read_bytes(), b" " * (SIDECAR_MAX + 1)):
         scene.files(ATTACKED)[2].write_bytes(content)
         assert told(scene, Trust())[0] is Status.INCOMPLETE
+
+
+def test_two_logs_of_one_epoch_with_two_keys_prove_nothing_and_both_are_named(scene, tmp_path, capsys):
+    """Whichever comes first by its name: ``audit verify`` of the folder calls it doubled."""
+    pinned = tmp_path / "first.pub"
+    pinned.write_bytes(scene.key(0).public.encode())
+
+    def proven(out):
+        told = execute(
+            [
+                "audit",
+                "prove",
+                str(scene.logs[LAST]),
+                "--record",
+                "1",
+                "-o",
+                str(out),
+                "--public-key",
+                str(pinned),
+            ]
+        )
+        return told, capsys.readouterr().err
+
+    assert proven(tmp_path / "before.proof")[0] == 0
+    path = scene.logs[STARTED]
+    theirs = LogKey(scene.key(STARTED).series, 2, bytes(range(32)))
+    planted = edit("/audit/open", public_key=theirs.public.public.hex())
+    for name in ("0.mcap", "z.mcap"):
+        other = path.with_name(name)
+        other.write_bytes(rewritten(path.read_bytes(), planted))
+        code, err = proven(tmp_path / "after.proof")
+        assert code == 2
+        assert all(one in " ".join(err.split()) for one in ("epoch 2 has two keys", path.name, name))
+        assert not (tmp_path / "after.proof").exists()
+        codes = {one.code for one in read_folder(scene.folder, running=False).found.findings}
+        assert "doubled" in codes
+        other.write_bytes(path.read_bytes())
+        assert proven(tmp_path / f"{name}.proof")[0] == 0, "a copy names the same key"
+        other.unlink()
 
 
 def test_a_public_key_of_any_size_is_refused_with_what_to_name(scene, tmp_path, capsys):

@@ -226,13 +226,10 @@ def read_log(
 
 
 def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
-    """What the rules find, the first bad record of the file first; the first that cannot be read is behind all others."""
-    told = judge.told(found)
-    for one in (one for one in told if one.at is not None):
+    """What the rules find, the first bad record of the file first; what cannot be read stands behind all that can."""
+    for one in judge.told(found):
         wrong.add(one.step, [one.text])
     wrong.add(STRUCTURE, found.problems)
-    for one in (one for one in told if one.at is None):
-        wrong.add(one.step, [one.text])
 
 
 def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") -> tuple[str, ...]:

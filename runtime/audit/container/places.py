@@ -52,7 +52,7 @@ def by_index(file: BinaryIO) -> Iterator[ChunkPlace]:
     """
     size = file.seek(0, SEEK_END)
     end = size - FOOTER - len(MAGIC)
-    footer = _records(file, end, end + FOOTER, FOOTER)[0] if end > 0 else None
+    footer = next(_records(file, end, end + FOOTER, FOOTER), None) if end > 0 else None
     file.seek(max(0, size - len(MAGIC)))
     if not isinstance(footer, Footer) or file.read() != MAGIC:
         raise BrokenError("the file has no footer")
@@ -67,20 +67,18 @@ def by_index(file: BinaryIO) -> Iterator[ChunkPlace]:
                 yield ChunkPlace(index.chunk_start_offset, frozenset(index.message_index_offsets))
 
 
-def _records(file: BinaryIO, start: int, end: int, bound: int) -> list[object]:
+def _records(file: BinaryIO, start: int, end: int, bound: int) -> Iterator[object]:
     """The records from here to there, in their canonical form."""
     if not 0 <= end - start <= bound:
         raise BrokenError(f"its summary has a part of {end - start} bytes, must be 0 to {bound}")
     file.seek(start)
     data, at = file.read(end - start), 0
-    found: list[object] = []
     while at < len(data):
         if len(data) - at < PREFIX:
             raise BrokenError("a record of its summary runs over the end")
         opcode, length = HEAD.unpack_from(data, at)
-        found.append(decode(opcode, data[at + PREFIX : at + PREFIX + length], start + at))
+        yield decode(opcode, data[at + PREFIX : at + PREFIX + length], start + at)
         at += PREFIX + length
-    return found
 
 
 def by_hops(file: BinaryIO) -> Iterator[ChunkPlace]:

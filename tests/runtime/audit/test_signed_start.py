@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from cutgate.runtime.audit import records, witness
+from cutgate.runtime.audit import records, signed_start, witness
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.signed_start import CUT_OFF, SoughtStart
 from cutgate.runtime.audit.signing.log_key import LogKey
@@ -213,3 +213,45 @@ def test_without_a_session_that_runs_nobody_vouches(session, tmp_path, monkeypat
     shutil.copytree(path.parent, tmp_path / "logs")
     monkeypatch.setattr(SoughtStart, "look", lambda *_: pytest.fail("believed"))
     assert asked(tmp_path / "logs", start) == WitnessFound(path.name, "")
+
+
+def test_a_key_that_is_none_or_that_the_running_session_does_not_reach_is_not_vouched_for(
+    session, tmp_path, monkeypatch
+):
+    path, data, start = session
+    log = running(session, tmp_path / "logs")
+    monkeypatch.setattr(SoughtStart, "look", lambda *_: pytest.fail("believed"))
+    (tmp_path / "logs" / path.name).write_bytes(rewritten(data, edit("/audit/open", public_key="00")))
+    assert asked(tmp_path / "logs", start).log is None
+    monkeypatch.setattr(witness, "BACK_MAX", 1)
+    (tmp_path / "logs" / path.name).write_bytes(data)
+    assert asked(tmp_path / "logs", start) == WitnessFound(path.name, "")
+    monkeypatch.setattr(witness, "BACK_MAX", 256)
+    log.path.write_bytes(rewritten(log.path.read_bytes(), edit("/audit/open", certificate="00" * 64)))
+    assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
+    log.path.write_bytes(rewritten(log.path.read_bytes(), edit("/audit/open", previous_log="a/b")))
+    assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
+    assert witness.BACK_MAX == 256
+
+
+def test_a_chunk_that_another_key_has_signed_covers_no_start(session):
+    _, data, start = session
+    other = Signer(LogKey(bytes(16), 1, bytes(range(32))), LOG_ID)
+
+    def change(links):
+        for number, link in enumerate(links):
+            if number > start.size and link.topic == "/audit/checkpoint":
+                yield changed(link, note=other.checkpoint(number, bytes(32)))
+                return
+            yield link
+
+    told = looked(rewritten(data, change, chain=False), start)
+    assert told.startswith("the record that the start was sent is not signed: it has no signature of the key")
+
+
+def test_more_chunks_with_permits_than_any_session_writes_are_not_read(session, monkeypatch):
+    _, data, start = session
+    monkeypatch.setattr(signed_start, "READ_MAX", 2)
+    assert looked(data, start).startswith("over 2 of its chunks hold permits")
+    monkeypatch.setattr(signed_start, "READ_MAX", 256)
+    assert looked(data, start) == ""

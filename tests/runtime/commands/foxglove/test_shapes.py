@@ -28,6 +28,15 @@ from tests.runtime.commands.foxglove.sessions import matrix, quaternion_matrix
 ANGLE = st.floats(-7.0, 7.0)
 
 
+def drawn_of(given):
+    i = inputs(given)
+    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    return DrawnDecision(problem, scene(problem, certified.verify(problem), None, "x"), None)
+
+
+DRAWN = drawn_of(500.0)
+
+
 def turned(axis, angle):
     """The matrix of a rotation about a unit axis, by the exponential of its cross product matrix (Rodrigues)."""
     x, y, z = axis
@@ -124,10 +133,18 @@ def test_a_leaning_slide_leans_in_the_scene_as_well(tilt, given):
             assert np.linalg.norm(drawn.wrist_mm - place, axis=1).min() < 1.0
 
 
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), ANGLE)
+def test_a_path_in_the_frame_of_a_turned_bone_is_the_same_path(axis, angle):
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = turned(unit(axis), angle), (471.0, -150.0, 30.0)
+    drawn = replace(DRAWN, place=place)
+    (own,) = [one for one in drawn.drawn(ZERO).entities if one.id == "bone/path"]
+    points = np.array([[point.x, point.y, point.z] for point in own.lines[0].points]) * 1000
+    assert own.frame_id == "bone"
+    assert points @ place[:3, :3].T + place[:3, 3] == pytest.approx(drawn.tips_mm, abs=0.01)
+
+
 @pytest.mark.parametrize("segment", [-1, 5, 10**9])
 def test_of_a_segment_that_the_path_does_not_have_nothing_is_said(segment):
-    i = inputs(500.0)
-    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
-    drawn = DrawnDecision(problem, scene(problem, certified.verify(problem), None, "x"), None)
-    assert drawn.clearances(segment, 0.5) is None
-    assert drawn.clearances(4, 1.0) is not None
+    assert DRAWN.clearances(segment, 0.5) is None
+    assert DRAWN.clearances(4, 1.0) is not None

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -148,3 +149,17 @@ def test_a_path_in_the_frame_of_a_turned_bone_is_the_same_path(axis, angle):
 def test_of_a_segment_that_the_path_does_not_have_nothing_is_said(segment):
     assert DRAWN.clearances(segment, 0.5) is None
     assert DRAWN.clearances(4, 1.0) is not None
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 4, 5, 6, 7])
+def test_of_a_long_plan_every_so_manieth_pose_and_the_last(monkeypatch, most):
+    """The plan has six."""
+    monkeypatch.setattr("cutgate.runtime.commands.foxglove.decided.POSES_MAX", most)
+    shown = [pose.position.x * 1000 for pose in DRAWN.plan(ZERO).poses]
+    all_of_them = DRAWN.problem.tips_mm[:, 0].tolist()
+    which = [min(range(6), key=lambda k: abs(all_of_them[k] - x)) for x in shown]
+    assert (which[0], which[-1]) == (0, 5)
+    assert len({b - a for a, b in pairwise(which[:-1])}) <= 1
+    assert which == sorted(set(which))
+    assert len(which) <= most + 1
+    assert most < 5 or which == list(range(6))

@@ -93,7 +93,8 @@ def reported(
     frames = SessionFrames(log, raw)
     along = [along_the_path(known.decision)] if known.decision else []
     plots = over_time.plots()
-    if over_time.arm() and not any(plot["id"] == "deviation" for plot in plots):
+    started = any(one["what"] == "start" for one in told["allowed"])
+    if started and not any(plot["id"] == "deviation" for plot in plots):
         missing.append(
             "a log of this version does not hold how far the arm was from its way, nor the times of the loop"
         )

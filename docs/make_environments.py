@@ -163,6 +163,7 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
         "audit replay": (["audit", "replay", log], 0),
         "audit diff": (["audit", "diff", log, log], 0),
         "audit export": (["audit", "export", log, "--to", "jsonl"], 0),
+        "audit report": (["audit", "report", cut, "-o", "{fresh}/report.html"], 0),
         "audit list": (["audit", "list", str(logs)], 0),
         "audit archive": (
             ["audit", "archive", str(logs), "--to", "{fresh}/old", "--before", "2001-01-01"],

@@ -91,7 +91,7 @@ def test_a_cylinder_joins_its_ends_and_has_a_place_where_they_are_one():
 )
 def test_the_frames_of_any_arm_end_at_the_tip_that_the_controller_computes(q, offset, tilt):
     theirs = ControllerArm(430.0, 390.0, 161.0, right=True, offset=offset, tilt=tilt)
-    ours = ShownArm(430.0, 390.0, 161.0, np.array(offset), np.array(tilt), (0.0, 500.0))
+    ours = ShownArm(430.0, 390.0, 161.0, np.array(offset), np.array(tilt), (0.0, 500.0), np.zeros((2, 5)))
     chain = np.eye(4)
     for one in ours.transforms(np.array(q), ZERO).model_dump()["transforms"]:
         chain = chain @ matrix(one)

@@ -17,7 +17,7 @@ from cutgate.runtime.commands.report.curves import ROWS_MAX, Curves
 from cutgate.runtime.commands.report.place import ALONG_MAX, arm_points
 
 DEGREES: Final = ("q0", "q1", "q3", "q4")
-JOINTS: Final = ("q0", "q1", "q2", "q3", "q4")
+RANGES: Final = ("q0 of its range", "q1 of its range", "q2 of its range", "q3 of its range", "q4 of its range")
 _JOINTS: Final = ("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
 
 
@@ -29,7 +29,7 @@ class Course:
         self._streams = Streams(known, 0)
         self._start_ns = start_ns
         self._turning, self._slide = Curves(DEGREES), Curves(("q2",))
-        self._ranges = Curves(JOINTS)
+        self._ranges = Curves(RANGES)
         self._clearance = Curves(("nearest limit",))
         self._deviation = Curves(("wrist centre, at most", "tip"))
         self._bus = Curves(("age of the heartbeat echoed last", "round trip"))
@@ -87,7 +87,7 @@ class Course:
         low, high = arm.bounds
         with np.errstate(divide="ignore", invalid="ignore"):  # a joint without a range has no part of it
             parts = 100.0 * (joints - low) / (high - low)
-        self._ranges.add(at_s, dict(zip(JOINTS, parts.tolist(), strict=True)))
+        self._ranges.add(at_s, dict(zip(RANGES, parts.tolist(), strict=True)))
         if self._samples % self._every == 0:
             self._arm.append((at_s, arm_points(arm, joints)))
             if len(self._arm) > ROWS_MAX:  # half as often from here on, and before

@@ -52,7 +52,7 @@
       if (one.axis !== "s") continue;
       const k = nearest(one.x, now);
       for (const series of one.series) {
-        const value = series.values[k];
+        const value = now < one.x[0] - 0.05 || now > one.x[one.x.length - 1] + 0.5 ? null : series.values[k];
         rows.push([series.name, value === null || value === undefined ? "not known" : `${value.toFixed(2)} ${one.unit}`]);
       }
     }
@@ -183,7 +183,8 @@
   }
   let printing = false;
   function resize() {
-    for (const { plot, box } of plots) plot.setSize({ width: box.clientWidth || 560, height: 210 });
+    const width = (box) => (printing ? Math.min(box.clientWidth, 330) : box.clientWidth) || 560;
+    for (const { plot, box } of plots) plot.setSize({ width: width(box), height: 210 });
     if (view) view.resize();
   }
 

@@ -196,21 +196,25 @@ def lock(directory: Path) -> int:
 
 
 def in_use(directory: Path) -> bool:
-    """Whether a session holds this directory now; of a folder that is no log directory, no.
+    """Whether a session holds this directory now; of a folder that is no log directory, no. Whose it is does not matter.
 
     Raises:
-        InputError: the lock is not ours, or cannot be looked at.
+        InputError: the lock cannot be looked at.
     """
+    path = directory / LOCK
     try:
-        descriptor = open_ours(directory / LOCK)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        finally:
+            os.close(descriptor)
     except FileNotFoundError:
         return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    finally:
-        os.close(descriptor)
+    except OSError as error:
+        told = f"whether a session is writing here cannot be told ({error.strerror})"
+        raise InputError(path, "", None, told, "copy log and raw frames to a folder of their own") from None
     return False
 
 

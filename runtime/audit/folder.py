@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cutgate.config.load import InputError, read_bytes
+from cutgate.runtime.audit.container.raw import MAGIC, PIECE, ZEROS_MAX
 from cutgate.runtime.audit.directory import HEAD, HEAD_MAX, Head
 from cutgate.runtime.audit.inspect import Log, Status
 from cutgate.runtime.audit.judge import parse_object
@@ -100,7 +101,7 @@ def session_of(file: str, log: Log, anchors: Iterable[str] = ()) -> FolderSessio
     return FolderSession(
         file=file,
         log_id=report.log_id[:TEXT_MAX],
-        status=report.status,
+        status=Status.INCOMPLETE if not_begun(log) else report.status,
         closed=log.scan.finished and any(topic == AuditClose.TOPIC for topic, _, _ in log.places),
         size=report.messages,
         root=report.root,
@@ -115,6 +116,16 @@ def session_of(file: str, log: Log, anchors: Iterable[str] = ()) -> FolderSessio
         last_ns=_last_ns(log),
         **_of_record_0(opened),
     )
+
+
+def not_begun(log: Log) -> bool:
+    """Whether a file is what a session leaves that is cut short before its first bytes: empty, the first of them, or zeros."""
+    if log.scan.mcap or log.scan.size > ZEROS_MAX:
+        return False
+    log.file.seek(0)
+    pieces = iter(lambda: log.file.read(PIECE), b"")
+    first = next(pieces, b"")
+    return (len(first) < len(MAGIC) and MAGIC.startswith(first)) or not (any(first) or any(map(any, pieces)))
 
 
 def of_stub(file: str, opened: dict[str, Any], **rest: Any) -> FolderSession:

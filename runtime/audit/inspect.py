@@ -23,7 +23,7 @@ from cutgate.runtime.audit.judge import Judge, missing, parse_object
 from cutgate.runtime.audit.records import STREAMED
 from cutgate.runtime.audit.second_reading import read_again
 from cutgate.runtime.audit.signing.log_key import PublicLogKey
-from cutgate.runtime.audit.signing.signer import Sidecar
+from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, Sidecar
 from cutgate.runtime.audit.trust import (
     CHAIN,
     KEY_CHAIN,
@@ -62,7 +62,7 @@ class Report:
 
     Attributes:
         status: the judgement.
-        reasons: why it is not OK; the first names the first bad record. Empty if it is OK.
+        reasons: why it is not OK; the first names the first bad record in file order. Empty if it is OK.
         notes: what was not checked.
         log_id: from record 0; empty if there is none.
         messages: whole messages.
@@ -168,7 +168,7 @@ class Log:
 def verify_log(
     log: bytes | BinaryIO,
     candump: bytes | BinaryIO | None = None,
-    sidecar: bytes | None = None,
+    sidecar: bytes | BinaryIO | None = None,
     trust: Trust = NOBODY,
 ) -> Report:
     """Judge a log; arguments and errors as ``read_log``."""
@@ -178,7 +178,7 @@ def verify_log(
 def read_log(
     log: bytes | BinaryIO,
     candump: bytes | BinaryIO | None = None,
-    sidecar: bytes | None = None,
+    sidecar: bytes | BinaryIO | None = None,
     trust: Trust = NOBODY,
 ) -> Log:
     """Read and judge a log. What is wrong with it is said, never raised.
@@ -186,7 +186,7 @@ def read_log(
     Args:
         log: the MCAP file, seekable; it must stay open while the result is used.
         candump: the file of raw frames beside it, or None if it is not there.
-        sidecar: the signature beside it, or None if it is not there.
+        sidecar: the signature beside it, or its file, or None if it is not there.
         trust: what the reviewer has from elsewhere.
 
     Raises:
@@ -196,15 +196,16 @@ def read_log(
     found, judge = Scan(), Judge(trust.anchors)
     for message in walk(file, found):
         judge.take(message)
-    judge.signatures.end(judge.count, judge.last_topic)
+    judge.signatures.end(judge.count)
     wrong = _Found()
     _rules(judge, found, wrong)
     notes = _second_reading(file, found, judge, wrong)
     damaged, lost = _candump(judge.last, frames)
     wrong.add(STRUCTURE, damaged)
-    altered, unsigned = _signature(file, found, judge, sidecar)
+    signature, unread = _beside(sidecar)
+    altered, unsigned = _signature(file, found, judge, signature, unread)
     wrong.add(SIGNATURES, altered)
-    checkpoint = None if altered or sidecar is None else Sidecar.parse(sidecar).checkpoint
+    checkpoint = None if altered or signature is None else signature.checkpoint
     steps = _steps(judge, wrong, unsigned, trust, checkpoint)
     absent = [*missing(found, judge), *lost, *unsigned]
     if not found.mcap or not _ours(found):
@@ -215,7 +216,7 @@ def read_log(
         status, reasons = Status.INCOMPLETE, absent
     else:
         status, reasons = Status.OK, []
-    whole = sidecar is not None and not altered and found.finished
+    whole = signature is not None and not altered and found.finished
     report = Report(
         status=status,
         reasons=tuple(reasons[:_SHOWN]),
@@ -233,18 +234,15 @@ def read_log(
 
 
 def _rules(judge: Judge, found: Scan, wrong: "_Found") -> None:
-    """What the rules over the records find, the first bad record first."""
-    wrong.add(CHAIN if judge.unlinked else STRUCTURE, judge.problems)
-    wrong.add(TREE, filter(None, [judge.roots.wrong]))
-    wrong.add(STRUCTURE, judge.content(found))
-    wrong.add(SIGNATURES, filter(None, [judge.signatures.wrong]))
+    """What the rules find, the first bad record of the file first; what cannot be read stands behind all that can."""
+    for one in judge.told(found):
+        wrong.add(one.step, [one.text])
+    wrong.add(STRUCTURE, found.problems)
 
 
 def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") -> tuple[str, ...]:
     """What the stock reader finds in a log that is sound so far; and what it was not asked."""
-    sound = not wrong.texts
-    wrong.add(STRUCTURE, found.problems)
-    if not (found.finished and sound):
+    if not found.finished or wrong.texts:
         return ()
     unread, notes = read_again(file, found, judge.head)
     wrong.add(STRUCTURE, filter(None, [unread]))
@@ -291,27 +289,39 @@ def _steps(
     )
 
 
+def _beside(given: bytes | BinaryIO | None) -> tuple[Sidecar | None, str]:
+    """The signature beside a log, of which no more than its bound is read; or why what stands there cannot be read."""
+    try:
+        if given is not None and not isinstance(given, bytes):
+            size = given.seek(0, SEEK_END)
+            if not size <= SIDECAR_MAX:
+                return None, f"it has {size} bytes, at most {SIDECAR_MAX}"
+            given.seek(0)
+            given = given.read(SIDECAR_MAX)
+        return (None if given is None else Sidecar.parse(given)), ""
+    except ValueError as error:
+        return None, str(error)
+
+
 def _signature(
-    file: BinaryIO, found: Scan, judge: Judge, sidecar: bytes | None
+    file: BinaryIO, found: Scan, judge: Judge, sidecar: Sidecar | None, unread: str
 ) -> tuple[list[str], list[str]]:
     """Whether the signature beside the log is of it: what is wrong, and what is missing."""
     signatures = judge.signatures
     if signatures.key is None:
         return [], ([OLD_FORM] if judge.count else [])
+    if unread:
+        return [f"the signature beside it cannot be read: {unread}"], []
     if sidecar is None:
         covered = f"the first {signatures.covered} of {judge.count} records are signed"
         return [], [
             f"the signature of the closed log is not beside it: {covered}" if found.finished else covered
         ]
-    try:
-        signed = Sidecar.parse(sidecar)
-    except ValueError as error:
-        return [f"the signature beside it cannot be read: {error}"], []
     file.seek(0)
     digest = sha256()
     while data := file.read(PIECE):
         digest.update(data)
-    told = signatures.sidecar(signed, judge.count, judge.roots.tree.root, found.size, digest.digest())
+    told = signatures.sidecar(sidecar, judge.count, judge.roots.tree.root, found.size, digest.digest())
     return [told] if told else [], []
 
 

@@ -3,7 +3,8 @@
     judge = Judge()
     for message in walk(file, found):
         judge.take(message)
-    problems = [*judge.problems, *judge.content(found)]
+    judge.signatures.end(judge.count)
+    told = judge.told(found)  # what is wrong, the first record of the file first
 
 Record 0 opens the log and nothing follows its one close record, which counts all of them. Each record is a JSON object
 whose sequence is its number, and each ``/audit/`` record carries the chain's head before it. Every record of an
@@ -15,7 +16,7 @@ one, and the tree as it was (``roots.py``). Of a log that names a key, every chu
 import json
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from cutgate.runtime.audit.chain import GENESIS, LINKED, follow
 from cutgate.runtime.audit.container.stored import Scan, Stored
@@ -23,10 +24,23 @@ from cutgate.runtime.audit.records import STREAMED, AuditAttachment, AuditClose,
 from cutgate.runtime.audit.recovered import RECOVERED, is_copy, told_by
 from cutgate.runtime.audit.roots import Roots
 from cutgate.runtime.audit.signing.signatures import Signatures
+from cutgate.runtime.audit.trust import CHAIN, SIGNATURES, STRUCTURE, TREE
 from cutgate.runtime.audit.writer import ENCODING, METADATA
 
 KEPT_MAX: Final = 1_000_000
 """Records whose place is kept, of topics that are not streamed; a session has thousands."""
+
+
+class RuleBroken(NamedTuple):
+    """A rule that is broken: which step of ``trust`` that is, and in words.
+
+    Attributes:
+        at: number of the first record at which it shows; None where it shows at none, but at the file.
+    """
+
+    at: int | None
+    step: str
+    text: str
 
 
 class Judge:
@@ -58,14 +72,17 @@ class Judge:
         self.places: list[tuple[str, int, int]] = []
         self.streamed: set[str] = set()
         self.problems: list[str] = []
+        self._problem_at = 0
         self.roots = Roots()
         self._first_topic: str | None = None
-        self._opens = 0
-        self._closes = 0
-        self._counted: list[Any] = []
-        """What the first close record counts, if there is one."""
+        self._times = {AuditOpen.TOPIC: 0, AuditClose.TOPIC: 0}
+        self._again: dict[str, int] = {}
+        """Of those that stand there once: the number of the second."""
+        self._counted: list[tuple[int, Any]] = []
+        """Number of the first close record and what it counts, if there is one."""
         self._after_close: tuple[int, str] | None = None
-        self._attached: list[tuple[Any, ...]] = []
+        self._attached: list[tuple[int, tuple[Any, ...]]] = []
+        """Number of each record of an attachment, and what it says."""
         self._too_many = False
 
     def take(self, message: Stored) -> None:
@@ -88,12 +105,12 @@ class Judge:
             self.anchors |= dict.fromkeys(found - self.anchors.keys(), number)
         self.count += 1
         self._last, self.last_topic = data, topic
-        if self._closes == 1 and self._after_close is None:
+        if self._counted and self._after_close is None:
             self._after_close = (number, topic)
         if topic in STREAMED:
             self.streamed.add(topic)
         else:
-            self._keep(message, record)
+            self._keep(number, message, record)
 
     @property
     def last(self) -> dict[str, Any] | None:
@@ -112,43 +129,59 @@ class Judge:
             told = "it does not follow from the records before it"
         else:
             return
+        self._problem_at = number
         self.problems.append(f"record {number} ({message.topic}): {told}")
 
-    def _keep(self, message: Stored, record: dict[str, Any] | None) -> None:
+    def _keep(self, number: int, message: Stored, record: dict[str, Any] | None) -> None:
         topic = message.topic
         if not len(self.places) < KEPT_MAX:
             self._too_many = True
             return
         self.places.append((topic, message.offset, len(message.data)))
-        if topic == AuditOpen.TOPIC:
-            self._opens += 1
-        elif topic == AuditClose.TOPIC:
-            self._closes += 1
-            if self._closes == 1:
-                self._counted.append((record or {}).get("message_count"))
+        if topic in self._times:
+            self._times[topic] += 1
+            if self._times[topic] == 2:
+                self._again[topic] = number
+        if topic == AuditClose.TOPIC and not self._counted:
+            self._counted.append((number, (record or {}).get("message_count")))
         elif topic == AuditAttachment.TOPIC:
-            self._attached.append(
-                tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
-            )
+            claimed = tuple((record or {}).get(key) for key in ("name", "media_type", "sha256", "size"))
+            self._attached.append((number, claimed))
 
-    def content(self, found: Scan) -> Iterator[str]:
-        """What the records say of the file and what the file holds, side by side."""
+    def told(self, found: Scan) -> list[RuleBroken]:
+        """Every rule that is broken: in the order of the records at which it shows, and what shows at none behind them."""
+        of_records = (
+            *(
+                RuleBroken(self._problem_at, CHAIN if self.unlinked else STRUCTURE, text)
+                for text in self.problems
+            ),
+            RuleBroken(self.roots.wrong_at, TREE, self.roots.wrong),
+            *(RuleBroken(at, STRUCTURE, text) for at, text in self.content(found)),
+            RuleBroken(self.signatures.wrong_at, SIGNATURES, self.signatures.wrong),
+        )
+        broken = (one for one in of_records if one.text)
+        return sorted(broken, key=lambda one: self.count if one.at is None else one.at)
+
+    def content(self, found: Scan) -> Iterator[tuple[int | None, str]]:
+        """What the records say of the file and what the file holds, side by side; with the record that is wrong."""
         if self._first_topic not in (None, AuditOpen.TOPIC):
-            yield f"record 0 is {self._first_topic}, must be {AuditOpen.TOPIC}"
-        for topic, times in ((AuditOpen.TOPIC, self._opens), (AuditClose.TOPIC, self._closes)):
-            if times > 1:
-                yield f"{topic} is there {times} times"
-        for count in self._counted:
+            yield 0, f"record 0 is {self._first_topic}, must be {AuditOpen.TOPIC}"
+        for topic, second in self._again.items():
+            yield second, f"record {second}: {topic} is there {self._times[topic]} times"
+        for at, count in self._counted:
             if self._after_close is not None:
                 number, topic = self._after_close
-                yield f"record {number} ({topic}) stands after the close record"
+                yield number, f"record {number} ({topic}) stands after the close record"
             elif count != self.count:
-                yield f"the close record counts {count} messages, the file holds {self.count}"
+                yield (
+                    at,
+                    f"record {at}: the close record counts {count} messages, the file holds {self.count}",
+                )
         if self._too_many:
-            yield f"it holds over {KEPT_MAX} records that are not streamed; no session writes so many"
+            yield None, f"it holds over {KEPT_MAX} records that are not streamed; no session writes so many"
         yield from self._attachments(found)
         if self.count:
-            yield from self._metadata(found)
+            yield from ((None, text) for text in self._metadata(found))
 
     def _metadata(self, found: Scan) -> Iterator[str]:
         """Those of the log of record 0; and, of a recovered copy, what it says of itself."""
@@ -165,7 +198,7 @@ class Judge:
         if told is not None and found.finished and told.records != self.count:
             yield f"its recovery has kept {told.records} records, the file holds {self.count}"
 
-    def _attachments(self, found: Scan) -> Iterator[str]:
+    def _attachments(self, found: Scan) -> Iterator[tuple[int | None, str]]:
         """Every record of an attachment has its attachment; in a closed file the other way round as well.
 
         What a crash has left may end between the two: the attachment is written first.
@@ -173,12 +206,14 @@ class Judge:
         recorded = self._attached
         stored = [(entry.name, entry.media_type, entry.sha256, entry.size) for entry in found.attachments]
         for number, entry in enumerate(stored[: len(recorded)]):
-            if recorded[number] != entry:
-                yield f"attachment {number} ({entry[0]}) is not what its record says"
+            at, claimed = recorded[number]
+            if claimed != entry:
+                yield at, f"record {at}: attachment {number} ({entry[0]}) is not what its record says"
         if len(recorded) > len(stored):
-            yield f"attachment {recorded[len(stored)][0]} has a record but is not there"
+            at, claimed = recorded[len(stored)]
+            yield at, f"record {at}: attachment {claimed[0]} has a record but is not there"
         if found.finished and not is_copy(found.metadata) and len(stored) > len(recorded):
-            yield f"attachment {stored[len(recorded)][0]} has no record"
+            yield None, f"attachment {stored[len(recorded)][0]} has no record"
 
 
 def missing(found: Scan, judge: Judge) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Final
 
 from cutgate.config.load import check_size, open_input, unreadable
 from cutgate.runtime.audit.inspect import Log, read_log
-from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, sidecar_of
+from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.audit.trust import NOBODY, Trust
 
 SIZE_MAX: Final = 1 << 32
@@ -42,22 +42,13 @@ def reading(path: Path, trust: Trust = NOBODY) -> Iterator[Log]:
         check_size(path, log.seek(0, SEEK_END), SIZE_MAX, _REMEDY)
         candump = candump_of(path)
         frames = files.enter_context(open_input(candump)) if candump.is_file() else None
+        sidecar = sidecar_of(path)
+        signature = files.enter_context(open_input(sidecar)) if sidecar.is_file() else None
         try:
-            found = read_log(log, frames, _sidecar(path), trust)
+            found = read_log(log, frames, signature, trust)
         except OSError as error:
             raise unreadable(path, error) from None
         try:
             yield found
         except OSError as error:  # records and attachments are read when they are asked for
             raise unreadable(path, error) from None
-
-
-def _sidecar(log: Path) -> bytes | None:
-    """The signature beside a log; None where there is none."""
-    path = sidecar_of(log)
-    if not path.is_file():
-        return None
-    with open_input(path) as file:
-        check_size(path, file.seek(0, SEEK_END), SIDECAR_MAX, _REMEDY)
-        file.seek(0)
-        return file.read()

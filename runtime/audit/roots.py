@@ -43,12 +43,14 @@ class Roots:
         log_id: of the log, as its record 0 has it in hex; whatever stands there instead, or None, names none.
         tree: of all records so far.
         wrong: the first record that names another tree, and what it should have named; empty if none does.
+        wrong_at: number of that record; 0 if none does.
     """
 
     def __init__(self) -> None:
         self.log_id: object = None
         self.tree = Tree()
         self.wrong = ""
+        self.wrong_at = 0
         self._authorised: _Authorised | None = None
         """What has been neither sent nor withheld yet."""
 
@@ -58,6 +60,7 @@ class Roots:
             told = self._permit(data)
             if told and not self.wrong:
                 self.wrong = f"record {self.tree.size} ({topic}): {told}"
+                self.wrong_at = self.tree.size
         self.tree.append(covered)
         if self._authorised is not None and len(self._authorised.roots) < ROOTS_MAX:
             self._authorised.roots.append(self.tree.root)

@@ -181,6 +181,12 @@ def _sound(folder: Folder) -> Iterator[SeriesFinding]:
         yield SeriesFinding(
             "not-a-log", others[0], "foreign files", "", f"no logs of cutgate: {_list(others)}"
         )
+    for one in folder.blank.values():
+        if one.status is Status.INCOMPLETE and not (
+            folder.running and folder.head and one.file == folder.head.log
+        ):
+            told = "cut before record 0 was whole: a crash at the very start of a session leaves that, or somebody cut it"
+            yield SeriesFinding("before-record-0", one.file, "the file", "", told)
     for one in folder.copies:
         yield SeriesFinding("recovered-copy", one.file, "a recovered copy", "", f"of {one.recovered_from}")
 

@@ -38,6 +38,9 @@ RULES: Final[dict[str, Rule]] = {
     "copy": Rule(Status.TAMPERED, "move the copy out of the folder"),
     "foreign": Rule(Status.TAMPERED, "move it to the folder that it belongs to"),
     "not-a-log": Rule(Status.OK, "they are passed over; move them elsewhere if they are in the way"),
+    "before-record-0": Rule(
+        Status.INCOMPLETE, "nothing, if power failed or the program ended as a session began: it had enabled nothing; else compare it with a backup"
+    ),
     "named-unreadable": Rule(Status.TAMPERED, _BACKUP),
     "link-differs": Rule(Status.TAMPERED, _KEEP),
     "link-unknown": Rule(Status.INCOMPLETE, "compare that log with a backup"),

@@ -58,12 +58,14 @@ class Trust:
         certified: keys that the logs beside this one name, by epoch, in its series.
         anchors: roots of the tree, or heads of the chain, that he has from elsewhere, 32 bytes each.
         cosigners: keys of witnesses that must have cosigned the closed log's checkpoint.
+        doubled: of epochs for which the logs beside it name several keys, which logs do; none of these keys is believed.
     """
 
     pinned: PublicLogKey | None = None
     certified: Mapping[int, PublicLogKey] | None = None
     anchors: tuple[bytes, ...] = ()
     cosigners: tuple[VerifierKey, ...] = ()
+    doubled: Mapping[int, str] | None = None
 
 
 NOBODY: Final = Trust()
@@ -86,7 +88,13 @@ def key_chain(key: PublicLogKey | None, trust: Trust) -> TrustStep:
         )
     if (key.series, key.epoch, key.public) == (pinned.series, pinned.epoch, pinned.public):
         return TrustStep(KEY_CHAIN, TrustAnswer.YES, f"signed by {pinned_key}")
+    twice = min((epoch for epoch in trust.doubled or {} if pinned.epoch < epoch < key.epoch), default=None)
     told = _unconnected(key, pinned, trust.certified or {})
+    if twice is not None and key.series == pinned.series:
+        told = (
+            f"epoch {twice} has two keys, of the logs {(trust.doubled or {})[twice]}: "
+            "see which of them `audit verify` of their folder calls doubled, and move it out"
+        )
     if told:
         return TrustStep(
             KEY_CHAIN, TrustAnswer.NO, f"{pinned_key} does not vouch for its key {key.fingerprint}: {told}"

@@ -1,7 +1,7 @@
 """``cutgate audit``: review of session logs."""
 
 import json as json_format
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -19,7 +19,6 @@ from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.recomputed.authenticated import CodesFound, check_codes
 from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.audit.series_rules import worst
-from cutgate.runtime.audit.signing.log_key import PublicLogKey
 from cutgate.runtime.audit.trust import NOBODY, NOT_FOUND, Trust
 from cutgate.runtime.commands import audit_prove
 from cutgate.runtime.commands.audit_archive import archive_sessions
@@ -30,6 +29,7 @@ from cutgate.runtime.commands.audit_recover import recover
 from cutgate.runtime.commands.audit_report import report
 from cutgate.runtime.commands.audit_trust import (
     AnchorOption,
+    Certificates,
     CosignerOption,
     PublicKeyOption,
     beside,
@@ -97,9 +97,7 @@ def verify(
     except InputError as error:
         echo(str(error), err=True)
         raise typer.Exit(Status.UNREADABLE) from None
-    known: dict[
-        Path, Mapping[int, PublicLogKey]
-    ] = {}  # a folder of logs is looked into once, not for each of them
+    known: dict[Path, Certificates] = {}  # a folder of logs is looked into once, not for each of them
     found = [_verified(log, told, beside(trust, log, known), held) for log in logs]
     if explain and not json:
         echo(NOT_FOUND)

@@ -12,7 +12,7 @@ import typer
 
 from cutgate.config.load import InputError, read_bytes
 from cutgate.config.screen import printable
-from cutgate.runtime.audit.folder import STUB_SUFFIX, files_of, head_in, session_of, unread
+from cutgate.runtime.audit.folder import STUB_SUFFIX, files_of, head_in, not_begun, session_of, unread
 from cutgate.runtime.audit.inspect import OLD_FORM, Log, Status
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.recomputed.authenticated import CodesFound
@@ -188,7 +188,7 @@ def _read(
     """What a log says of itself, why it is not OK, and what was found in it besides."""
     with opened(file, trust) as log:
         found = tuple(visit(file, log))
-        reason = next(iter(log.report.reasons), "")[:REASON_MAX]
+        reason = "" if not_begun(log) else next(iter(log.report.reasons), "")[:REASON_MAX]
         return session_of(file.name, log, anchors), reason, found
 
 

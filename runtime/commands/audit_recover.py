@@ -1,7 +1,6 @@
 """``cutgate audit recover``: a finalised copy of a log that a crash, a loss of power or a full disk has cut."""
 
 import errno
-import fcntl
 import os
 import stat
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from cutgate.config.load import InputError, open_input, unreadable
 from cutgate.config.ours import read_ours
 from cutgate.config.screen import printable
 from cutgate.runtime.audit.container.raw import PIECE, BrokenError, TornError
-from cutgate.runtime.audit.directory import HEAD, HEAD_MAX, LOCK, Head
+from cutgate.runtime.audit.directory import HEAD, HEAD_MAX, Head, in_use
 from cutgate.runtime.audit.inspect import Log, read_log
 from cutgate.runtime.audit.reading import copy_of, reading
 from cutgate.runtime.audit.recovered import Recovered
@@ -91,14 +90,7 @@ def _check_no_session(log: Path) -> None:
     with suppress(InputError, OSError, ValueError):  # then the lock alone tells
         if Head.parse(read_ours(folder / HEAD, HEAD_MAX)).log != Path(os.path.realpath(log)).name:
             return
-    try:
-        running = _locked(folder / LOCK)
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        told = f"whether a session is writing it cannot be told: LOCK beside it {error.strerror}"
-        raise InputError(log, "", None, told, "copy log and raw frames to a folder of their own") from None
-    if running:
+    if in_use(folder):
         raise InputError(
             log,
             "",
@@ -106,18 +98,6 @@ def _check_no_session(log: Path) -> None:
             "a session is writing it",
             "end the session; a log that it closes needs no recovery",
         )
-
-
-def _locked(path: Path) -> bool:
-    """Whether a session holds the lock; raises OSError."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def _digest(path: Path, log: Log) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import typer
 
@@ -43,6 +43,13 @@ CosignerOption = Annotated[
 ]
 
 
+class Certificates(NamedTuple):
+    """The keys that logs of one series name, by epoch; and where there are two of one epoch, in which logs."""
+
+    keys: Mapping[int, PublicLogKey]
+    doubled: Mapping[int, str]
+
+
 def trust_of(public_key: Path | None, anchors: list[str] | None, cosigners: list[str] | None = None) -> Trust:
     """What the options say; certificates come with the log (``beside``).
 
@@ -53,7 +60,7 @@ def trust_of(public_key: Path | None, anchors: list[str] | None, cosigners: list
     return Trust(pinned, None, tuple(map(_anchor, anchors or ())), tuple(map(_cosigner, cosigners or ())))
 
 
-def beside(trust: Trust, log: Path, known: dict[Path, Mapping[int, PublicLogKey]] | None = None) -> Trust:
+def beside(trust: Trust, log: Path, known: dict[Path, Certificates] | None = None) -> Trust:
     """With the certificates in the logs beside this one, where a key is pinned.
 
     Args:
@@ -66,17 +73,22 @@ def beside(trust: Trust, log: Path, known: dict[Path, Mapping[int, PublicLogKey]
     known = {} if known is None else known
     if log.parent not in known:
         known[log.parent] = certificates(log.parent, trust.pinned.series)
-    return replace(trust, certified=known[log.parent])
+    found = known[log.parent]
+    return replace(trust, certified=found.keys, doubled=found.doubled)
 
 
-def certificates(folder: Path, series: bytes) -> Mapping[int, PublicLogKey]:
-    """The keys that the logs of a folder name, by epoch, and what archived ones left. None is believed by that."""
-    found: dict[int, PublicLogKey] = {}
+def certificates(folder: Path, series: bytes) -> Certificates:
+    """The keys that the logs of a folder name, and what archived ones left. None is believed by that."""
+    found: dict[int, tuple[PublicLogKey, str]] = {}
+    doubled: dict[int, str] = {}
     for path in sorted((*folder.glob("*.mcap"), *folder.glob(f"*{STUB_SUFFIX}")))[:LOGS_MAX]:
         key = key_in_stub(path) if path.suffix == STUB_SUFFIX else key_in_log(path)
-        if key is not None and key.series == series:
-            found.setdefault(key.epoch, key)
-    return found
+        if key is None or key.series != series:
+            continue
+        first, log = found.setdefault(key.epoch, (key, path.name))
+        if first != key:  # a copy has the same one
+            doubled.setdefault(key.epoch, f"{log} and {path.name}")
+    return Certificates({epoch: key for epoch, (key, _) in found.items() if epoch not in doubled}, doubled)
 
 
 def _pinned(path: Path) -> PublicLogKey:

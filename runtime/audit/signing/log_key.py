@@ -25,6 +25,8 @@ EPOCH_MAX: Final = (1 << 32) - 1
 FIRST_EPOCH: Final = 1
 FILE_MAX: Final = 1024
 """Bytes of the largest key file."""
+_SHOWN: Final = 40
+"""Characters of a key of the JSON that is none of ours."""
 _DOMAIN: Final = b"cutgate/log-key/1"
 _KEY_PAIR: Final = "cutgate.log-key/1"
 _PUBLIC_HALF: Final = "cutgate.log-public-key/1"
@@ -66,14 +68,7 @@ class PublicLogKey:
     @classmethod
     def parse(cls, data: bytes) -> "PublicLogKey":
         """Raises ValueError for anything else."""
-        content = _read(_PUBLIC_HALF, data)
-        certificate = content.get("certificate")
-        return cls(
-            _bytes(content, "series", SERIES_BYTES),
-            _epoch(content),
-            _bytes(content, "public_key", KEY_BYTES),
-            None if certificate is None else _bytes(content, "certificate", CERTIFICATE_BYTES),
-        )
+        return cls(*_parsed(_PUBLIC_HALF, "public_key", data))
 
 
 @dataclass(frozen=True)
@@ -124,14 +119,7 @@ class LogKey:
     @classmethod
     def parse(cls, data: bytes) -> "LogKey":
         """Raises ValueError for anything else."""
-        content = _read(_KEY_PAIR, data)
-        certificate = content.get("certificate")
-        return cls(
-            _bytes(content, "series", SERIES_BYTES),
-            _epoch(content),
-            _bytes(content, "secret", KEY_BYTES),
-            None if certificate is None else _bytes(content, "certificate", CERTIFICATE_BYTES),
-        )
+        return cls(*_parsed(_KEY_PAIR, "secret", data))
 
 
 def fingerprint_of(public: bytes) -> str:
@@ -164,15 +152,49 @@ def _file(schema: str, key: Any, **parts: bytes | None) -> bytes:
     return json.dumps(content).encode() + b"\n"
 
 
+def _parsed(schema: str, half: str, data: bytes) -> tuple[bytes, int, bytes, bytes | None]:
+    """Series, epoch, the half of the key that the file holds under this name, and certificate.
+
+    Raises:
+        ValueError: it is another file, or holds more or less than these.
+    """
+    content = _read(schema, data)
+    others = content.keys() - {"schema", "series", "epoch", half, "certificate"}
+    if others:
+        raise ValueError(f"its key {min(others)[:_SHOWN]!r} is none that such a file has")
+    certificate = content.get("certificate")
+    return (
+        _bytes(content, "series", SERIES_BYTES),
+        _epoch(content),
+        _bytes(content, half, KEY_BYTES),
+        None if certificate is None else _bytes(content, "certificate", CERTIFICATE_BYTES),
+    )
+
+
 def _read(schema: str, data: bytes) -> dict[str, Any]:
     try:
-        content = json.loads(data)
+        content = json.loads(data, object_pairs_hook=_once)
+    except _TwiceError:
+        raise
     except (ValueError, RecursionError):
         raise ValueError("it is not JSON") from None
     found = content.get("schema") if isinstance(content, dict) else None
     if found != schema:
         raise ValueError(f"its schema is {found!r}, must be {schema!r}")
     return dict(content)
+
+
+class _TwiceError(ValueError):
+    """A key of the JSON is given twice: another program may read the other one."""
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in content:
+            raise _TwiceError(f"its key {name[:_SHOWN]!r} is given twice")
+        content[name] = value
+    return content
 
 
 def _bytes(content: dict[str, Any], name: str, size: int) -> bytes:

@@ -3,7 +3,7 @@
     signatures = Signatures()
     for record in the log, in its order:
         signatures.take(number, topic, record, tree of all records before it)
-    signatures.end(last topic)
+    signatures.end(records)
     signatures.wrong  # empty where the rule is kept
 
 Record 0 names the key that signs the log. A checkpoint signs the tree of all records before itself, under the log's own
@@ -31,6 +31,7 @@ from cutgate.runtime.audit.tree import Tree
 
 _CHECKPOINT: Final = AuditCheckpoint.TOPIC
 _PERMIT: Final = AuditPermit.TOPIC
+_CLOSE: Final = AuditClose.TOPIC
 """Looked up once: an attribute of a model's class takes its time, and this is asked of every record."""
 KEY_FIELDS: Final = ("series", "epoch", "public_key", "certificate", "enrolled")
 """Fields of record 0 that a log before signatures has none of."""
@@ -72,16 +73,20 @@ class Signatures:
         key: that signs the log; None where nothing is signed.
         covered: records that the last good checkpoint signs.
         wrong: the first thing that breaks the rule, with its record; empty if nothing does.
+        wrong_at: number of that record; 0 if nothing does.
     """
 
     def __init__(self) -> None:
         self.key: PublicLogKey | None = None
         self.covered = 0
         self.wrong = ""
+        self.wrong_at = 0
         self._origin = ""
         self._sizes: set[int] = set()
-        self._last: int | None = None
-        """Number of the last checkpoint."""
+        self._signed = 1
+        """Number of the record behind the last checkpoint; record 0 needs none."""
+        self._behind: int | None = None
+        """The first record from there on that may not stand there."""
 
     @property
     def verifier(self) -> VerifierKey:
@@ -98,24 +103,26 @@ class Signatures:
         told = ""
         if topic == _CHECKPOINT:
             told = self._checkpoint(record, tree)
-            self._last = number
-        elif topic == _PERMIT and record.get("stage") == "sent" and "log_size" in record:
+            self._signed, self._behind = number + 1, None
+        elif self._behind is None and number > 0 and (number, topic) != (self._signed, _CLOSE):
+            self._behind = number
+        if topic == _PERMIT and record.get("stage") == "sent" and "log_size" in record:
             size = record["log_size"]
             signed = isinstance(size, int) and size in self._sizes
             told = "" if signed else f"it names a tree of size {size}, which no checkpoint signs"
         if told:
             self.wrong = f"record {number} ({topic}): {told}; {self._first_unsigned}"
+            self.wrong_at = number
 
-    def end(self, count: int, last_topic: str) -> None:
-        """The log has so many records, the last of this topic."""
-        if self.key is None or self.wrong or count <= 1:
+    def end(self, count: int) -> None:
+        """The log has so many records."""
+        if self.key is None or self.wrong or self._behind is None:
             return
-        signed = 1 if self._last is None else self._last + 1
-        if count - signed > (last_topic == AuditClose.TOPIC):
-            self.wrong = (
-                f"behind record {signed - 1} no checkpoint signs the {count - signed} records that follow; "
-                f"{self._first_unsigned}"
-            )
+        self.wrong_at = self._behind
+        self.wrong = (
+            f"record {self._behind}: behind record {self._signed - 1} no checkpoint signs the "
+            f"{count - self._signed} records that follow; {self._first_unsigned}"
+        )
 
     def sidecar(self, sidecar: Sidecar, count: int, root: bytes, size: int, sha256: bytes) -> str:
         """What is wrong with the signature beside a closed log; empty if nothing is.

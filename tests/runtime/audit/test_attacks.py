@@ -3,27 +3,47 @@
 import json
 import os
 import random
+import re
 import shutil
 from dataclasses import replace
 from time import process_time
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.directory import HEAD, Head
 from cutgate.runtime.audit.folder import session_of
 from cutgate.runtime.audit.inspect import Status, verify_log
+from cutgate.runtime.audit.judge import Judge
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.series import examine
 from cutgate.runtime.audit.series_facts import Folder, HeadNamed
 from cutgate.runtime.audit.signing.log_key import EPOCH_MAX, LogKey, PublicLogKey
-from cutgate.runtime.audit.signing.signer import Sidecar
+from cutgate.runtime.audit.signing.signer import SIDECAR_MAX, Sidecar
 from cutgate.runtime.audit.trust import Trust, TrustAnswer, key_chain
 from cutgate.runtime.commands import audit_trust
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.audit_folder import read_folder
 from cutgate.runtime.commands.audit_trust import beside, certificates
-from tests.runtime.audit.attacks import ATTACKS, FIRST, JOURNALD, STARTED, Scene, rewritten, sessions
+from tests.runtime.audit.attacks import (
+    ATTACKED,
+    ATTACKS,
+    FIRST,
+    JOURNALD,
+    LAST,
+    STARTED,
+    Scene,
+    changed,
+    doubled,
+    edit,
+    left_out,
+    rewritten,
+    sessions,
+    stripped,
+    swapped,
+)
 
 ROWS = [row for rows in ATTACKS.values() for row in rows]
 
@@ -71,6 +91,79 @@ def test_an_attack_is_answered_as_the_table_says(scene, attack):
     found, names = answers(scene, attack)
     assert found == (attack.alone, attack.pinned, attack.folder), names
     assert any(attack.named in name for name in names) if attack.named else not names, names
+
+
+# ---------------------------------------------------------------- which record is named first
+
+NAMED = re.compile(r"record (\d+)")
+
+
+def first_bad(data):
+    """The record with which the rules are broken first, asked record by record; None where none does."""
+    judge = Judge()
+    for number, message in enumerate(scan(data).messages):
+        judge.take(message)
+        if judge.problems or judge.roots.wrong or judge.signatures.wrong:
+            return number
+    return None
+
+
+def names_the_first(data, reasons):
+    """Of all that is told the first names the first record of the file; and none before it is bad."""
+    at = [NAMED.match(reason) for reason in reasons]
+    numbers = [int(found[1]) for found in at if found]
+    if numbers:
+        assert at[0], reasons
+        assert int(at[0][1]) == min(numbers), reasons
+    bad = first_bad(data)
+    if bad is not None:
+        assert int(at[0][1]) <= bad, (bad, reasons)
+
+
+@pytest.mark.parametrize("attack", ROWS, ids=[row.what for row in ROWS])
+def test_the_first_reason_names_the_first_bad_record_of_the_file(scene, attack):
+    attack.act(scene)
+    if scene.logs[scene.at].exists():
+        _, reasons = told(scene, Trust())
+        names_the_first(scene.logs[scene.at].read_bytes(), reasons)
+
+
+CHANGES = {
+    "edited": lambda at: lambda links: [*links[:at], changed(links[at], changed=True), *links[at + 1 :]],
+    "left out": left_out,
+    "inserted": lambda at: lambda links: [*links[:at], links[-2], *links[at:]],
+    "swapped": swapped,
+    "doubled": doubled,
+    "another root": lambda at: (
+        lambda links: [
+            changed(link, log_root="00" * 32)
+            if number >= at and "log_root" in json.loads(link.data)
+            else link
+            for number, link in enumerate(links)
+        ]
+    ),
+    "unsigned": lambda at: (
+        lambda links: [
+            link for number, link in enumerate(links) if number < at or link.topic != "/audit/checkpoint"
+        ]
+    ),
+}
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(list(CHANGES)), st.integers(0, 16)), min_size=1, max_size=3),
+    st.booleans(),
+)
+@example([("edited", 7), ("another root", 0)], True)
+def test_of_several_changes_the_first_in_the_file_is_named_first(made, changes, chain):
+    path = made[0] / made[1][ATTACKED]
+    data = path.read_bytes()
+    for name, drawn in changes:
+        at = min(
+            max(drawn, int(chain)), len(scan(data).messages) - 2
+        )  # no chain is made anew without record 0
+        data = rewritten(data, CHANGES[name](at), chain=chain)
+    names_the_first(data, verify_log(data, None, path.with_suffix(".signature.json").read_bytes()).reasons)
 
 
 def test_of_the_faults_of_journald_none_is_ok_where_it_can_be_known():
@@ -217,6 +310,64 @@ def test_a_log_of_any_id_is_answered(scene, capsys, log_id):
         for target in (path, scene.folder):
             assert execute(["audit", "verify", str(target), *options]) == Status.TAMPERED
     assert "\x1b" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("size", [SIDECAR_MAX + 1, 1 << 33])
+def test_a_signature_that_is_larger_than_any_is_that_of_somebody_else(scene, size, capsys):
+    """The log can be read: what stands beside it was exchanged. However large it is, it is not read."""
+    os.truncate(scene.files(ATTACKED)[2], size)
+    status, reasons = told(scene, Trust())
+    assert status is Status.TAMPERED
+    assert reasons == (f"the signature beside it cannot be read: it has {size} bytes, at most {SIDECAR_MAX}",)
+    assert execute(["audit", "verify", str(scene.folder)]) == Status.TAMPERED
+    assert reasons[0] in capsys.readouterr().out
+
+
+def test_a_log_of_before_signatures_is_of_that_time_whatever_stands_beside_it(scene):
+    log = scene.logs[ATTACKED]
+    log.write_bytes(rewritten(log.read_bytes(), stripped))
+    for content in (b"", b"{}", scene.files(STARTED)[2].read_bytes(), b" " * (SIDECAR_MAX + 1)):
+        scene.files(ATTACKED)[2].write_bytes(content)
+        assert told(scene, Trust())[0] is Status.INCOMPLETE
+
+
+def test_two_logs_of_one_epoch_with_two_keys_prove_nothing_and_both_are_named(scene, tmp_path, capsys):
+    """Whichever comes first by its name: ``audit verify`` of the folder calls it doubled."""
+    pinned = tmp_path / "first.pub"
+    pinned.write_bytes(scene.key(0).public.encode())
+
+    def proven(out):
+        told = execute(
+            [
+                "audit",
+                "prove",
+                str(scene.logs[LAST]),
+                "--record",
+                "1",
+                "-o",
+                str(out),
+                "--public-key",
+                str(pinned),
+            ]
+        )
+        return told, capsys.readouterr().err
+
+    assert proven(tmp_path / "before.proof")[0] == 0
+    path = scene.logs[STARTED]
+    theirs = LogKey(scene.key(STARTED).series, 2, bytes(range(32)))
+    planted = edit("/audit/open", public_key=theirs.public.public.hex())
+    for name in ("0.mcap", "z.mcap"):
+        other = path.with_name(name)
+        other.write_bytes(rewritten(path.read_bytes(), planted))
+        code, err = proven(tmp_path / "after.proof")
+        assert code == 2
+        assert all(one in " ".join(err.split()) for one in ("epoch 2 has two keys", path.name, name))
+        assert not (tmp_path / "after.proof").exists()
+        codes = {one.code for one in read_folder(scene.folder, running=False).found.findings}
+        assert "doubled" in codes
+        other.write_bytes(path.read_bytes())
+        assert proven(tmp_path / f"{name}.proof")[0] == 0, "a copy names the same key"
+        other.unlink()
 
 
 def test_a_public_key_of_any_size_is_refused_with_what_to_name(scene, tmp_path, capsys):

@@ -613,3 +613,26 @@ def test_every_time_that_a_head_can_hold_can_be_told(then_ns, now_ns):
     )
     with late:
         check_clock(directory.Path("logs"), Previous(time_ns=then_ns), now_ns)
+
+
+# ---------------------------------------------------------------- whether a session runs
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o666, 0o444])
+def test_a_folder_is_in_use_while_its_lock_is_held_whoever_may_write_it(tmp_path, mode):
+    """A folder of evidence is anybody's: who reads it need not own it."""
+    assert not directory.in_use(tmp_path)
+    held = directory.lock(tmp_path)
+    (tmp_path / directory.LOCK).chmod(mode)
+    assert directory.in_use(tmp_path)
+    os.close(held)
+    assert not directory.in_use(tmp_path)
+    (tmp_path / directory.LOCK).chmod(0o600)
+    os.close(directory.lock(tmp_path))
+
+
+def test_a_lock_that_cannot_be_looked_at_is_refused(tmp_path):
+    (tmp_path / directory.LOCK).symlink_to("elsewhere")
+    with pytest.raises(InputError, match="whether a session is writing here cannot be told") as told:
+        directory.in_use(tmp_path)
+    assert "copy log and raw frames to a folder of their own" in str(told.value)

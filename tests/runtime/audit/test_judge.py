@@ -75,7 +75,7 @@ class Records:
         return [
             *self.judge.problems,
             *filter(None, [self.judge.roots.wrong]),
-            *self.judge.content(scan or found()),
+            *(text for _, text in self.judge.content(scan or found())),
         ]
 
 
@@ -309,10 +309,10 @@ def test_record_0_opens_the_log():
 
 
 def test_it_is_opened_and_closed_once():
-    assert Records().opened().opened().opened().problems() == ["/audit/open is there 3 times"]
+    assert Records().opened().opened().opened().problems() == ["record 1: /audit/open is there 3 times"]
     log = Records().opened().closed().closed()
     assert log.problems() == [
-        "/audit/close is there 2 times",
+        "record 2: /audit/close is there 2 times",
         "record 2 (/audit/close) stands after the close record",
     ]
 
@@ -326,21 +326,63 @@ def test_the_first_record_after_the_close_record_is_named():
 @pytest.mark.parametrize("count", [1, 3, None, "2", True])
 def test_the_close_record_counts_every_message(count):
     log = Records().opened().closed(message_count=count)
-    assert log.problems() == [f"the close record counts {count} messages, the file holds 2"]
+    assert log.problems() == [f"record 1: the close record counts {count} messages, the file holds 2"]
 
 
 def test_a_close_record_that_is_none_counts_nothing():
     log = Records().opened().add("/audit/close", data=b"7")
     assert log.problems() == [
         "record 1 (/audit/close): it is not a JSON object",
-        "the close record counts None messages, the file holds 2",
+        "record 1: the close record counts None messages, the file holds 2",
     ]
 
 
 def test_the_first_close_record_is_the_one_that_is_read():
     """A second one that counts what the first hides is named whatever it says."""
     log = Records().opened().closed().closed(message_count=3)
-    assert "/audit/close is there 2 times" in log.problems()
+    assert "record 2: /audit/close is there 2 times" in log.problems()
+
+
+# ---------------------------------------------------------------- in which order it is told
+
+
+def test_every_broken_rule_is_told_at_its_record_and_the_first_record_first():
+    """Whatever the rule; what shows at no record, but at the file, comes last."""
+    log = Records().opened().add("/audit/attachment", ATTACHED)
+    log.add("/audit/permit", {"kind": "permit"})
+    log.add("/can/frame", sequence=9).closed().add("/audit/open")
+    told = log.judge.told(found(metadata=[], attachments=[stored(size=4)]))
+    assert [(one.at, one.step) for one in told] == [
+        (1, "structure"),
+        (2, "tree"),
+        (3, "structure"),
+        (5, "structure"),
+        (5, "structure"),
+        (None, "structure"),
+    ]
+    assert [one.text[:8] for one in told[:-1]] == [f"record {one.at}" for one in told[:-1]]
+    assert sorted(one.text for one in told) == sorted(
+        log.problems(found(metadata=[], attachments=[stored(size=4)]))
+    )
+
+
+def test_at_one_record_the_chain_is_told_first_then_the_tree_and_what_it_says():
+    log = Records().opened().add("/audit/permit", {"kind": "permit"}, prev="00")
+    told = log.judge.told(found())
+    assert [(one.at, one.step) for one in told] == [(1, "chain"), (1, "tree")]
+
+
+def test_what_is_signed_wrong_is_told_at_its_record_as_well():
+    key = {"series": "00" * 16, "epoch": 1, "public_key": "00" * 32}
+    log = Records().add("/audit/open", {"log_id": LOG_ID, **key}).add("/audit/checkpoint").closed()
+    log.judge.signatures.end(log.number)
+    (one,) = log.judge.told(found())
+    assert (one.at, one.step) == (1, "signatures")
+    assert one.text.startswith("record 1 (/audit/checkpoint): ")
+
+
+def test_a_log_that_keeps_every_rule_is_told_nothing():
+    assert Records().opened().closed().judge.told(found()) == []
 
 
 # ---------------------------------------------------------------- metadata and attachments
@@ -373,12 +415,12 @@ def test_an_attachment_is_what_its_record_says(field):
     log = Records().opened().add("/audit/attachment", ATTACHED)
     other = stored(**{field: 4 if field == "size" else "other"})
     assert log.problems(found(attachments=[other])) == [
-        f"attachment 0 ({other.name}) is not what its record says"
+        f"record 1: attachment 0 ({other.name}) is not what its record says"
     ]
     lacking = {key: value for key, value in ATTACHED.items() if key != field}
     log = Records().opened().add("/audit/attachment", lacking)
     assert log.problems(found(attachments=[stored()])) == [
-        "attachment 0 (plan.csv) is not what its record says"
+        "record 1: attachment 0 (plan.csv) is not what its record says"
     ]
 
 
@@ -387,11 +429,11 @@ def test_attachments_are_in_the_order_of_their_records():
     log = Records().opened().add("/audit/attachment", one).add("/audit/attachment", two)
     assert log.problems(found(attachments=[stored(), stored(name="robot.toml")])) == []
     assert log.problems(found(attachments=[stored(name="robot.toml"), stored()])) == [
-        "attachment 0 (robot.toml) is not what its record says",
-        "attachment 1 (plan.csv) is not what its record says",
+        "record 1: attachment 0 (robot.toml) is not what its record says",
+        "record 2: attachment 1 (plan.csv) is not what its record says",
     ]
     assert log.problems(found(attachments=[stored()])) == [
-        "attachment robot.toml has a record but is not there"
+        "record 2: attachment robot.toml has a record but is not there"
     ]
 
 
@@ -403,7 +445,7 @@ def test_an_attachment_has_its_record_in_a_file_that_is_finished():
 
 def test_a_record_of_an_attachment_that_is_none_fits_none():
     log = Records().opened().add("/audit/attachment", data=b"7")
-    told = "attachment 0 (plan.csv) is not what its record says"
+    told = "record 1: attachment 0 (plan.csv) is not what its record says"
     assert told in log.problems(found(attachments=[stored()]))
 
 

@@ -91,6 +91,13 @@ def test_another_root_at_that_size_is_named_with_the_one_there_is(size):
     )
 
 
+def test_the_first_record_that_is_wrong_is_told_by_its_number():
+    log = pending()
+    assert log.roots.wrong_at == 0
+    log.sent(4, OTHER).frames(2).sent(5, OTHER)
+    assert log.roots.wrong_at == 6
+
+
 def test_the_root_of_another_size_is_another_root():
     log = pending()
     assert f"at size 5, the tree has {log.trees[5]}" in log.sent(5, log.trees[4]).wrong

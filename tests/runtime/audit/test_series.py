@@ -428,9 +428,14 @@ def test_a_session_that_was_cut_before_record_0_leaves_its_place_open():
     blank = FolderSession("blank.mcap", "", Status.INCOMPLETE, False, 0, None, "00" * 32, 0, 0)
     named = PreviousNamed("blank.mcap", "00" * 32, 0, digest(), None, crashed=True)
     found = examined([sessions[0], blank, replace(sessions[1], previous=named)], head_of(sessions[1]))
-    assert codes(found) == {"link-unknown"}
+    assert codes(found) == {"link-unknown", "before-record-0"}
     assert found.joined[-1].how == "cut before record 0"
-    assert codes(examined([sessions[0], blank], HeadNamed("blank.mcap", closed=False))) == {"crashed-last"}
+    assert codes(examined([sessions[0], blank], HeadNamed("blank.mcap", closed=False))) == {
+        "before-record-0",
+        "crashed-last",
+    }
+    begins = Folder([sessions[0], blank], HeadNamed("blank.mcap", closed=False), running=True)
+    assert codes(examine(begins)) == {"running"}, "a session that has just begun"
 
 
 # ---------------------------------------------------------------- order, copies, what is no log

@@ -116,3 +116,26 @@ def test_a_step_is_said_in_one_line():
     assert str(TrustStep("tree", TrustAnswer.NO, "")) == "tree: no"
     assert STEPS == ("structure", "chain", "tree", "signatures", "key chain", "witness", "replay")
     assert NOT_FOUND.count("\n- ") == 4
+
+
+# ---------------------------------------------------------------- two keys of one epoch
+
+
+@pytest.mark.parametrize("twice", range(1, 7))
+def test_of_two_keys_of_one_epoch_between_none_is_believed_and_both_logs_are_named(twice):
+    certified = {epoch: key for epoch, key in BY_EPOCH.items() if epoch != twice}
+    trust = Trust(pinned=KEYS[1], certified=certified, doubled={twice: "a.mcap and b.mcap"})
+    answer, text = answered(KEYS[4], trust)
+    between = KEYS[1].epoch < twice < KEYS[4].epoch
+    assert answer is (TrustAnswer.NO if between else TrustAnswer.YES)
+    assert (f"epoch {twice} has two keys, of the logs a.mcap and b.mcap" in text) == between
+
+
+def test_the_first_of_several_epochs_with_two_keys_is_named():
+    trust = Trust(pinned=KEYS[0], certified={}, doubled={4: "c and d", 3: "a and b"})
+    assert "epoch 3 has two keys, of the logs a and b: see" in answered(KEYS[5], trust)[1]
+
+
+def test_a_key_of_another_series_is_that_whatever_is_doubled():
+    other = chain(5, bytes(15) + b"x")[4]
+    assert "it is of the series" in answered(other, Trust(pinned=KEYS[0], doubled={3: "a and b"}))[1]

@@ -89,6 +89,48 @@ def test_the_last_session_removed_and_head_left_names_the_lost_log(capsys, logs)
     assert f"TAMPERED head-log-missing: HEAD: the last log is {names[-1]}, which is not here" in out
 
 
+def begun(data):
+    """What may be left of a session that is cut short before record 0 is whole."""
+    first = data.index(b'"log_id"')  # the metadata's stands elsewhere
+    yield from (b"", bytes(100), bytes(3_000_000))
+    yield from (data[:at] for at in (*range(1, 10), *range(10, first, 97)))
+
+
+def test_what_is_left_of_a_session_before_record_0_is_named_and_is_no_tampering(capsys, logs):
+    """A crash at the very start leaves it, or somebody cut it: no folder with it is OK without a word."""
+    directory, names = logs
+    for left in begun((directory / names[0]).read_bytes()):
+        (directory / "29991231T000000Z-00000000.mcap").write_bytes(left)
+        assert verify(capsys, directory) == (1, {"before-record-0"}), len(left)
+    _, out, _ = audit(capsys, "verify", directory)
+    (line,) = (line for line in out.splitlines() if "before-record-0" in line)
+    assert line.startswith("INCOMPLETE before-record-0: 29991231T000000Z-00000000.mcap: ")
+    assert "cut before record 0 was whole: a crash at the very start of a session leaves that" in line
+    assert "nothing, if power failed or the program ended as a session began" in out
+
+
+@pytest.mark.parametrize("left", [b"", b"\x89MC", bytes(4096)])
+def test_a_crash_before_the_first_byte_that_head_names_is_a_crash(capsys, logs, left):
+    directory, names = logs
+    told = json.loads((directory / HEAD).read_bytes()) | {
+        "log": "29991231T000000Z-00000000.mcap",
+        "state": "open",
+    }
+    (directory / HEAD).write_text(json.dumps(told))
+    (directory / told["log"]).write_bytes(left)
+    assert verify(capsys, directory) == (1, {"before-record-0", "crashed-last"})
+    (directory / names[2]).write_bytes(left)
+    code, codes = verify(capsys, directory)
+    assert (code, "epoch-missing" in codes) == (2, True), "a session that was emptied is missed"
+
+
+@pytest.mark.parametrize("left", [b"x", b"\x89MD", bytes(100) + b"x", b"\x00" * 7 + b"\x89MCAP0\r\n"])
+def test_what_no_session_leaves_is_foreign(capsys, logs, left):
+    directory, _ = logs
+    (directory / "a.mcap").write_bytes(left)
+    assert verify(capsys, directory) == (0, {"not-a-log"})
+
+
 @pytest.mark.parametrize("at", range(4))
 def test_whichever_session_is_removed_it_is_missed(capsys, logs, at):
     directory, names = logs

@@ -409,7 +409,7 @@ def test_where_it_cannot_be_told_whether_a_session_runs_nothing_is_done(capsys, 
     before = {path.name for path in crashed.parent.iterdir()}
     code, _, err = cutgate(capsys, "recover", crashed)
     assert code == 2
-    assert "whether a session is writing it cannot be told: LOCK beside it" in err
+    assert "LOCK: whether a session is writing here cannot be told (" in err
     assert "copy log and raw frames to a folder of their own" in err
     assert {path.name for path in crashed.parent.iterdir()} == before
 

@@ -7,7 +7,7 @@ from hashlib import sha256
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from cutgate.runtime.audit.signing.log_key import (
@@ -150,6 +150,33 @@ def test_every_field_is_held_to_its_form(name, value):
         if name != "certificate":
             with pytest.raises(ValueError, match=f"its {name} must be"):
                 type(key).parse(json.dumps(content).encode())
+
+
+@given(st.sampled_from([KEYS[0], KEYS[1], PUBLIC[0], PUBLIC[1]]), st.text(), st.none() | st.text())
+def test_a_file_that_says_more_than_a_key_does_is_refused_with_what_it_says(key, name, value):
+    content = json.loads(key.encode())
+    assume(name not in content and name != "certificate")
+    with pytest.raises(ValueError, match="is none that such a file has") as told:
+        type(key).parse(json.dumps(content | {name: value}).encode())
+    assert repr(name[:40]) in str(told.value)
+    assert str(told.value).isprintable()
+    assert type(key).parse(json.dumps(content).encode()) == key
+
+
+@pytest.mark.parametrize(("key", "half"), [(KEYS[1], "public_key"), (KEYS[1].public, "secret")])
+def test_the_other_half_of_a_key_is_none_of_its_own(key, half):
+    with pytest.raises(ValueError, match=f"its key '{half}' is none that such a file has"):
+        type(key).parse(json.dumps(json.loads(key.encode()) | {half: "00" * 32}).encode())
+
+
+@pytest.mark.parametrize("key", [KEYS[1], KEYS[1].public])
+def test_a_key_of_the_json_that_is_given_twice_is_refused(key):
+    """Of two that differ one program reads the first, another one the last."""
+    for name, value in json.loads(key.encode()).items():
+        for other in (value, None):
+            data = key.encode().replace(b"{", f"{{{json.dumps(name)}: {json.dumps(other)}, ".encode(), 1)
+            with pytest.raises(ValueError, match=f"its key '{name}' is given twice"):
+                type(key).parse(data)
 
 
 @pytest.mark.parametrize(("key", "name"), [(KEYS[0], "secret"), (KEYS[0].public, "public_key")])

@@ -45,7 +45,7 @@ class Log:
 
     @property
     def wrong(self):
-        self.signatures.end(self.tree.size, self.topics[-1])
+        self.signatures.end(self.tree.size)
         return self.signatures.wrong
 
 
@@ -145,6 +145,7 @@ def test_the_first_record_without_a_valid_signature_is_named(make, told):
         log = make(Log().add("/a"))
     assert told in log.wrong
     assert log.wrong.endswith("; record 0 is the first without a valid signature")
+    assert log.signatures.wrong_at == 2
     behind = log.wrong
     assert log.add("/b").checkpoint().wrong == behind, "the first is told"
 
@@ -157,21 +158,30 @@ def test_what_another_key_or_log_has_signed_is_wrong():
 
 
 @pytest.mark.parametrize(
-    ("tail", "right"),
+    ("tail", "at"),
     [
-        (["/audit/close"], True), (["/a"], False), (["/a", "/audit/close"], False), (["/audit/close", "/a"], False),
-        (["/audit/close", "/audit/close"], False),
+        (["/audit/close"], None), (["/a"], 3), (["/a", "/audit/close"], 3), (["/audit/close", "/a"], 4),
+        (["/audit/close", "/audit/close"], 4), (["/a", "/a"], 3),
     ],
     ids=str,
 )  # fmt: skip
-def test_behind_the_last_checkpoint_stands_the_close_record_alone(tail, right):
+def test_behind_the_last_checkpoint_stands_the_close_record_alone(tail, at):
     log = Log().add("/a").checkpoint()
     for topic in tail:
         log.add(topic)
-    assert (log.wrong == "") == right
-    if not right:
+    assert (log.wrong == "") == (at is None)
+    if at is not None:
+        assert log.signatures.wrong_at == at
+        assert log.wrong.startswith(f"record {at}: ")
         assert f"behind record 2 no checkpoint signs the {len(tail)} records that follow" in log.wrong
         assert log.wrong.endswith("record 2 is the first without a valid signature")
+
+
+def test_what_a_later_checkpoint_signs_was_not_left_behind():
+    log = Log().add("/a").checkpoint().add("/a").add("/a").checkpoint()
+    assert (log.wrong, log.signatures.wrong_at) == ("", 0)
+    assert log.add("/b").wrong.startswith("record 6: behind record 5 ")
+    assert log.signatures.wrong_at == 6
 
 
 def test_without_any_checkpoint_record_0_alone_may_stand():

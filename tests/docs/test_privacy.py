@@ -19,7 +19,7 @@ def test_the_bounds_of_free_text_are_those_that_are_enforced():
     for row in (
         f"| `--operator` | {OPERATOR_MAX} printable characters |",
         f"| a line typed during a session (`confirm ...`) | {LINE_BYTES_MAX} bytes |",
-        f"| `id`, `ct_id` and `implant` of plan and registration | {ids} characters each |",
+        f"| `id` and `ct_id` of plan and registration, `implant` of a plan | {ids} characters each |",
         f"| name of a check point | {POINT_NAME_MAX} characters |",
     ):
         assert row in PRIVACY

@@ -107,22 +107,11 @@ def reported(
         "frames": _about(frames, cards, start_ns),
     }
     answered = answers(told, log.report.status, _replayed(log, replay), measured_of(log))
-    return ReportedSession(
-        log, told, replay, answered, cards, known, missing, frames.source, _text_only(shown(document))
-    )
+    return ReportedSession(log, told, replay, answered, cards, known, missing, frames.source, shown(document))
 
 
 def _whole(document: Any) -> Any:
     return document
-
-
-def _text_only(value: Any) -> Any:
-    """The same with every text as people may see it: a script shows what it is given."""
-    if isinstance(value, str):
-        return printable(value)
-    if isinstance(value, Mapping):
-        return {key: _text_only(inner) for key, inner in value.items()}
-    return [_text_only(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def _replayed(log: Log, replay: Replay | None) -> Fact:

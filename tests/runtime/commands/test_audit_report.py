@@ -15,6 +15,7 @@ from cutgate.runtime.audit.reading import candump_of, reading
 from cutgate.runtime.audit.signing.signer import sidecar_of
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.commands.audit_report import write_report
+from cutgate.runtime.commands.report.page import REDACTED
 from cutgate.runtime.review.report.integrity import NOT_REPLAYED
 from cutgate.runtime.review.report.redact import LEFT_OUT
 from tests.runtime.audit.build import forge, session_log
@@ -337,6 +338,7 @@ def test_no_name_of_a_log_is_left_in_a_redacted_page(report, with_names):
     (session,) = data_of(text)["sessions"]
     assert (session["name"], session["redacted"]) == ("first session", True)
     assert LEFT_OUT in Page(top_of(text)).text
+    assert REDACTED in Page(text).text
 
 
 def test_what_was_decided_stays_in_a_redacted_page(report, page, admitted):

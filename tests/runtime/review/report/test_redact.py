@@ -31,7 +31,9 @@ def edited(record):
         bus = records.Option(name="bus", value="cutgate//run/theatre/bus.sock")
         return record.model_copy(update=NAMES | {"simulation": (bus,)})
     if isinstance(record, records.AuditOperator):
-        return record.model_copy(update={"accepted": False, "reason": "because Smith waits", "what": "SMITHS_WORD"})
+        return record.model_copy(
+            update={"accepted": False, "reason": "because Smith waits", "what": "SMITHS_WORD"}
+        )
     if isinstance(record, records.AuditDecision):
         return record.model_copy(update={"session": "ab12cd34" * 8})
     return record
@@ -57,7 +59,12 @@ def test_every_name_in_the_records_is_left_out_in_sentences_too(named):
 
 def test_what_was_decided_stays(named):
     redaction = Redaction.of(named, f"{LOG}.mcap")
-    for text in ("verdict admissible, 22.894 mm, required 5 mm", "robot.toml", "a1b2" * 16, "/audit/decision"):
+    for text in (
+        "verdict admissible, 22.894 mm, required 5 mm",
+        "robot.toml",
+        "a1b2" * 16,
+        "/audit/decision",
+    ):
         assert redaction.text(text) == text
 
 
@@ -77,7 +84,12 @@ def test_a_name_of_digits_is_a_name(name):
 
 
 def test_a_document_keeps_its_form_numbers_and_field_names():
-    document = {"host": "theatre-seven", "numbers": [1.5, None, True], "of": {"theatre-seven": "x"}, "verdict": "ok"}
+    document = {
+        "host": "theatre-seven",
+        "numbers": [1.5, None, True],
+        "of": {"theatre-seven": "x"},
+        "verdict": "ok",
+    }
     assert of("theatre-seven", "verdict").apply(document) == {
         "host": LEFT_OUT,
         "numbers": [1.5, None, True],
@@ -101,7 +113,10 @@ def test_what_is_nested_without_end_is_cut_off():
 
 def test_of_html_only_the_text_is_changed():
     page = '<section id="vm" class="vm"><p>on vm &amp; vm</p>\n</section>'
-    assert of("vm").page(page) == f'<section id="vm" class="vm"><p>on {LEFT_OUT} &amp; {LEFT_OUT}</p>\n</section>'
+    assert (
+        of("vm").page(page)
+        == f'<section id="vm" class="vm"><p>on {LEFT_OUT} &amp; {LEFT_OUT}</p>\n</section>'
+    )
 
 
 def test_a_name_that_was_escaped_is_found_as_well():
@@ -111,7 +126,9 @@ def test_a_name_that_was_escaped_is_found_as_well():
 
 
 def test_two_sessions_leave_out_what_either_names():
-    assert (of("theatre-seven") | of("smithson")).text("smithson in theatre-seven") == f"{LEFT_OUT} in {LEFT_OUT}"
+    assert (of("theatre-seven") | of("smithson")).text(
+        "smithson in theatre-seven"
+    ) == f"{LEFT_OUT} in {LEFT_OUT}"
 
 
 def test_of_a_log_with_too_many_names_nothing_is_told():

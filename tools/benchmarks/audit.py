@@ -171,7 +171,7 @@ def verification() -> Rows:
 
 
 def growth() -> Rows:
-    """A minute of cutting at heartbeats of 20 ms: six frames a period, a chunk each 0.8 s.
+    """A minute of cutting at heartbeats of 20 ms: six frames a period, a chunk each 0.8 s; tracking and timing come on top.
 
     No decisions: each ends a chunk of its own, with a checkpoint more.
     """

@@ -30,6 +30,8 @@ _DEADBAND: Final = colour("#9aa3ad", 0.7)
 _BONE: Final = colour("#0b57d0", 0.6)
 _KEPT: Final = colour("#16181d")
 _BAD: Final = colour(VIOLATED)
+POSES_MAX: Final = 5000
+"""Of the plan, as a viewer draws an arrow for each; of a longer one every second, third, and so on, and the last."""
 HEIGHT_MAX_MM: Final = 10_000.0
 """A slide without an end is drawn up to here."""
 
@@ -107,8 +109,10 @@ class DrawnDecision:
         return FoxgloveSceneUpdate(deletions=(), entities=tuple(things))
 
     def plan(self, at: Time) -> FoxglovePosesInFrame:
-        """The planned poses of the tool: its tip, and z along the tool toward the wrist."""
-        tips, axes = self.problem.tips_mm, self.problem.axes
+        """The planned poses of the tool: its tip, and z along the tool toward the wrist; at most POSES_MAX and the last."""
+        last = len(self.problem.tips_mm) - 1
+        shown = np.append(np.arange(0, last, -(-last // POSES_MAX)), last)
+        tips, axes = self.problem.tips_mm[shown], self.problem.axes[shown]
         poses = tuple(pose(tip, with_z_along(axis)) for tip, axis in zip(tips, axes, strict=True))
         return FoxglovePosesInFrame(timestamp=at, frame_id=ROBOT, poses=poses)
 

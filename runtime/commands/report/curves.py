@@ -25,13 +25,18 @@ class Curves:
         if len(self._rows) > ROWS_MAX:
             self._rows = thinned(self._rows, 4 * len(self.names) + 4)
 
-    def document(self, decimals: int) -> dict[str, Any]:
-        """``x`` and one list of ``values`` a column, with null where undefined."""
+    def document(self, decimals: int, *, down: bool = False) -> dict[str, Any]:
+        """``x`` and one list of ``values`` a column, with null where undefined.
+
+        Args:
+            decimals: that are kept.
+            down: no value is shown as more than it is, as clearances must not be.
+        """
         columns = list(zip(*self._rows, strict=True)) if self._rows else [()] * (1 + len(self.names))
         return {
             "x": [_rounded(x, decimals) for x in columns[0]],
             "series": [
-                {"name": name, "values": [_rounded(value, decimals) for value in column]}
+                {"name": name, "values": [_rounded(value, decimals, down=down) for value in column]}
                 for name, column in zip(self.names, columns[1:], strict=True)
             ],
         }
@@ -55,5 +60,7 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def _rounded(value: float | None, decimals: int) -> float | None:
-    return None if value is None else round(value, decimals)
+def _rounded(value: float | None, decimals: int, *, down: bool = False) -> float | None:
+    if value is None:
+        return None
+    return math.floor(value * 10**decimals) / 10**decimals if down else round(value, decimals)

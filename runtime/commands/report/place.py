@@ -73,7 +73,7 @@ def along_the_path(decision: DrawnDecision) -> dict[str, Any]:
         "axis": "mm",
         "unit": "deadbands",
         "lines": [{"name": "deadband", "value": 1.0}],
-        **curves.document(3),
+        **curves.document(3, down=True),
     }
 
 
@@ -87,7 +87,7 @@ def _flat(points: Floats) -> list[float]:
 
 def _down(value: float) -> float | None:
     """Never shown as more than it is."""
-    return math.floor(round(value * 1e3, 3)) / 1e3 if math.isfinite(value) else None
+    return math.floor(value * 1e3) / 1e3 if math.isfinite(value) else None
 
 
 def _limiting(decision: DrawnDecision) -> list[str]:

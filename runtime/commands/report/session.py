@@ -1,5 +1,6 @@
 """One session of the report: what stands in the page as words, and as JSON what its script draws. Pure."""
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,7 +14,7 @@ from cutgate.runtime.audit.replay import Replay
 from cutgate.runtime.audit.trust import REPLAY, TrustAnswer
 from cutgate.runtime.commands.foxglove.known import known_of
 from cutgate.runtime.commands.foxglove.streams import Known
-from cutgate.runtime.commands.report.course import Course
+from cutgate.runtime.commands.report.over_time import OverTime
 from cutgate.runtime.commands.report.place import along_the_path, place_document
 from cutgate.runtime.review.decoding import Decoding
 from cutgate.runtime.review.recorded_frames import SessionFrames
@@ -26,11 +27,11 @@ from cutgate.runtime.review.report.redact import Redaction
 from cutgate.runtime.review.report.timeline import duration_s, lanes
 from cutgate.runtime.review.told import text_line
 
-BEFORE_S: Final = 0.15
-BEHIND_S: Final = 0.1
-"""Messages this long before and behind a decision are shown beside it."""
-MESSAGES_MAX: Final = 60
-"""Of one decision."""
+BEFORE_MAX: Final = 40
+BEHIND_MAX: Final = 20
+"""Messages that are shown beside a decision, the nearest before and behind it."""
+WITHIN_NS: Final = 500_000_000
+"""None that is further from it in time."""
 _NS: Final = 1_000_000_000
 
 
@@ -86,11 +87,17 @@ def reported(
     told = shown(told)
     cards = cards_of(told, prefix)
     start_ns = told["opened"].get("utc_ns") or 0
-    course = Course(known, start_ns)
+    over_time = OverTime(known, start_ns)
     for message in walk(log.file, Scan()):
-        course.take(message)
+        over_time.take(message)
     frames = SessionFrames(log, raw)
     along = [along_the_path(known.decision)] if known.decision else []
+    plots = over_time.plots()
+    started = any(one["what"] == "start" for one in told["allowed"])
+    if started and not any(plot["id"] == "deviation" for plot in plots):
+        missing.append(
+            "a log of this version does not hold how far the arm was from its way, nor the times of the loop"
+        )
     document = {
         "name": printable(name),
         "redacted": redaction is not None,
@@ -101,8 +108,8 @@ def reported(
             {"t_s": round(one.t_s, 3), "name": printable(one.title), "card": one.id} for one in cards
         ],
         "place": place_document(known.decision, known.arm) if known.decision else None,
-        "arm": course.arm(),
-        "plots": [*along, *course.plots()],
+        "arm": over_time.arm(),
+        "plots": [*along, *plots],
         "records": rows(log, shown),
         "frames": _about(frames, cards, start_ns),
     }
@@ -128,15 +135,18 @@ def _moment(time_ns: int) -> str:
 
 def _about(frames: SessionFrames, cards: Sequence[Card], start_ns: int) -> dict[str, list[str]]:
     """The messages on the bus about each decision, a line each, by the name of its card."""
-    windows = {
-        one.id: (start_ns + int((one.t_s - BEFORE_S) * _NS), start_ns + int((one.t_s + BEHIND_S) * _NS))
-        for one in cards
-    }
-    lines: dict[str, list[str]] = {one.id: [] for one in cards}
+    found = {one.id: (deque[str](maxlen=BEFORE_MAX), list[str]()) for one in cards}
+    times = {one.id: start_ns + int(one.t_s * _NS) for one in cards}
     decoding = Decoding()
     for direction, frame in frames.each():
         for heard in decoding.take(frame, direction):
-            for name, (begin_ns, end_ns) in windows.items():
-                if begin_ns <= heard.time_ns <= end_ns and len(lines[name]) < MESSAGES_MAX:
-                    lines[name].append(text_line(heard, start_ns, interfaces=False).rstrip("\n"))
-    return lines
+            for name, at_ns in times.items():
+                if not at_ns - WITHIN_NS <= heard.time_ns <= at_ns + WITHIN_NS:
+                    continue
+                before, behind = found[name]
+                line = text_line(heard, start_ns, interfaces=False).rstrip("\n")
+                if heard.time_ns <= at_ns:
+                    before.append(line)
+                elif len(behind) < BEHIND_MAX:
+                    behind.append(line)
+    return {name: [*before, *behind] for name, (before, behind) in found.items()}

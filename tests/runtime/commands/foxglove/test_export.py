@@ -19,6 +19,7 @@ from cutgate.runtime.commands.foxglove.lichtblick import LAYOUT, layout_bytes
 from cutgate.runtime.commands.foxglove.schemas import VIEWED
 from cutgate.runtime.commands.foxglove.streams import HANDLERS
 from cutgate.runtime.commands.reach_page import CIVIDIS
+from cutgate.runtime.interlock.state import Phase
 from tests.logs import judged
 from tests.runtime.audit.build import MODELS, forge, session_log, small_log
 from tests.runtime.commands.foxglove.published_schema import problems, published
@@ -336,7 +337,7 @@ def test_clearances_are_nowhere_less_than_the_verdict_and_reach_it(cut):
     document = json.loads(judged(cut[0]).of("/audit/verdict")[-1]["document"])
     found = by_topic(cut[3])["/clearance"]
     places = [(one.data["segment"], one.data["fraction"]) for one in found]
-    assert places == sorted(places)
+    assert places == sorted(set(places)), "where the arm stands nothing is repeated"
     assert len(places) > 20
     for name, entry in document["boundaries"].items():
         unit = entry["unit"]
@@ -386,6 +387,28 @@ def test_the_state_is_that_of_the_last_decision_and_of_the_controller(session):
         assert state.data != before.data
     last = by_topic(data)["/state"][-1].data
     assert last["phase"] == judged(log).of("/audit/decision")[-1]["to_state"]
+
+
+def test_a_session_that_is_stopped_goes_on_with_the_joints_of_its_frames(tmp_path, tmp_path_factory):
+    """The stop is an error in the log; behind it nothing is held against the path, and joints have no reference."""
+    with pair_of(tmp_path, *job_of(tmp_path_factory)) as pair, one_clock(pair):
+        pair.power_up(time_scale=0.5)
+        pair.begin().to(Phase.CUTTING).run(1.0)
+        pair.disk.delay_s = 0.2
+        pair.say("stop")
+        pair.end()
+        log = pair.close().log
+        found = by_topic(exported(log, tmp_path))
+    stops = [one for one in found["/log"] if one.data["name"] == "/audit/decision" and one.data["level"] == 4]
+    assert len(stops) == 1
+    assert "-> stopping" in stops[0].data["message"]
+    assert "OPERATOR_STOP" in stops[0].data["message"]
+    last = max(one.time_ns for one in found["/tracking"])
+    joints = sorted(found["/joints"], key=lambda one: one.time_ns)
+    assert "q0_reference_deg" in next(one for one in reversed(joints) if one.time_ns <= last).data
+    behind = [one for one in joints if one.time_ns > last]
+    assert behind
+    assert all("q0_reference_deg" not in one.data for one in behind)
 
 
 BAD = "\x1b[31mred\x1b[0m <b>\u202e\n"

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -26,6 +27,15 @@ from tests.runtime.audit.build import inputs
 from tests.runtime.commands.foxglove.sessions import matrix, quaternion_matrix
 
 ANGLE = st.floats(-7.0, 7.0)
+
+
+def drawn_of(given):
+    i = inputs(given)
+    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
+    return DrawnDecision(problem, scene(problem, certified.verify(problem), None, "x"), None)
+
+
+DRAWN = drawn_of(500.0)
 
 
 def turned(axis, angle):
@@ -124,10 +134,32 @@ def test_a_leaning_slide_leans_in_the_scene_as_well(tilt, given):
             assert np.linalg.norm(drawn.wrist_mm - place, axis=1).min() < 1.0
 
 
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), ANGLE)
+def test_a_path_in_the_frame_of_a_turned_bone_is_the_same_path(axis, angle):
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = turned(unit(axis), angle), (471.0, -150.0, 30.0)
+    drawn = replace(DRAWN, place=place)
+    (own,) = [one for one in drawn.drawn(ZERO).entities if one.id == "bone/path"]
+    points = np.array([[point.x, point.y, point.z] for point in own.lines[0].points]) * 1000
+    assert own.frame_id == "bone"
+    assert points @ place[:3, :3].T + place[:3, 3] == pytest.approx(drawn.tips_mm, abs=0.01)
+
+
 @pytest.mark.parametrize("segment", [-1, 5, 10**9])
 def test_of_a_segment_that_the_path_does_not_have_nothing_is_said(segment):
-    i = inputs(500.0)
-    problem = problem_from_records(i.path, i.limits, i.calibration, i.tool, i.robot.value)
-    drawn = DrawnDecision(problem, scene(problem, certified.verify(problem), None, "x"), None)
-    assert drawn.clearances(segment, 0.5) is None
-    assert drawn.clearances(4, 1.0) is not None
+    assert DRAWN.clearances(segment, 0.5) is None
+    assert DRAWN.clearances(4, 1.0) is not None
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 4, 5, 6, 7])
+def test_of_a_long_plan_every_so_manieth_pose_and_the_last(monkeypatch, most):
+    """The plan has six."""
+    monkeypatch.setattr("cutgate.runtime.commands.foxglove.decided.POSES_MAX", most)
+    shown = [pose.position.x * 1000 for pose in DRAWN.plan(ZERO).poses]
+    all_of_them = DRAWN.problem.tips_mm[:, 0].tolist()
+    which = [min(range(6), key=lambda k: abs(all_of_them[k] - x)) for x in shown]
+    assert (which[0], which[-1]) == (0, 5)
+    assert len({b - a for a, b in pairwise(which[:-1])}) <= 1
+    assert which == sorted(set(which))
+    assert len(which) <= most + 1
+    assert most < 5 or which == list(range(6))

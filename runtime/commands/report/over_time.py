@@ -1,4 +1,4 @@
-"""The course of a session by the second: joints, clearance, tracking, and the time of loop, bus and disk. Pure.
+"""A session by the second: joints, clearance, tracking, and the time of loop, bus and disk. Pure.
 
 Read once, a record at a time; what is kept does not grow with the log.
 """
@@ -13,8 +13,8 @@ from cutgate.runtime.audit.records import LoopTiming, TrackingSample
 from cutgate.runtime.commands.foxglove.arm import ShownArm
 from cutgate.runtime.commands.foxglove.schemas import BoundaryClearances, JointValues
 from cutgate.runtime.commands.foxglove.streams import Known, Streams
-from cutgate.runtime.commands.report.curves import ROWS_MAX, Curves
-from cutgate.runtime.commands.report.place import ALONG_MAX, arm_points
+from cutgate.runtime.commands.report.curves import Curves
+from cutgate.runtime.commands.report.place import ALONG_MAX, LINKS, arm_points
 
 DEGREES: Final = ("q0", "q1", "q3", "q4")
 RANGES: Final = (
@@ -24,10 +24,11 @@ RANGES: Final = (
     "q3 of its range",
     "q4 of its range",
 )
+COORDINATES: Final = tuple(f"{link} {axis}" for link in LINKS for axis in "xyz")
 _JOINTS: Final = ("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
 
 
-class Course:
+class OverTime:
     """What the plots along time show, and where the arm was."""
 
     def __init__(self, known: Known, start_ns: int) -> None:
@@ -40,9 +41,7 @@ class Course:
         self._deviation = Curves(("wrist centre, at most", "tip"))
         self._bus = Curves(("age of the heartbeat echoed last", "round trip"))
         self._loop = Curves(("longest gap", "heartbeat late", "log made durable in", "log waits"))
-        self._arm: list[tuple[float, Floats]] = []
-        self._every = 1
-        self._samples = 0
+        self._arm = Curves(COORDINATES)
         self._tolerance_mm: float | None = None
         self._timeout_ms: float | None = None
 
@@ -94,20 +93,15 @@ class Course:
         with np.errstate(divide="ignore", invalid="ignore"):  # a joint without a range has no part of it
             parts = 100.0 * (joints - low) / (high - low)
         self._ranges.add(at_s, dict(zip(RANGES, parts.tolist(), strict=True)))
-        if self._samples % self._every == 0:
-            self._arm.append((at_s, arm_points(arm, joints)))
-            if len(self._arm) > ROWS_MAX:  # half as often from here on, and before
-                self._arm, self._every = self._arm[::2], 2 * self._every
-        self._samples += 1
+        self._arm.add(at_s, dict(zip(COORDINATES, arm_points(arm, joints).ravel().tolist(), strict=True)))
 
     def arm(self) -> dict[str, Any] | None:
-        """The arm's points, moment by moment; None where no joints were measured."""
-        if not self._arm:
+        """The arm's points, moment by moment, and every turn of them; None where no joints were measured."""
+        if not len(self._arm):
             return None
-        return {
-            "t": [round(at_s, 3) for at_s, _ in self._arm],
-            "points": [round(value, 1) for _, points in self._arm for value in points.ravel().tolist()],
-        }
+        document = self._arm.document(2)
+        columns = [series["values"] for series in document["series"]]
+        return {"t": document["x"], "points": [value for row in zip(*columns, strict=True) for value in row]}
 
     def plots(self) -> list[dict[str, Any]]:
         """Those along time that show something."""
@@ -126,7 +120,14 @@ class Course:
             ("loop", "The runtime's loop and the disk", "ms", self._loop, []),
         )
         return [
-            {"id": name, "title": title, "axis": "s", "unit": unit, "lines": lines, **curves.document(3)}
+            {
+                "id": name,
+                "title": title,
+                "axis": "s",
+                "unit": unit,
+                "lines": lines,
+                **curves.document(3, down=curves is self._clearance),
+            }
             for name, title, unit, curves, lines in found
             if len(curves)
         ]

@@ -85,7 +85,7 @@ def test_one_session_is_a_page_with_the_three_answers_in_its_first_screen(report
     code, text, said = report(admitted)
     assert code == 0
     assert len(text.encode()) < SIZE_MAX
-    assert f"written, {len(text.encode()) / 1000:.0f} kB" in said
+    assert re.search(rf"page\.html: written, {len(text.encode()) / 1000:.0f} kB, \d+\.\d s\n", said)
     Page(text)
     top = Page(top_of(text)).text
     assert all(question in top for question in QUESTIONS)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from pathlib import Path
+from time import monotonic
 from typing import Annotated, Any, Final
 
 import typer
@@ -69,8 +70,9 @@ def report(
     written.
     """
     trust = trust_of(public_key, anchor, cosigner)
+    began_s = monotonic()
     size = write_report([log] if other is None else [log, other], out, trust, again=again, redact=redact)
-    echo(f"{printable(str(out))}: written, {size / 1000:.0f} kB")
+    echo(f"{printable(str(out))}: written, {size / 1000:.0f} kB, {monotonic() - began_s:.1f} s")
 
 
 def write_report(

@@ -18,11 +18,12 @@ from rich.text import Text
 
 from cutgate.config.exits import SIGNALLED, STOPPED
 from cutgate.config.key import new_key_file
-from cutgate.config.load import EXAMPLES
+from cutgate.config.load import EXAMPLES, InputError
 from cutgate.config.screen import printable
 from cutgate.config.signals import ENDING, handled, name_of
 from cutgate.protocol.codes import KEY_BYTES
 from cutgate.runtime.audit.replay import ReplayOutcome
+from cutgate.runtime.commands.audit_report import write_report
 from cutgate.runtime.commands.example import fill
 from cutgate.runtime.commands.screen import echo, messages, output
 from cutgate.runtime.commands.verdict_view import BAD, GOOD
@@ -34,6 +35,7 @@ from cutgate.runtime.review.show import print_time_line
 
 SETTINGS: Final = ("robot.toml", "site.toml")
 SCHEMA: Final = "cutgate.demo/1"
+WHY: Final = "Why, as a page for a browser: {}"
 
 
 def demo(
@@ -75,6 +77,7 @@ def demo(
         for review in reviews
         if (review["verify"], review["replay"]) != ("OK", ReplayOutcome.IDENTICAL.name)
     ]
+    reports = _reported([Path(review["log"]) for review in reviews], why)
     elapsed_s = time.monotonic() - began_s
     if json:
         document = {
@@ -83,13 +86,14 @@ def demo(
             "why": why,
             "sessions": runs,
             "reviews": [{key: review[key] for key in ("log", "verify", "replay")} for review in reviews],
+            "reports": [str(report) for report in reports],
             "elapsed_s": elapsed_s,
         }
         echo(json_format.dumps(document, allow_nan=False, indent=2))
     elif as_told:
-        _summary(runs, reviews, folder, elapsed_s)
+        _summary(runs, reviews, reports, folder, elapsed_s)
     if why:
-        _otherwise(why, runs, folder)
+        _otherwise(why, runs, reports, folder)
     raise typer.Exit(STOPPED if why else 0)
 
 
@@ -138,7 +142,21 @@ def _ended_in_order(say: _Teller) -> Iterator[None]:
 # ---------------------------------------------------------------- what came of it
 
 
-def _otherwise(why: list[str], runs: list[dict[str, Any]], folder: Path) -> None:
+def _reported(logs: list[Path], why: list[str]) -> list[Path]:
+    """A page of each session, beside its log and named after it; one that cannot be written is among what went otherwise."""
+    pages = []
+    for log in logs:
+        page = log.with_suffix(".html")
+        try:
+            write_report([log], page)
+        except InputError as error:
+            why.append(str(error))
+        else:
+            pages.append(page)
+    return pages
+
+
+def _otherwise(why: list[str], runs: list[dict[str, Any]], reports: list[Path], folder: Path) -> None:
     """What went otherwise than told, and what is left behind."""
     console = messages()
     for reason in why:
@@ -148,12 +166,18 @@ def _otherwise(why: list[str], runs: list[dict[str, Any]], folder: Path) -> None
         f"Left behind: {folder} with key, inputs and logs of whole sessions ({logs}); nothing runs any more."
     )
     console.print(printable(left), soft_wrap=True)
+    for report in reports:
+        console.print(printable(WHY.format(report)), soft_wrap=True)
     if runs:
         console.print(printable(f"Next: cutgate audit show {runs[-1]['log']['mcap']}"), soft_wrap=True)
 
 
 def _summary(
-    runs: list[dict[str, Any]], reviews: list[dict[str, Any]], folder: Path, elapsed_s: float
+    runs: list[dict[str, Any]],
+    reviews: list[dict[str, Any]],
+    reports: list[Path],
+    folder: Path,
+    elapsed_s: float,
 ) -> None:
     """What a person wants to know afterwards."""
     console = output()
@@ -174,6 +198,8 @@ def _summary(
         console.print(Text.assemble(printable(f"{review['log']}: "), (judgement, style)), soft_wrap=True)
         for reason in review["why"]:
             console.print(printable(f"  {reason}"), soft_wrap=True)
+    for report in reports:
+        console.print(printable(WHY.format(report)), soft_wrap=True)
     console.print(f"Plant time ran {TIME_SCALE} times faster than the clock; the logs say so.")
     console.print(printable(f"Everything is in {folder}; {elapsed_s:.1f} s in all."), soft_wrap=True)
     console.print(printable(f"Next: cutgate audit show {reviews[-1]['log']}"), soft_wrap=True)

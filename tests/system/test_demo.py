@@ -29,3 +29,6 @@ def test_the_demo_refuses_explains_and_cuts(tmp_path):
     assert second["verdict"]["verdict"] == "admissible"
     assert [review["replay"] for review in document["reviews"]] == ["IDENTICAL", "IDENTICAL"]
     assert all(judged(Path(run["log"]["mcap"])).report.status is Status.OK for run in (first, second))
+    for run, report in zip((first, second), document["reports"], strict=True):
+        assert Path(report) == Path(run["log"]["mcap"]).with_suffix(".html")
+        assert '<header id="top">' in Path(report).read_text(encoding="utf-8")

@@ -10,18 +10,23 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
 
+from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.interlock.permissives import FOLLOWING
 from cutgate.runtime.review.comparable import is_number
 from cutgate.runtime.review.report.measured import Measured
+from cutgate.runtime.review.report.numbers import measure, plain
+from cutgate.runtime.review.show import value_of, who
 from cutgate.runtime.review.stop_words import phase_words, place_words, rest_words
-from cutgate.runtime.review.story import SENT, failing
+from cutgate.runtime.review.stopped import CUT
+from cutgate.runtime.review.story import BROKEN_OFF, SENT, failing
 
 DONE: Final = "done"
 NOT_BELIEVED: Final = {
     Status.TAMPERED: "The log was TAMPERED with: nothing that it says is to be believed.",
     Status.UNREADABLE: "The log cannot be read: nothing that it seems to say is to be believed.",
 }
+DECIDED_OTHERWISE: Final = "What was decided cannot be decided again from what the log holds: none of its decisions is to be believed."
 VERDICT: Final = "verdict"
 SHOWN_FAILING: Final = 3
 """Permissives that did not hold, told in the first screen; the decision's card has all."""
@@ -50,7 +55,7 @@ class Answers:
 
     Attributes:
         outcome: one sentence.
-        good: the path was cut to its end, and the log stands.
+        good: the path was cut to its end, and neither the log nor what it decided is in doubt.
         warning: why nothing here is to be believed; empty where it is.
         facts: line by line.
         allowed, stopped, close: the three answers, a sentence or some each.
@@ -76,7 +81,7 @@ def answers(
         replayed: what deciding again has shown.
         measured: what the log says of the arm's way; None where it says nothing.
     """
-    warning = NOT_BELIEVED.get(status, "")
+    warning = NOT_BELIEVED.get(status, "" if replayed.good is not False else DECIDED_OTHERWISE)
     return Answers(
         outcome=_outcome(story),
         good=_final(story) == DONE and not warning,
@@ -94,18 +99,28 @@ def _final(story: Mapping[str, Any]) -> str:
 
 def _outcome(story: Mapping[str, Any]) -> str:
     """In one sentence."""
-    stop, left = story["stop"], _left(story)
-    if stop is not None and stop["moving"]:
-        return f"STOPPED while {phase_words(stop)}: {stop['text']}"
-    if stop is not None:
-        return f"STOPPED before anything moved: {stop['text']}"
+    if story["stop"] is not None:
+        return _stop_outcome(story["stop"])
     if _final(story) == DONE:
         return "The path was allowed and cut to its end; nothing stopped it."
     if story["closed"] is None:
         return "The log has no end: the session was broken off before anything moved."
-    if "start" not in left:
+    if "start" not in _left(story):
         return "REFUSED: cutting was not allowed, and nothing moved."
     return f"The session ended as: {_final(story) or 'it does not say how'}."
+
+
+def _stop_outcome(stop: Mapping[str, Any]) -> str:
+    if broken_off(stop):
+        return f"BROKEN OFF while {phase_words(stop)}: {stop['reason']}."
+    if stop["moving"]:
+        return f"STOPPED while {phase_words(stop)}: {stop['text']}"
+    return f"STOPPED before anything moved: {stop['text']}"
+
+
+def broken_off(stop: Mapping[str, Any]) -> bool:
+    """Whether there was no stop: the log ends while the arm could move."""
+    return bool(stop["reason"] == BROKEN_OFF["reason"])
 
 
 def _left(story: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -131,17 +146,23 @@ def _facts(story: Mapping[str, Any], status: Status, replayed: Fact) -> Iterator
     tightest = tightest_of(story)
     if tightest is not None:
         yield Fact("Nearest limit", boundary_words(tightest), not tightest.get("violated"), "place")
-    yield _simulated(opened)
+    yield from _options(opened)
     yield Fact("Opened", f"{_moment(opened.get('utc_ns'))}{_lasted(story)}")
-    yield Fact("Who", _who(opened) or "not recorded")
+    yield Fact("Who", who(opened) or "not recorded")
 
 
-def _simulated(opened: Mapping[str, Any]) -> Fact:
-    options = opened.get("simulation")
-    told = [one for one in options if isinstance(one, Mapping)] if isinstance(options, list) else []
-    if not told:
-        return Fact("Simulation", "no option of a simulation was set")
-    return Fact("Simulation", "; ".join(f"{one.get('name')} {one.get('value')}" for one in told))
+def _options(opened: Mapping[str, Any]) -> Iterator[Fact]:
+    """Whether the controller may have been a simulated one; and what else was set."""
+    given = opened.get("simulation")
+    options = [one for one in given if isinstance(one, Mapping)] if isinstance(given, list) else []
+    simulated = [one.get("value") for one in options if one.get("name") == SIMULATED]
+    if simulated:
+        yield Fact("Simulation", f"YES: {SIMULATED}, {simulated[0]}")
+    else:
+        yield Fact("Simulation", "no simulated controller was allowed")
+    others = [f"{one.get('name')} {one.get('value')}" for one in options if one.get("name") != SIMULATED]
+    if others:
+        yield Fact("Options", "; ".join(others))
 
 
 def _moment(utc_ns: object) -> str:
@@ -153,11 +174,6 @@ def _moment(utc_ns: object) -> str:
 def _lasted(story: Mapping[str, Any]) -> str:
     closed = story["closed"]
     return f", for {closed['offset_s']:.1f} s" if closed else ""
-
-
-def _who(opened: Mapping[str, Any]) -> str:
-    names = {"operator": "operator", "account": "account", "host": "on"}
-    return ", ".join(f"{told} {opened[key]}" for key, told in names.items() if opened.get(key))
 
 
 # ---------------------------------------------------------------- was it allowed, and why
@@ -186,17 +202,19 @@ def _allowed(story: Mapping[str, Any]) -> Iterator[str]:
         yield f"Verdict: {verdict['reason']}."
     if "permit" not in left:
         yield from _move(verdict or {})
-        yield from _why_not(story)
+    if "start" not in left and story["stop"] is None:
+        yield from _why_not(story, since_s=left["permit"]["offset_s"] if "permit" in left else 0.0)
 
 
-def _why_not(story: Mapping[str, Any]) -> Iterator[str]:
-    """The permissives that did not hold when it was decided last."""
-    found = next((failing(one) for one in reversed(story["decisions"]) if failing(one)), [])
-    own = [entry for entry in found if entry.get("name") not in FOLLOWING]
+def _why_not(story: Mapping[str, Any], since_s: float) -> Iterator[str]:
+    """The permissives that did not hold when it was decided last, of what was decided since then."""
+    steps = [failing(one) for one in story["decisions"] if one["offset_s"] > since_s]
+    found: list[dict[str, Any]] = next(filter(None, reversed(steps)), [])
+    own = [entry for entry in found if str(entry.get("name")) not in FOLLOWING]
     found = [entry for entry in own or found if entry.get("name") != VERDICT]  # that is told already
     for entry in found[:SHOWN_FAILING]:
-        value = entry.get("text") or entry.get("value", "not known")
-        yield f"Did not hold: {entry.get('name')}: {value} (required: {entry.get('bound')}). {_sentence(entry.get('remedy'))}"
+        told = f"{entry.get('name')}: {value_of(entry)} (required: {entry.get('bound')})"
+        yield f"Did not hold: {told}. {_sentence(entry.get('remedy'))}."
     if len(found) > SHOWN_FAILING:
         yield f"{len(found) - SHOWN_FAILING} more did not hold."
 
@@ -235,11 +253,30 @@ def _stopped(story: Mapping[str, Any]) -> Iterator[str]:
         )
         return
     cause = f" ({stop['cause']}, while {phase_words(stop)})"
-    yield f"{stop['text']}{cause}" + (f" What was found: {stop['reason']}." if stop["reason"] else "")
-    yield " ".join(f"{_sentence(label)}: {text}." for label, text in place_words(stop))
+    if broken_off(stop):
+        yield f"{_sentence(stop['reason'])} ({phase_words(stop)})."
+    elif str(stop["reason"]).casefold().rstrip(".") == str(stop["text"]).casefold().rstrip("."):
+        yield f"{stop['text']}{cause}"
+    else:
+        yield f"{stop['text']}{cause}" + (f" What was found: {stop['reason']}." if stop["reason"] else "")
+    yield " ".join(f"{_sentence(label)}: {text}." for label, text in place_words(stop)) + _length(stop)
     yield f"At rest: {rest_words(stop)}."
     yield from _then(story)
     yield "What was to be done next: " + " ".join(stop["next"])
+
+
+def _length(stop: Mapping[str, Any]) -> str:
+    """How much of the path was cut, mm of how many; empty where that is not known."""
+    where = stop["where"]
+    if (
+        where is None
+        or where["segment"] is None
+        or where["leg"] not in (CUT, None)
+        or not where["percent"] < 100.0
+    ):
+        return ""
+    whole_mm = where["to_go_mm"] / (1.0 - where["percent"] / 100.0)
+    return f" Cut: {whole_mm - where['to_go_mm']:.1f} mm of {whole_mm:.1f} mm."
 
 
 def _then(story: Mapping[str, Any]) -> Iterator[str]:
@@ -276,8 +313,7 @@ def _margin(boundary: Mapping[str, Any]) -> float:
 def boundary_words(boundary: Mapping[str, Any]) -> str:
     """Clearance, deadband and place; a clearance is never told as more than is proved."""
     unit, certified = boundary.get("unit", ""), boundary.get("certified")
-    value = f"{math.floor(certified * 1000) / 1000:.3f} {unit}" if is_number(certified) else "undefined"
-    told = f"{boundary.get('name')}: {value} (required: {boundary.get('deadband')} {unit})"
+    told = f"{boundary.get('name')}: {measure(certified, unit)} (required: {plain(boundary.get('deadband'))} {unit})"
     if "segment" in boundary:
         length = boundary.get("tip_length_mm")
         along = f", {length:.1f} mm along the path" if is_number(length) else ""
@@ -298,7 +334,9 @@ def _close(story: Mapping[str, Any], measured: Measured | None) -> Iterator[str]
     approach = next(reversed(story["approaches"]), None)
     if approach is not None and is_number(approach.get("worst_certified")):
         leg, boundary = approach.get("worst_leg"), approach.get("worst_boundary")
-        yield f"On approach and retract, nearest was {boundary} on the {leg}: {approach['worst_certified']:.3f} certified."
+        known = story["verdicts"][-1]["boundaries"] if story["verdicts"] else []
+        unit = next((one.get("unit") for one in known if one.get("name") == boundary), "")
+        yield f"On approach and retract, nearest was {boundary} on the {leg}: {measure(approach['worst_certified'], unit)}."
     if measured is not None:
         yield measured.words
     elif "start" in _left(story):

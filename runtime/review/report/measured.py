@@ -1,5 +1,6 @@
 """How far the moving arm was from where it was verified to be: the worst of what the log's `/tracking` says. Pure."""
 
+import math
 from dataclasses import dataclass
 
 from pydantic import ValidationError
@@ -31,9 +32,14 @@ class Measured:
         """In a sentence."""
         where = "beside the cut" if self.segment is None else f"at segment {self.segment}"
         return (
-            f"While it moved ({self.samples} samples), the wrist centre was at most {self.wrist_mm:.3f} mm from the "
-            f"verified way ({where}; allowed: {self.tolerance_mm:g} mm), the tip at most {self.tip_mm:.3f} mm."
+            f"While it moved ({self.samples} samples), the wrist centre was at most {_up(self.wrist_mm)} mm from the "
+            f"verified way ({where}; allowed: {self.tolerance_mm:g} mm), the tip at most {_up(self.tip_mm)} mm."
         )
+
+
+def _up(value_mm: float) -> str:
+    """Rounded up: a distance is never told as less than it was."""
+    return f"{math.ceil(round(value_mm * 1000.0, 6)) / 1000.0:.3f}"
 
 
 def measured_of(log: Log) -> Measured | None:

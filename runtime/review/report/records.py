@@ -10,13 +10,12 @@ from cutgate.runtime.audit.container.scan import walk
 from cutgate.runtime.audit.container.stored import Scan
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.judge import parse_object
-from cutgate.runtime.audit.records import AuditRecord, CanFrame, LoopTiming, TrackingSample
+from cutgate.runtime.audit.records import STREAMED, AuditRecord
 from cutgate.runtime.review.report.numbers import text_of
 
 COLUMNS: Final = ("number", "t_s", "topic", "what", "text")
 ROWS_MAX: Final = 3000
 TEXT_MAX: Final = 300
-_APART: Final = frozenset({CanFrame.TOPIC, TrackingSample.TOPIC, LoopTiming.TOPIC})
 _CHAIN: Final = frozenset(AuditRecord.model_fields)
 _NAMES: Final = (
     "event",
@@ -55,7 +54,7 @@ def rows(log: Log, shown: Callable[[Any], Any] = lambda record: record) -> dict[
     start_ns: int | None = None
     count = 0
     for number, message in enumerate(walk(log.file, Scan())):
-        if message.topic in _APART:
+        if message.topic in STREAMED:
             continue
         record = parse_object(message.data) or {}
         at_ns = _time_ns(record)

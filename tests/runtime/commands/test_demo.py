@@ -3,10 +3,12 @@
 import json
 import signal
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import typer
 
+from cutgate.config.load import InputError
 from cutgate.runtime.commands import demo
 from cutgate.runtime.commands.app import execute
 from cutgate.runtime.demo.processes import DemoError
@@ -65,7 +67,7 @@ LATE = {"outcome": "stopped", "cause": "HEARTBEAT_LOST", "reason": LOST, "verdic
 def played(tmp_path, monkeypatch, capsys):
     """Play the demo with these sessions in place of processes: exit code, document, what was said, what was begun."""
 
-    def play(*sessions, stalled=(), as_json=True):
+    def play(*sessions, stalled=(), as_json=True, report=lambda _logs, _page: 1):
         begun, left = [], list(sessions)
 
         @contextmanager
@@ -81,12 +83,12 @@ def played(tmp_path, monkeypatch, capsys):
                 raise told
             return told
 
-        review = {"log": "l", "verify": "OK", "replay": "IDENTICAL"}
         for name, stub in {
             "serve_bus": part,
             "run_controller": part,
             "run_session": run,
-            "reviewed": lambda _: review,
+            "reviewed": lambda log: {"log": str(log), "verify": "OK", "replay": "IDENTICAL"},
+            "write_report": report,
         }.items():
             monkeypatch.setattr(demo, name, stub)
         monkeypatch.setattr(demo, "_summary", lambda *_: None)
@@ -101,6 +103,28 @@ def test_two_sessions_as_told_are_a_success(played):
     code, document, said, begun = played(ran(FIRST), ran(SECOND))
     assert (code, document["as_told"], document["why"], begun) == (0, True, [], [FIRST, SECOND])
     assert "Left behind" not in said
+
+
+def test_each_session_has_a_report_beside_its_log_that_is_named(played):
+    written = []
+    _, document, _, _ = played(ran(FIRST), ran(SECOND), report=lambda *given: written.append(given))
+    pages = [Path(f"logs/{name}").with_suffix(".html") for name in (f"{FIRST}.mcap", f"{SECOND}.mcap")]
+    assert written == [([page.with_suffix(".mcap")], page) for page in pages]
+    assert document["reports"] == [str(page) for page in pages]
+
+
+def test_a_session_that_ends_otherwise_has_a_report_as_well(played):
+    _, _, said, _ = played(ran(FIRST, **LATE))
+    assert f"Why, as a page for a browser: logs/{Path(FIRST).stem}.json.html" in said
+
+
+def test_a_report_that_cannot_be_written_is_said_with_what_to_do(played):
+    def full(_logs, page):
+        raise InputError(page, "--out", None, "cannot be written (No space left on device)", "name another")
+
+    code, document, said, _ = played(ran(FIRST), ran(SECOND), report=full)
+    assert (code, document["reports"], len(document["why"])) == (3, [], 2)
+    assert "cannot be written (No space left on device)" in said
 
 
 @pytest.mark.parametrize("late", [0, 1])

@@ -43,7 +43,7 @@ def test_what_one_session_alone_has_is_told_in_a_sentence(old_logs):
 
 
 def test_values_are_data():
-    entry = {"what": "<i>x</i>", "a": "<b>\x1b\u202e", "b": 1.0}
+    entry = {"what": "<i>x</i>\x1b", "a": "<b>\x1b\u202e", "b": 1.0}
     found = {
         "equal": False,
         "sections": [{"section": "<u>", "compared": 2, "differences": [entry]}],

@@ -577,6 +577,9 @@ def page(problems: list[str]) -> str:
 def main() -> int:
     """Write the page; 1 where something is not as it must be."""
     problems: list[str] = []
+    # Where whoever starts this ignores a signal (nohup, a job in the background), every program would inherit that.
+    for number in ENDINGS:
+        signal.signal(number, signal.SIG_DFL)
     PAGE.write_text(page(problems), encoding="utf-8")
     for problem in problems:
         print(problem, file=sys.stderr)  # noqa: T201 - a program of its own

@@ -14,16 +14,9 @@ from cutgate.runtime.commands.foxglove.arm import ShownArm
 from cutgate.runtime.commands.foxglove.schemas import BoundaryClearances, JointValues
 from cutgate.runtime.commands.foxglove.streams import Known, Streams
 from cutgate.runtime.commands.report.curves import Curves
-from cutgate.runtime.commands.report.place import ALONG_MAX, LINKS, arm_points
+from cutgate.runtime.commands.report.place import ALONG_MAX, LIMITS, LINKS, RANGES, arm_points, ranges
 
 DEGREES: Final = ("q0", "q1", "q3", "q4")
-RANGES: Final = (
-    "q0 of its range",
-    "q1 of its range",
-    "q2 of its range",
-    "q3 of its range",
-    "q4 of its range",
-)
 COORDINATES: Final = tuple(f"{link} {axis}" for link in LINKS for axis in "xyz")
 _JOINTS: Final = ("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
 
@@ -89,10 +82,7 @@ class OverTime:
             self._moved(at_s, self._known.arm, np.where(np.arange(5) == 2, values, np.radians(values)))
 
     def _moved(self, at_s: float, arm: ShownArm, joints: Floats) -> None:
-        low, high = arm.bounds
-        with np.errstate(divide="ignore", invalid="ignore"):  # a joint without a range has no part of it
-            parts = 100.0 * (joints - low) / (high - low)
-        self._ranges.add(at_s, dict(zip(RANGES, parts.tolist(), strict=True)))
+        self._ranges.add(at_s, ranges(arm, joints))
         self._arm.add(at_s, dict(zip(COORDINATES, arm_points(arm, joints).ravel().tolist(), strict=True)))
 
     def arm(self) -> dict[str, Any] | None:
@@ -109,11 +99,10 @@ class OverTime:
         timeout = _line("time-out", self._timeout_ms)
         deadband = _line("deadband", 1.0)
         near = f"Clearance where it cut, in deadbands (at most {ALONG_MAX:g} are shown)"
-        limits = _line("lower limit", 0.0) + _line("upper limit", 100.0)
         found: tuple[tuple[str, str, str, Curves, list[dict[str, Any]]], ...] = (
             ("clearance", near, "deadbands", self._clearance, deadband),
             ("deviation", "Distance of the arm from its verified way", "mm", self._deviation, tolerance),
-            ("ranges", "Measured joints between their limits", "%", self._ranges, limits),
+            ("ranges", "Measured joints between their limits", "%", self._ranges, LIMITS),
             ("turning", "Measured joints that turn", "deg", self._turning, []),
             ("slide", "Measured slide", "mm", self._slide, []),
             ("bus", "Heartbeats", "ms", self._bus, timeout),

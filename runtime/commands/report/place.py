@@ -12,10 +12,13 @@ from cutgate.runtime.commands.reach_page import CIVIDIS
 from cutgate.runtime.commands.report.curves import Curves
 from cutgate.runtime.commands.verify_page import shades, steps
 from cutgate.runtime.commands.verify_scene import LETTERS, MEANINGS, Worst
+from cutgate.runtime.interlock.tracking import ReferenceTrajectory
 from cutgate.runtime.kinematics.pose import lengths
 
 LINKS: Final = ("slide", "elbow", "wrist", "tip")
 """What the arm's points are, from the column on."""
+RANGES: Final = tuple(f"q{joint} of its range" for joint in range(5))
+LIMITS: Final = [{"name": "lower limit", "value": 0.0}, {"name": "upper limit", "value": 100.0}]
 ALONG_MAX: Final = 10.0
 """Deadbands: of a clearance along the path no more is shown."""
 
@@ -75,6 +78,34 @@ def along_the_path(decision: DrawnDecision) -> dict[str, Any]:
         "lines": [{"name": "deadband", "value": 1.0}],
         **curves.document(3, down=True),
     }
+
+
+def joints_along_the_path(
+    decision: DrawnDecision, arm: ShownArm, trajectory: ReferenceTrajectory
+) -> dict[str, Any]:
+    """The joints of the verified way at each point of the path, between their limits: a plot as those along time."""
+    curves = Curves(RANGES)
+    last = trajectory.segments - 1
+    for length, pose in zip(tip_lengths(decision).tolist(), decision.scene.path.pose.tolist(), strict=True):
+        segment = min(int(pose), last)
+        joints = trajectory.joints_at(trajectory.time_of(segment, pose - segment))
+        curves.add(length, ranges(arm, joints))
+    return {
+        "id": "joints",
+        "title": "Planned joints along the path, between their limits",
+        "axis": "mm",
+        "unit": "%",
+        "lines": LIMITS,
+        **curves.document(2),
+    }
+
+
+def ranges(arm: ShownArm, joints: Floats) -> dict[str, float]:
+    """Where each joint stands between its limits, %, by reported joints, rad and mm, shape (5,)."""
+    low, high = arm.bounds
+    with np.errstate(divide="ignore", invalid="ignore"):  # a joint without a range has no part of it
+        parts = 100.0 * (joints - low) / (high - low)
+    return dict(zip(RANGES, parts.tolist(), strict=True))
 
 
 def _level(angle: float) -> Floats:

@@ -15,7 +15,7 @@ from cutgate.runtime.audit.trust import REPLAY, TrustAnswer
 from cutgate.runtime.commands.foxglove.known import known_of
 from cutgate.runtime.commands.foxglove.streams import Known
 from cutgate.runtime.commands.report.over_time import OverTime
-from cutgate.runtime.commands.report.place import along_the_path, place_document
+from cutgate.runtime.commands.report.place import along_the_path, joints_along_the_path, place_document
 from cutgate.runtime.review.decoding import Decoding
 from cutgate.runtime.review.recorded_frames import SessionFrames
 from cutgate.runtime.review.report.answers import Answers, Fact, answers
@@ -92,6 +92,8 @@ def reported(
         over_time.take(message)
     frames = SessionFrames(log, raw)
     along = [along_the_path(known.decision)] if known.decision else []
+    if known.decision and known.arm and known.trajectory:
+        along.append(joints_along_the_path(known.decision, known.arm, known.trajectory))
     plots = over_time.plots()
     started = any(one["what"] == "start" for one in told["allowed"])
     if started and not any(plot["id"] == "deviation" for plot in plots):

@@ -14,7 +14,13 @@ from cutgate.runtime.audit import names
 from cutgate.runtime.audit.reading import reading
 from cutgate.runtime.audit.records import AuditVerdict, boundaries_of
 from cutgate.runtime.commands.foxglove.known import known_of
-from cutgate.runtime.commands.report.place import along_the_path, arm_points, place_document
+from cutgate.runtime.commands.report.place import (
+    RANGES,
+    along_the_path,
+    arm_points,
+    joints_along_the_path,
+    place_document,
+)
 
 
 @pytest.fixture(scope="module", params=["cut", "refused"])
@@ -88,3 +94,22 @@ def test_along_the_path_every_boundary_has_its_curve_and_the_deadband_is_one(fou
     assert [series["name"] for series in plot["series"]] == list(found[0].decision.scene.names)
     assert plot["lines"] == [{"name": "deadband", "value": 1.0}]
     assert plot["x"] == sorted(plot["x"])
+
+
+def test_the_joints_along_the_path_lead_the_simulated_arms_tip_along_it(logs):
+    with reading(logs["cut"]) as log:
+        known, _, _ = known_of(log, "x.mcap")
+        attached = {name: log.scan.attachment(name).data for name in (names.CALIBRATION, names.TOOL)}
+    arm = calibrated_arm(
+        wire.Calibration.parse(attached[names.CALIBRATION]),
+        tool_mm=wire.Tool.parse(attached[names.TOOL]).length_mm,
+        elbow="right",
+    )
+    plot = joints_along_the_path(known.decision, known.arm, known.trajectory)
+    assert [series["name"] for series in plot["series"]] == list(RANGES)
+    low, high = known.arm.bounds
+    parts = np.array([series["values"] for series in plot["series"]]).T
+    for joints, tip in zip(low + parts / 100.0 * (high - low), known.decision.tips_mm, strict=True):
+        assert math.dist(forward(arm, as_joints(joints)).tip, tip) < 0.2, (
+            "a hundredth of a percent of a range"
+        )

@@ -231,6 +231,8 @@ def test_a_key_that_is_none_or_that_the_running_session_does_not_reach_is_not_vo
     assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
     log.path.write_bytes(rewritten(log.path.read_bytes(), edit("/audit/open", previous_log="a/b")))
     assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
+    log.path.unlink()
+    assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
     assert witness.BACK_MAX == 256
 
 

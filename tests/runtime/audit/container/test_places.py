@@ -110,6 +110,7 @@ def test_an_index_alone_is_read():
         (summary(8, INDEX, 1 << 40), "runs over the summary"),
         (summary(8, encoded(SummaryOffset(5, 1, 2))), "holds something else"),
         (summary(8, INDEX + b"\x08"), "runs over the end"),
+        (summary(8, INDEX + b"\x7f" + bytes(8)), f"the record at offset {8 + len(INDEX)} is of unknown kind"),
         (summary(1 << 20, INDEX), "runs over the summary"),
     ],
 )

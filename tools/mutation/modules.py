@@ -97,6 +97,8 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/audit/signing/proof.py": ("tests/runtime/audit/signing/test_proof.py",),
     "runtime/audit/proving.py": ("tests/runtime/audit/test_proving.py",),
     "runtime/audit/signed.py": ("tests/runtime/audit/test_signed.py",),
+    "runtime/audit/series.py": ("tests/runtime/audit/test_series.py",),
+    "runtime/audit/series_rules.py": ("tests/runtime/audit/test_series.py",),
     "runtime/audit/roots.py": ("tests/runtime/audit/test_roots.py",),
     "runtime/audit/witness.py": (
         "tests/runtime/audit/test_witness.py",

@@ -114,6 +114,19 @@ def test_a_start_that_never_left_is_none(session):
     assert looked(left, start) == f"it holds no start that was sent with its tree of size {start.size}"
 
 
+@pytest.mark.parametrize("fields", [{"log_size": 5}, {"log_root": "ab" * 32}, {"kind": "permit"}])
+def test_a_start_that_names_another_tree_is_another_one(session, fields):
+    _, data, start = session
+
+    def change(links):
+        for number, link in enumerate(links):
+            sent = number > start.size and b'"stage":"sent"' in link.data
+            yield changed(link, **fields) if sent else link
+
+    left = rewritten(data, lambda links: list(change(links))[:-1], chain=False)
+    assert looked(left, start) == f"it holds no start that was sent with its tree of size {start.size}"
+
+
 def test_an_index_that_leaves_a_chunk_out_hides_nothing(session):
     """What the summary says is anybody's: the records of the file are looked at as well."""
     _, data, start = session
@@ -230,6 +243,8 @@ def test_a_key_that_is_none_or_that_the_running_session_does_not_reach_is_not_vo
     log.path.write_bytes(rewritten(log.path.read_bytes(), edit("/audit/open", certificate="00" * 64)))
     assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
     log.path.write_bytes(rewritten(log.path.read_bytes(), edit("/audit/open", previous_log="a/b")))
+    assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
+    log.path.unlink()
     assert asked(tmp_path / "logs", start) == WitnessFound(path.name, ""), "read whole"
     assert witness.BACK_MAX == 256
 

@@ -55,6 +55,12 @@ def test_cut_anywhere_every_whole_chunk_is_found_by_hops_and_none_by_index(data)
             listed(by_index, left)
 
 
+def test_zeros_behind_the_last_whole_record_are_its_end(data):
+    third = expected(data)[2].offset
+    assert listed(by_hops, data[:third] + bytes(4096))[0] == expected(data)[0]
+    assert len(listed(by_hops, data[:third] + bytes(4096))) == 2
+
+
 def test_what_is_no_record_is_told(data):
     with pytest.raises(BrokenError, match="of kind 0x7f"):
         listed(by_hops, data[: expected(data)[2].offset] + b"\x7f" + bytes(8) + b"x")
@@ -104,6 +110,7 @@ def test_an_index_alone_is_read():
         (summary(8, INDEX, 1 << 40), "runs over the summary"),
         (summary(8, encoded(SummaryOffset(5, 1, 2))), "holds something else"),
         (summary(8, INDEX + b"\x08"), "runs over the end"),
+        (summary(8, INDEX + b"\x7f" + bytes(8)), f"the record at offset {8 + len(INDEX)} is of unknown kind"),
         (summary(1 << 20, INDEX), "runs over the summary"),
     ],
 )

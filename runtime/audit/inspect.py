@@ -246,7 +246,7 @@ def _second_reading(file: BinaryIO, found: Scan, judge: Judge, wrong: "_Found") 
     wrong.add(STRUCTURE, found.problems)
     if not (found.finished and sound):
         return ()
-    unread, notes = read_again(file, found, judge.read.digest())
+    unread, notes = read_again(file, found, judge.head)
     wrong.add(STRUCTURE, filter(None, [unread]))
     return notes
 

@@ -20,6 +20,8 @@ from cutgate.runtime.audit.records import AuditPermit
 from cutgate.runtime.audit.signed import signed
 from cutgate.runtime.audit.tree import Tree
 
+_PERMIT: Final = AuditPermit.TOPIC
+"""Looked up once: an attribute of a model's class takes its time, and this is asked of every record."""
 ROOTS_MAX: Final = 1 << 16
 """Records from one that authorises to what is sent: over three seconds of the busiest bus, a commit has one second."""
 
@@ -52,7 +54,7 @@ class Roots:
 
     def take(self, topic: str, covered: bytes, data: bytes) -> None:
         """The next record: its topic, the bytes that the tree covers of it, and its JSON."""
-        if topic == AuditPermit.TOPIC:
+        if topic == _PERMIT:
             told = self._permit(data)
             if told and not self.wrong:
                 self.wrong = f"record {self.tree.size} ({topic}): {told}"

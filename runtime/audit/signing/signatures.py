@@ -29,6 +29,9 @@ from cutgate.runtime.audit.signing.note import NoteError, VerifierKey
 from cutgate.runtime.audit.signing.signer import Sidecar
 from cutgate.runtime.audit.tree import Tree
 
+_CHECKPOINT: Final = AuditCheckpoint.TOPIC
+_PERMIT: Final = AuditPermit.TOPIC
+"""Looked up once: an attribute of a model's class takes its time, and this is asked of every record."""
 KEY_FIELDS: Final = ("series", "epoch", "public_key", "certificate", "enrolled")
 """Fields of record 0 that a log before signatures has none of."""
 
@@ -93,10 +96,10 @@ class Signatures:
         if self.key is None or self.wrong:
             return
         told = ""
-        if topic == AuditCheckpoint.TOPIC:
+        if topic == _CHECKPOINT:
             told = self._checkpoint(record, tree)
             self._last = number
-        elif topic == AuditPermit.TOPIC and record.get("stage") == "sent" and "log_size" in record:
+        elif topic == _PERMIT and record.get("stage") == "sent" and "log_size" in record:
             size = record["log_size"]
             signed = isinstance(size, int) and size in self._sizes
             told = "" if signed else f"it names a tree of size {size}, which no checkpoint signs"

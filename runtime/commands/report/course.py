@@ -17,7 +17,13 @@ from cutgate.runtime.commands.report.curves import ROWS_MAX, Curves
 from cutgate.runtime.commands.report.place import ALONG_MAX, arm_points
 
 DEGREES: Final = ("q0", "q1", "q3", "q4")
-RANGES: Final = ("q0 of its range", "q1 of its range", "q2 of its range", "q3 of its range", "q4 of its range")
+RANGES: Final = (
+    "q0 of its range",
+    "q1 of its range",
+    "q2 of its range",
+    "q3 of its range",
+    "q4 of its range",
+)
 _JOINTS: Final = ("q0_deg", "q1_deg", "q2_mm", "q3_deg", "q4_deg")
 
 

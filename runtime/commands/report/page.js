@@ -238,6 +238,9 @@
     by("view3d").hidden = false;
     try {
       if (!session.place && !session.arm) throw new Error("nothing to draw");
+      const asked = document.createElement("canvas").getContext("webgl2");
+      if (!asked) throw new Error("no WebGL");
+      asked.getExtension("WEBGL_lose_context")?.loseContext();
       view = view3d(by("view3d"), session, night.matches && !printing);
     } catch (reason) {
       by("view3d").hidden = true;

@@ -11,6 +11,7 @@ from importlib.resources import files
 from typing import Any, Final
 
 from cutgate import __version__
+from cutgate.config.screen import printable
 from cutgate.runtime.commands.report.session import ReportedSession
 from cutgate.runtime.commands.verify_page import SCALE_STYLE, legend, pictures
 from cutgate.runtime.review.report import cards, differing, integrity, timeline
@@ -51,7 +52,7 @@ def page(
     )
     names = " and ".join(session.document["name"] for session in sessions)
     document = {"schema": SCHEMA, "sessions": [session.document for session in sessions]}
-    text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = json.dumps(_shown(document), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return "".join(
         (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
@@ -77,6 +78,15 @@ def page(
             f"<script>{script}</script></body></html>\n",
         )
     )
+
+
+def _shown(value: Any) -> Any:
+    """The same without a control character in any text: the script shows it as it stands."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, Mapping):
+        return {key: _shown(one) for key, one in value.items()}
+    return [_shown(one) for one in value] if isinstance(value, list) else value
 
 
 def _file(name: str) -> str:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import (
@@ -25,11 +26,11 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from mcap.stream_reader import StreamReader
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from cutgate.protocol import candump
-from cutgate.runtime.audit import records
+from cutgate.runtime.audit import records, second_reading
 from cutgate.runtime.audit.container.raw import MAGIC
 from cutgate.runtime.audit.container.scan import scan
 from cutgate.runtime.audit.heads import closing_head, recoverable_head
@@ -684,14 +685,14 @@ class Failing:
 
 
 def test_an_error_of_the_stock_reader_is_a_failure(data, monkeypatch):
-    monkeypatch.setattr("cutgate.runtime.audit.second_reading.StreamReader", Failing)
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading._Records", Failing)
     judged(data, "read linearly, the file gives an error: ValueError")
 
 
 def hiding(kind):
     """A stock reader from which one record of a kind is hidden."""
 
-    class Hiding(StreamReader):
+    class Hiding(second_reading._Records):
         @property
         def records(self):
             hidden = 0
@@ -706,8 +707,46 @@ def hiding(kind):
 
 @pytest.mark.parametrize("kind", [Chunk, Attachment])
 def test_another_content_read_linearly_is_a_failure(data, monkeypatch, kind):
-    monkeypatch.setattr("cutgate.runtime.audit.second_reading.StreamReader", hiding(kind))
+    monkeypatch.setattr("cutgate.runtime.audit.second_reading._Records", hiding(kind))
     judged(data, "read linearly, the file gives")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"data": b"{}"}, {"sequence": 7}, {"channel_id": 1}, {"log_time": 1}, {"publish_time": 1}],
+)
+def test_one_message_that_is_read_otherwise_is_a_failure(data, monkeypatch, changed):
+    parts = second_reading._parts
+    one = [part for record in linear(data) for part in parts(record) if isinstance(part, Message)][3]
+
+    def other(chunk):
+        return (replace(part, **changed) if part == one else part for part in parts(chunk))
+
+    assert replace(one, **changed) != one
+    monkeypatch.setattr(second_reading, "_parts", other)
+    judged(data, "read linearly, the file gives other records")
+
+
+def linear(data):
+    """The chunks of a log."""
+    records_of_file = StreamReader(io.BytesIO(data), emit_chunks=True).records
+    return [record for record in records_of_file if isinstance(record, Chunk)]
+
+
+def test_the_parts_of_a_chunk_are_those_that_the_library_finds(data):
+    for chunk in linear(data):
+        assert list(second_reading._parts(chunk)) == breakup_chunk(chunk)
+    message = packed(MESSAGE)
+    unknown = struct.pack("<BQ", 0x7F, 3) + b"abc"
+    content = first_schema(linear(data)[0].data) + unknown + message
+    chunk = replace(linear(data)[0], data=content, uncompressed_crc=0)
+    assert list(second_reading._parts(chunk)) == breakup_chunk(chunk)
+
+
+def test_a_chunk_whose_last_record_is_cut_has_no_parts(data):
+    chunk = replace(linear(data)[0], data=packed(MESSAGE)[:-1], uncompressed_crc=0)
+    with pytest.raises(EndOfFile):
+        list(second_reading._parts(chunk))
 
 
 @pytest.mark.parametrize("part", ["chunk_indexes", "attachment_indexes"])

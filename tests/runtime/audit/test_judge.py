@@ -1,18 +1,19 @@
 """The rules over the records, each broken alone, without a file around them."""
 
 import json
-from hashlib import sha256
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.records import Metadata
 
 from cutgate.protocol.records import TreeHead
 from cutgate.runtime.audit import judge as module
+from cutgate.runtime.audit import records
 from cutgate.runtime.audit.chain import GENESIS, of_channel
 from cutgate.runtime.audit.container.stored import ChannelInfo, Scan, Stored, StoredAttachment
 from cutgate.runtime.audit.judge import Judge, missing, parse_object
 from cutgate.runtime.audit.recovered import Recovered
-from cutgate.runtime.audit.second_reading import add_message
 from cutgate.runtime.audit.tree import Tree
 from tests.runtime.audit.build import wire_permit
 
@@ -99,12 +100,93 @@ def test_places_are_those_of_all_records_whose_topic_is_not_streamed(topic):
     assert all(size > 80 for *_, size in judge.places)
 
 
-def test_what_is_read_is_the_digest_of_topic_sequence_and_data_of_all():
-    log = Records().opened().add("/can/frame", {"id": 1})
-    digest = sha256()
-    add_message(digest, "/audit/open", 0, json.dumps({"log_id": LOG_ID, "prev": GENESIS.hex()}).encode())
-    add_message(digest, "/can/frame", 1, b'{"id": 1}')
-    assert log.judge.read.digest() == digest.digest()
+FRAME = records.CanFrame(stamp=records.Time(sec=7, nsec=8), direction="sent", id=9, dlc=8, data="00ff" * 4)
+
+
+@given(st.builds(
+    records.CanFrame,
+    stamp=st.builds(records.Time, sec=st.integers(0, 2**32 - 1), nsec=st.integers(0, 10**9 - 1)),
+    direction=st.sampled_from(["received", "sent"]),
+    id=st.integers(0, 2**29 - 1),
+    is_rtr=st.booleans(), is_extended=st.booleans(), is_error=st.booleans(),
+    dlc=st.integers(0, 15),
+    data=st.binary(max_size=64).map(bytes.hex),
+))  # fmt: skip
+def test_every_frame_that_a_session_writes_is_known_for_an_object_without_being_parsed(frame):
+    assert module._PLAIN.fullmatch(frame.encode())
+
+
+@given(st.data())
+@settings(max_examples=400)
+def test_what_is_taken_for_an_object_unparsed_is_one(draws):
+    """A frame with anything changed, inserted or taken out; the parser is the oracle."""
+    data = bytearray(FRAME.encode())
+    for _ in range(draws.draw(st.integers(1, 3))):
+        at = draws.draw(st.integers(0, len(data)))
+        new = draws.draw(st.sampled_from(PIECES) | st.binary(max_size=2))
+        data[at : at + draws.draw(st.integers(0, 3))] = new
+    if module._PLAIN.fullmatch(bytes(data)):
+        assert parse_object(bytes(data)) is not None
+
+
+PIECES = (
+    b"{",
+    b"}",
+    b'"',
+    b",",
+    b":",
+    b"[",
+    b"]",
+    b"0",
+    b"01",
+    b"-",
+    b".",
+    b"1" * 5000,
+    b"NaN",
+    b"\\",
+    b"\\u",
+    b"\n",
+    b"\xff",
+    b"true",
+)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b'{"a":NaN}',
+        b'{"a":01}',
+        b'{"a":1,}',
+        b'{"a":{"b":1},}',
+        b'{"a":1}{}',
+        b'{"a":"\n"}',
+        b'{"a":"\\"}',
+        b'{"a":"\xff"}',
+        b'{"a":%b}' % (b"1" * 5000),
+        b"{,}",
+        b"",
+        b'{"a"}',
+        b'["a"]',
+        b'{"a":1',
+    ],
+)
+def test_a_frame_that_is_no_object_is_named(data):
+    assert Records().opened().add("/can/frame", data=data).judge.problems == [
+        "record 1 (/can/frame): it is not a JSON object"
+    ]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b'{ "a": -1.5e3 }', b'{"a":null}', b'{"a":[1,{"b":[]}]}', b"{}", b'{"a":{"b":{"c":1}}}', b'{"a":"\\n"}'],
+)
+def test_a_frame_that_is_an_object_of_another_form_is_one_too(data):
+    assert Records().opened().add("/can/frame", data=data).judge.problems == []
+
+
+def test_a_frame_in_place_of_record_0_is_parsed():
+    judge = Records().add("/can/frame", data=b'{"log_id":"x"}').judge
+    assert (judge.first, judge.last, judge.roots.log_id) == ({"log_id": "x"}, {"log_id": "x"}, "x")
 
 
 def test_before_the_first_record_there_is_nothing():

@@ -51,6 +51,12 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
         names = opened.namelist()
     assert {name.split("/")[0] for name in names} == {"cutgate", f"cutgate-{__version__}.dist-info"}
     data = {name for name in names if name.startswith("cutgate/") and not name.endswith(".py")}
+    report = ROOT / "runtime" / "commands" / "report"
+    drawn = {
+        path.relative_to(report).as_posix()
+        for path in report.rglob("*")
+        if path.is_file() and path.suffix not in {".py", ".pyc"}
+    }
     examples = {
         path.name
         for pattern in ("*.json", "*.toml", "*.service")
@@ -59,6 +65,8 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
     presets = {path.name for path in (ROOT / "config" / "presets").iterdir()}
     assert data >= {"cutgate/py.typed", "cutgate/protocol/cutgate.dbc"}
     assert data >= {f"cutgate/runtime/commands/reach_page.{kind}" for kind in ("js", "css")}
+    assert drawn >= {"page.js", "page.css", "view3d.js", "vendor/drawing.js", "vendor/LICENSE.three"}
+    assert data >= {f"cutgate/runtime/commands/report/{name}" for name in drawn}
     assert data >= {f"cutgate/examples/{name}" for name in examples}
     assert data >= {f"cutgate/config/presets/{name}" for name in presets}
 

@@ -1,0 +1,1 @@
+"""Pages that the program writes, opened in the Chromium of this machine."""

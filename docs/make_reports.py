@@ -30,8 +30,8 @@ LARGEST: Final = 250_000
 COLOURS: Final = 192
 """Of a picture's palette: text and lines look the same, the file is a third."""
 TIME_SCALE: Final = 30.0
-STOPPED_AT: Final = 0.6
-"""Share of the cut at which the emergency stop is pressed."""
+STOPPED_AT: Final = 1200
+"""Segment of the cut, of 1999, in which the emergency stop is pressed."""
 Action = Callable[[Page], object]
 
 
@@ -107,7 +107,7 @@ def _stopped(folder: Path) -> Path:
             plan=examples / "hip-stem.plan.json",
             registration="registration-second.json",
         )
-        rig.bus.single(Progress, lambda progress: progress.fraction > STOPPED_AT)
+        rig.bus.single(Progress, lambda progress: progress.segment >= STOPPED_AT)
         sim.say("estop")
         run.exit()
         return rig.logs()[-1]

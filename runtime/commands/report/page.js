@@ -19,6 +19,7 @@
   let plots = [];
   let now = 0;
   let playing = null;
+  let printing = false;
 
   // ------------------------------------------------------------ the moment
 
@@ -33,16 +34,20 @@
   }
   function stateAt(lane, at) {
     const span = (lane.spans || []).filter((one) => one.from_s <= at).pop();
-    return span ? span.state : "";
+    return span ? span.state : "not known";
   }
   function show(at) {
     now = Math.min(Math.max(at, 0), session.end);
     by("moment").value = now;
     by("moment").setAttribute("aria-valuetext", `${now.toFixed(2)} s`);
     if (session.arm && view) view.moment(nearest(session.arm.t, now));
-    for (const { plot, time } of plots) if (time) plot.redraw(false);
+    for (const { plot, one, time } of plots) {
+      if (!time) continue;
+      plot.setLegend({ idx: nearest(one.x, now) });
+      plot.redraw(false);
+    }
     const mark = by("now");
-    if (mark) mark.setAttribute("d", `M${place(now)} 0V${mark.dataset.height}`);
+    if (mark) mark.setAttribute("d", `M${across(now)} 0V${mark.dataset.height}`);
     readout();
   }
   function readout() {
@@ -83,9 +88,19 @@
   // ------------------------------------------------------------ lanes
 
   const LEFT = 90;
-  const place = (at) => (LEFT + (at / Math.max(session.end, 1e-9)) * (1000 - LEFT)).toFixed(1);
+  const ROW = 26;
+  const PAPER = 700;
+  let wide = PAPER;
+  const across = (at) => (LEFT + (at / Math.max(session.end, 1e-9)) * (wide - LEFT - 2)).toFixed(1);
+  const lettersWide = (text) => [...text].reduce((sum, letter) => sum + (letter === letter.toLowerCase() ? 7 : 9), 0);
+  // 1, 2 or 5 of a power of ten: at least as much as asked for.
+  function roundStep(least) {
+    const ten = 10 ** Math.floor(Math.log10(least));
+    return [1, 2, 5, 10].map((one) => one * ten).find((one) => one >= least * 0.999);
+  }
   function drawLanes() {
     const svg = by("lanes");
+    wide = Math.max(printing ? PAPER : svg.clientWidth || PAPER, LEFT + 100);
     const draw = (name, attributes, text) => {
       const element = document.createElementNS("http://www.w3.org/2000/svg", name);
       for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
@@ -94,18 +109,18 @@
     };
     const parts = [];
     session.lanes.forEach((lane, row) => {
-      const y = row * 26;
+      const y = row * ROW;
       parts.push(draw("text", { x: 0, y: y + 16, class: "lane" }, lane.name));
       for (const span of lane.spans || []) {
-        const [x, end] = [Number(place(span.from_s)), Number(place(span.to_s))];
+        const [x, end] = [Number(across(span.from_s)), Number(across(span.to_s))];
         const box = draw("rect", { x, y: y + 2, width: Math.max(end - x, 0.8), height: 19, class: `span ${span.kind}` });
         box.append(draw("title", {}, `${span.state}, ${span.from_s.toFixed(3)} to ${span.to_s.toFixed(3)} s`));
         box.addEventListener("click", () => show(span.from_s));
         parts.push(box);
-        if (end - x > span.state.length * 6.6 + 6) parts.push(draw("text", { x: x + 4, y: y + 16, class: "state" }, span.state));
+        if (end - x > lettersWide(span.state) + 8) parts.push(draw("text", { x: x + 4, y: y + 16, class: "state" }, span.state));
       }
       for (const mark of lane.marks || []) {
-        const x = Number(place(mark.t_s));
+        const x = Number(across(mark.t_s));
         const shape = mark.kind === "bad" ? `M${x - 5} ${y + 6}l10 10m0 -10l-10 10` : `M${x} ${y + 4}l6 7-6 7-6-7Z`;
         const sign = draw("path", { d: shape, class: `mark ${mark.kind}` });
         sign.append(draw("title", {}, `${mark.text}, ${mark.t_s.toFixed(3)} s`));
@@ -116,8 +131,16 @@
         parts.push(sign);
       }
     });
-    const height = session.lanes.length * 26;
-    svg.setAttribute("viewBox", `0 0 1000 ${height}`);
+    const height = session.lanes.length * ROW;
+    const step = roundStep((session.end * 70) / (wide - LEFT));
+    const digits = Math.max(0, -Math.floor(Math.log10(step)));
+    for (let k = 0; k * step <= session.end * 1.0001; k += 1) {
+      const x = Number(across(k * step));
+      parts.push(draw("path", { d: `M${x} ${height}v5`, class: "tick" }));
+      const last = wide - x < 40;
+      parts.push(draw("text", { x, y: height + 18, class: "lane", "text-anchor": last ? "end" : "middle" }, `${(k * step).toFixed(digits)}${k ? "" : " s"}`));
+    }
+    svg.setAttribute("viewBox", `0 0 ${wide} ${height + 22}`);
     parts.push(draw("path", { id: "now", d: "", "data-height": height }));
     svg.replaceChildren(...parts);
   }
@@ -133,7 +156,7 @@
     const [ink, grid, colours] = dark ? ["#eceff3", "#3a424c", DUSK] : ["#16181d", "#dfe3e8", DAY];
     for (const one of session.plots) {
       const figure = make("figure");
-      figure.append(make("figcaption", `${one.title}, ${one.unit}`));
+      figure.append(make("figcaption", one.title.includes(one.unit) ? one.title : `${one.title}, ${one.unit}`));
       const box = make("div", undefined, "plot");
       figure.append(box);
       holder.append(figure);
@@ -144,31 +167,40 @@
         series.push({ label: line.name, stroke: colours[k % colours.length], width: 1.6, dash: LINES[k % LINES.length], points: { show: one.x.length < 60, size: 4 } });
         columns.push(line.values);
       });
+      const bound = dark ? "#ff8a4c" : "#c23b00";
       for (const line of one.lines) {
-        series.push({ label: line.name, stroke: dark ? "#ff8a4c" : "#c23b00", width: 2, dash: [6, 4], points: { show: false } });
+        // Drawn over the whole width, not only where there are samples.
+        series.push({ label: line.name, stroke: bound, width: 2, dash: [6, 4], points: { show: false }, paths: () => null });
         columns.push(one.x.map(() => line.value));
       }
       const axis = { stroke: ink, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 }, font: "12px system-ui, sans-serif" };
       const plot = new drawing.uPlot({
         width: box.clientWidth || 560,
         height: 210,
-        scales: { x: { time: false } },
+        scales: { x: { time: false, range: time ? [0, session.end] : undefined } },
         series,
         axes: [{ ...axis, label: time ? "s" : "mm along the path", labelSize: 20, labelFont: axis.font }, { ...axis, size: 56 }],
         cursor: { sync: time ? { key: "time" } : undefined, drag: { setScale: false, x: false, y: false } },
         hooks: {
           draw: [(drawn) => {
-            if (!time) return;
+            const { ctx, bbox } = drawn;
+            const stroke = (colour, dash, from, to) => {
+              ctx.setLineDash(dash);
+              ctx.strokeStyle = colour;
+              ctx.beginPath();
+              ctx.moveTo(...from);
+              ctx.lineTo(...to);
+              ctx.stroke();
+            };
+            ctx.save();
+            ctx.lineWidth = 2;
+            for (const line of one.lines) {
+              const y = drawn.valToPos(line.value, "y", true);
+              stroke(bound, [6, 4], [bbox.left, y], [bbox.left + bbox.width, y]);
+            }
             const x = drawn.valToPos(now, "x", true);
-            drawn.ctx.save();
-            drawn.ctx.setLineDash([]);
-            drawn.ctx.strokeStyle = ink;
-            drawn.ctx.lineWidth = 2;
-            drawn.ctx.beginPath();
-            drawn.ctx.moveTo(x, drawn.bbox.top);
-            drawn.ctx.lineTo(x, drawn.bbox.top + drawn.bbox.height);
-            drawn.ctx.stroke();
-            drawn.ctx.restore();
+            if (time) stroke(ink, [], [x, bbox.top], [x, bbox.top + bbox.height]);
+            ctx.restore();
           }],
           setCursor: [(drawn) => {
             if (!time && view && session.place) view.point(drawn.cursor.idx === null || drawn.cursor.idx === undefined ? null : nearest(session.place.length, one.x[drawn.cursor.idx]));
@@ -178,11 +210,23 @@
       plot.over.addEventListener("click", () => {
         if (time && plot.cursor.idx !== null) show(one.x[plot.cursor.idx]);
       });
-      plots.push({ plot, box, time });
+      if (!time) plot.setLegend({ idx: lowest(one) });
+      plots.push({ plot, one, box, time });
     }
   }
-  let printing = false;
+  // Where the least of all values is.
+  function lowest(one) {
+    let [at, least] = [0, Infinity];
+    for (const { values } of one.series) {
+      values.forEach((value, k) => {
+        if (value !== null && value < least) [at, least] = [k, value];
+      });
+    }
+    return at;
+  }
   function resize() {
+    drawLanes();
+    show(now);
     const width = (box) => (printing ? Math.min(box.clientWidth, 330) : box.clientWidth) || 560;
     for (const { plot, box } of plots) plot.setSize({ width: width(box), height: 210 });
     if (view) view.resize();
@@ -249,6 +293,27 @@
       by("no3d").textContent = session.place || session.arm ? "No three-dimensional view here (no WebGL): the pictures below show the same place." : "This log holds no path and no arm to draw.";
     }
   }
+  // The place that is nearest to a limit, and if the arm came there, when; false where there is no view to show it in.
+  function closest(number) {
+    if (number !== data.sessions.indexOf(session)) {
+      by("session").value = number;
+      begin(number);
+    }
+    if (!view || !session.place || !session.place.ratio.length) return false;
+    const { ratio, wrist } = session.place;
+    const k = ratio.reduce((least, value, at) => ((value ?? Infinity) < (ratio[least] ?? Infinity) ? at : least), 0);
+    const at = wrist.slice(3 * k, 3 * k + 3);
+    view.toPlace(...at);
+    view.point(k);
+    if (session.arm) {
+      const away = session.arm.t.map((_, m) => Math.hypot(...at.map((value, axis) => session.arm.points[12 * m + 6 + axis] - value)));
+      const when = away.indexOf(Math.min(...away));
+      if (away[when] < REACHED_MM) show(session.arm.t[when]);
+    }
+    by("play").scrollIntoView({ behavior: still ? "auto" : "smooth" });
+    return true;
+  }
+  const REACHED_MM = 25;
   function begin(number) {
     session = data.sessions[number];
     by("moment").max = session.end;
@@ -289,6 +354,8 @@
   document.addEventListener("click", (event) => {
     const link = event.target.closest("a[data-at]");
     if (link) show(Number(link.dataset.at));
+    const nearestLimit = event.target.closest('#top a[href^="#place"]');
+    if (nearestLimit && closest(Number(nearestLimit.hash.replace("#place", "")))) event.preventDefault();
   });
   const again = () => {
     const at = now;

@@ -5,6 +5,7 @@ function view3d(holder, session, dark) {
   const ink = dark ? "#eceff3" : "#16181d";
   const soft = dark ? "#a8b1bd" : "#565d68";
   const wrong = dark ? "#ff8a4c" : "#c23b00";
+  const [BACK, BOTH] = [1, 2];
   const went = dark ? "#8ab4f8" : "#0b57d0";
   const renderer = new three.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
   renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
@@ -103,9 +104,25 @@ function view3d(holder, session, dark) {
     geometry.setAttribute("position", new three.Float32BufferAttribute(at, 3));
     geometry.setAttribute("color", new three.Float32BufferAttribute(colours, 3));
     geometry.setIndex(faces);
-    const back = 1;
-    const both = 2;
-    scene.add(new three.Mesh(geometry, outline ? new three.MeshBasicMaterial({ color: ink, side: back }) : new three.MeshBasicMaterial({ vertexColors: true, side: both })));
+    // Without depth, and first: it stands out against what is behind, and hides nothing of a path whose loops are close.
+    const mesh = new three.Mesh(geometry, outline ? new three.MeshBasicMaterial({ color: ink, side: BACK, depthWrite: false }) : new three.MeshBasicMaterial({ vertexColors: true, side: BOTH }));
+    mesh.renderOrder = outline ? -1 : 0;
+    scene.add(mesh);
+  };
+  // A wall between two polylines of as many points.
+  const wall = (low, high, colour, opacity) => {
+    const at = [];
+    const faces = [];
+    low.forEach((point, k) => {
+      at.push(point.x, point.y, point.z, high[k].x, high[k].y, high[k].z);
+      if (k) faces.push(2 * k - 2, 2 * k - 1, 2 * k, 2 * k - 1, 2 * k + 1, 2 * k);
+    });
+    const geometry = new three.BufferGeometry();
+    geometry.setAttribute("position", new three.Float32BufferAttribute(at, 3));
+    geometry.setIndex(faces);
+    const mesh = new three.Mesh(geometry, new three.MeshBasicMaterial({ color: colour, side: BOTH, transparent: true, opacity, depthWrite: false }));
+    mesh.renderOrder = 1;
+    scene.add(mesh);
   };
 
   // From afar the letters of worst places would lie on each other: there one word says where the path is.
@@ -130,6 +147,9 @@ function view3d(holder, session, dark) {
     scene.add(new three.LineSegments(new three.BufferGeometry().setFromPoints(axes), new three.LineBasicMaterial({ color: soft, transparent: true, opacity: 0.35 })));
     for (const flat of place.workspace) polyline(vectors(flat), ink, false);
     for (const flat of place.deadband) polyline(vectors(flat), soft, true);
+    // Each arc of the boundary comes with both ends of the slide and a corner, each of the deadband with both ends.
+    for (let k = 0; k + 2 < place.workspace.length; k += 3) wall(vectors(place.workspace[k]), vectors(place.workspace[k + 1]), went, 0.1);
+    for (let k = 0; k + 1 < place.deadband.length; k += 2) wall(vectors(place.deadband[k]), vectors(place.deadband[k + 1]), wrong, 0.05);
     for (const flat of place.workspace) all.union(new three.Box3().setFromPoints(vectors(flat)));
     for (const one of place.worst) letters.push(letter(one.letter, vectors(one.place)[0], one.violated));
     farther = letter("path", near.getCenter(new three.Vector3()), place.worst.some((one) => one.violated));
@@ -153,17 +173,34 @@ function view3d(holder, session, dark) {
 
   const draw = () => {
     const away = near.isEmpty() || camera.position.distanceTo(near.getCenter(new three.Vector3())) > 6 * near.getSize(new three.Vector3()).length();
+    // Close to the path the arm would stand before it.
+    for (const mesh of arm ? [...arm.rods.slice(0, 3), ...arm.balls] : []) {
+      mesh.material.transparent = !away;
+      mesh.material.opacity = away ? 1 : 0.22;
+      mesh.material.depthWrite = away;
+    }
     for (const one of letters) one.visible = !away;
     if (farther) farther.visible = away;
     renderer.render(scene, camera);
   };
   const fit = (box, from) => {
     const middle = box.getCenter(new three.Vector3());
-    const half = (camera.fov * Math.PI) / 360;
-    const wide = Math.atan(Math.tan(half) * camera.aspect);
-    const away = (box.getSize(new three.Vector3()).length() / 2 / Math.sin(Math.min(half, wide))) * 0.8;
-    camera.position.copy(middle).addScaledVector(new three.Vector3(...from).normalize(), away);
+    const way = new three.Vector3(...from).normalize();
+    let away = Math.max(box.getSize(new three.Vector3()).length(), 10) * 2;
     controls.target.copy(middle);
+    // The corner that is farthest out, of the whole width or height, says how much nearer or farther to go.
+    for (let round = 0; round < 6; round += 1) {
+      camera.position.copy(middle).addScaledVector(way, away);
+      controls.update();
+      camera.updateMatrixWorld();
+      let out = 0;
+      for (let corner = 0; corner < 8; corner += 1) {
+        const seen = new three.Vector3(corner & 1 ? box.max.x : box.min.x, corner & 2 ? box.max.y : box.min.y, corner & 4 ? box.max.z : box.min.z).project(camera);
+        out = Math.max(out, Math.abs(seen.x), Math.abs(seen.y));
+      }
+      away *= Math.min(Math.max(out / 0.88, 0.5), 2);
+    }
+    camera.position.copy(middle).addScaledVector(way, away);
     controls.update();
     draw();
   };
@@ -199,6 +236,12 @@ function view3d(holder, session, dark) {
       here.visible = k !== null;
       if (k !== null) here.position.set(place.wrist[3 * k], place.wrist[3 * k + 1], place.wrist[3 * k + 2]);
       draw();
+    },
+    // Close to one place of the wrist centre.
+    toPlace(x, y, z) {
+      const size = Math.max(near.getSize(new three.Vector3()).length() / 6, 5);
+      const middle = new three.Vector3(x, y, z);
+      fit(new three.Box3(middle.clone().subScalar(size), middle.clone().addScalar(size)), [-0.6, -1, 0.55]);
     },
     dispose() {
       renderer.dispose();

@@ -5,7 +5,6 @@ import json
 import re
 from hashlib import sha256
 from html.parser import HTMLParser
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -191,12 +190,3 @@ def test_a_tampered_log_is_told_first(tmp_path):
     log.write_bytes(data)
     found = Parsed(report(tmp_path / "page.html", log))
     assert found.text["top"].lstrip().startswith("The log was TAMPERED with")
-
-
-def test_what_is_vendored_is_what_was_bundled():
-    folder = files("cutgate.runtime.commands.report") / "vendor"
-    told = json.loads((folder / "vendored.json").read_text(encoding="utf-8"))
-    there = {one.name for one in folder.iterdir()} - {"vendored.json"}
-    assert there == set(told["sha256"])
-    for name, digest in told["sha256"].items():
-        assert sha256((folder / name).read_bytes()).hexdigest() == digest

@@ -1,20 +1,14 @@
-"""The page in a browser: Debian's chromium, or the one that CUTGATE_CHROMIUM names; without one these tests are skipped."""
+"""The report page in a browser: first screen, three dimensions, slider, filter, links, paper, night, narrow, no WebGL."""
 
-import os
-import shutil
+from contextlib import ExitStack
 
 import pytest
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
 from cutgate.runtime.commands.app import execute
+from tests.browser.chromium import ABSENT, DESKTOP, NARROW, WITHOUT_WEBGL, launched, opened, program
+from tests.runtime.commands.report.sessions import logs_of
 
-CHROMIUM = os.environ.get("CUTGATE_CHROMIUM") or shutil.which("chromium")
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
-NO_WEBGL = ("--disable-webgl", "--disable-webgl2", "--disable-software-rasterizer")
-DESKTOP = {"width": 1280, "height": 800}
 DRAWN = """() => {
   const canvas = document.querySelector("#view3d canvas");
   const copy = document.createElement("canvas");
@@ -48,60 +42,25 @@ CONTRAST = """() => {
   return least;
 }"""
 
-pytestmark = [
-    pytest.mark.processes,
-    pytest.mark.skipif(not CHROMIUM, reason="no chromium on this machine, and CUTGATE_CHROMIUM names none"),
-]
+pytestmark = [pytest.mark.processes, pytest.mark.skipif(program() is None, reason=ABSENT)]
 
 
 @pytest.fixture(scope="module")
-def pages(logs, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pages")
+def pages(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("pages"), logs_of(tmp_path_factory)
     asked = {name: [log] for name, log in logs.items()} | {"two": [logs["refused"], logs["cut"]]}
     for name, which in asked.items():
         assert execute(["audit", "report", *map(str, which), "-o", str(folder / f"{name}.html")]) == 0
     return folder
 
 
-@pytest.fixture(scope="module")
-def chromium():
-    with sync_playwright() as play:
-        yield lambda *flags: play.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, *flags])
-
-
-@pytest.fixture(scope="module")
-def browser(chromium):
-    opened = chromium()
-    yield opened
-    opened.close()
-
-
 @pytest.fixture
 def visit(browser, pages):
     """Opens a page; fails in the end if it has complained, or asked for anything."""
-    complaints, contexts = [], []
-
-    def opened(name, **options):
-        context = (options.pop("browser", None) or browser).new_context(
-            offline=True, **({"viewport": DESKTOP} | options)
+    with ExitStack() as open_pages:
+        yield lambda name, *size, **options: open_pages.enter_context(
+            opened(browser, pages / f"{name}.html", *size, **options)
         )
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda told: complaints.append(told.text) if told.type == "error" else None)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on(
-            "request",
-            lambda asked: (
-                None if asked.url.startswith(("file:", "data:", "blob:")) else complaints.append(asked.url)
-            ),
-        )
-        page.goto((pages / f"{name}.html").as_uri())
-        return page
-
-    yield opened
-    for context in contexts:
-        context.close()
-    assert not complaints
 
 
 @pytest.mark.parametrize("name", ["cut", "refused", "stopped"])
@@ -109,14 +68,14 @@ def test_the_first_screen_answers_the_three_questions(visit, name):
     page = visit(name)
     for part in ("allowed", "stopped", "close"):
         box = page.locator(f"#{part}").bounding_box()
-        assert box["y"] + box["height"] <= DESKTOP["height"]
-        assert box["x"] + box["width"] <= DESKTOP["width"]
+        assert box["y"] + box["height"] <= DESKTOP[1]
+        assert box["x"] + box["width"] <= DESKTOP[0]
 
 
 @pytest.mark.parametrize("name", ["cut", "refused", "stopped"])
 def test_the_first_printed_page_answers_them_too(visit, name):
     """A4 has 297 mm less margins of 10 mm: 1047 px at the 96 to an inch that print has."""
-    page = visit(name, viewport={"width": 718, "height": 1047})
+    page = visit(name, (718, 1047))
     page.emulate_media(media="print")
     for part in ("allowed", "stopped", "close"):
         box = page.locator(f"#{part}").bounding_box()
@@ -191,12 +150,12 @@ def test_of_two_sessions_the_chosen_one_is_played(visit):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everything_can_be_read_by_day_and_by_night(visit, scheme):
-    page = visit("stopped", color_scheme=scheme)
+    page = visit("stopped", scheme=scheme)
     assert page.evaluate(CONTRAST) >= 4.5
 
 
 def test_a_narrow_screen_scrolls_in_one_direction(visit):
-    page = visit("stopped", viewport={"width": 390, "height": 800})
+    page = visit("stopped", NARROW)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
@@ -215,16 +174,13 @@ def test_two_openings_look_the_same(visit):
 
 
 def test_without_scripts_the_pictures_tell_it(visit):
-    page = visit("cut", java_script_enabled=False)
+    page = visit("cut", script=False)
     assert page.locator("#place svg.view").count() == 4
     assert page.locator("#play").is_hidden()
-    page.context.close()
 
 
-def test_without_webgl_everything_else_works(chromium, visit):
-    with chromium(*NO_WEBGL) as browser:
-        page = visit("cut", browser=browser)
+def test_without_webgl_everything_else_works(driver, pages):
+    with launched(driver, *WITHOUT_WEBGL) as browser, opened(browser, pages / "cut.html") as page:
         assert page.locator("#no3d").is_visible()
         assert page.locator("#plots figure").count() >= 6
         assert page.locator("#rows tr").count() > 10
-        page.context.close()

@@ -101,6 +101,7 @@ docs: $(READY) pictures
 
 pictures: $(READY)
 	$(BIN)/python docs/make_pictures.py
+	$(BIN)/python -m docs.make_reports
 
 check: lint types imports
 

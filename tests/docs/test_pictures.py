@@ -6,6 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 from docs.make_pictures import PICTURES, main
+from docs.make_reports import SHOTS
 
 DOCS = Path(__file__).parents[2] / "docs"
 LARGEST = 200_000
@@ -22,9 +23,9 @@ def test_the_script_draws_every_picture_small_and_not_blank(tmp_path):
             assert picture.size[0] == 990
 
 
-def test_the_committed_pictures_are_those_of_the_script_and_the_map_of_reach():
+def test_the_committed_pictures_are_those_of_the_scripts_and_the_map_of_reach():
     committed = {file.name for file in (DOCS / "pictures").iterdir()}
-    assert committed == {*PICTURES, "reach-hip-stem.png"}
+    assert committed == {*PICTURES, *SHOTS, "reach-hip-stem.png"}
     assert all(file.stat().st_size < LARGEST for file in (DOCS / "pictures").iterdir())
 
 

@@ -651,7 +651,7 @@ FOLLOWS: dict[Evaluate, Evaluate] = {
     trajectory_known: approach_admissible,
 }
 """What fails only because another one does: a person need not read it."""
-FOLLOWING = frozenset({"approach and retract", "reference trajectory"})
+FOLLOWING: frozenset[str] = frozenset({"approach and retract", "reference trajectory"})
 """Their names, as logs have them."""
 
 

@@ -685,3 +685,7 @@ def test_a_clearance_of_nothing_is_not_to_be_lowered():
         there = {"job__timing__approach_clearance_um": round(clearance_mm * 1000)}
         said = remedy(p.approach_admissible, verdict__approach=None, **there)
         assert ("lower approach_clearance_mm" in said) is lowered
+
+
+def test_what_only_follows_goes_by_the_names_that_logs_have():
+    assert {permissive(READY, NOW).name for permissive in p.FOLLOWS} == p.FOLLOWING

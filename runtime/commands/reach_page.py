@@ -4,7 +4,6 @@ Data, script and style stand in the page; its policy names the two by their hash
 """
 
 import base64
-import hashlib
 import html
 import json
 import math
@@ -17,6 +16,7 @@ import numpy as np
 
 from cutgate.config.screen import printable
 from cutgate.protocol.arrays import Ints
+from cutgate.runtime.commands.page_policy import page_policy
 from cutgate.runtime.commands.reach_picture import (
     KINDS,
     RATIO_MAX,
@@ -63,10 +63,7 @@ def page(document: dict[str, Any], found: Surveyed, arcs: Arcs) -> str:
     folder = files("cutgate.runtime.commands")
     script = (folder / "reach_page.js").read_text(encoding="utf-8")
     style = (folder / "reach_page.css").read_text(encoding="utf-8") + _tints()
-    policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; "
-        "base-uri 'none'; form-action 'none'"
-    )
+    policy = page_policy(script, style)
     title = html.escape(printable(f"Where the bone could stand: {document['plan']} on {document['robot']}"))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -79,10 +76,6 @@ def page(document: dict[str, Any], found: Surveyed, arcs: Arcs) -> str:
         f'<script type="text/plain" id="data">{_data(document, drawn, first, arcs)}</script>\n'
         f"<script>{script}</script></body></html>\n"
     )
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _tints() -> str:

@@ -3,8 +3,6 @@
 Without scripts it shows the same. Its policy names script and style by their hashes and allows nothing else.
 """
 
-import base64
-import hashlib
 import html
 import json
 import math
@@ -14,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from cutgate.protocol.arrays import Floats, Ints
+from cutgate.runtime.commands.page_policy import page_policy
 from cutgate.runtime.commands.reach_page import CIVIDIS
 from cutgate.runtime.commands.verify_scene import LETTERS, MEANINGS, Drawn, Scene, Window, labels, windows
 
@@ -62,10 +61,7 @@ def page(shown: Scene) -> str:
     folder = files("cutgate.runtime.commands")
     script = (folder / "verify_page.js").read_text(encoding="utf-8")
     style = (folder / "verify_page.css").read_text(encoding="utf-8") + SCALE_STYLE
-    policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; "
-        "base-uri 'none'; form-action 'none'"
-    )
+    policy = page_policy(script, style)
     title = html.escape(shown.title)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -81,10 +77,6 @@ def page(shown: Scene) -> str:
         f'<script type="application/json" id="data">{_data(shown)}</script>\n'
         f"<script>{script}</script></body></html>\n"
     )
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _move(shown: Scene) -> str:

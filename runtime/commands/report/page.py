@@ -3,15 +3,14 @@
 Its policy names script and style by their hashes and allows nothing else. What a log says is text in it, never markup.
 """
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
-from hashlib import sha256
 from importlib.resources import files
 from typing import Any, Final
 
 from cutgate import __version__
 from cutgate.config.screen import printable
+from cutgate.runtime.commands.page_policy import page_policy
 from cutgate.runtime.commands.report.session import ReportedSession
 from cutgate.runtime.commands.verify_page import SCALE_STYLE, legend, pictures
 from cutgate.runtime.review.report import cards, differing, integrity, timeline
@@ -46,10 +45,7 @@ def page(
     shown = redaction.page if redaction else str
     script = "\n".join(map(_file, _SCRIPTS))
     style = "\n".join((*map(_file, _STYLES), SCALE_STYLE))
-    policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
-        "base-uri 'none'; form-action 'none'"
-    )
+    policy = page_policy(script, style, images=True)
     names = " and ".join(session.document["name"] for session in sessions)
     document = {"schema": SCHEMA, "sessions": [session.document for session in sessions]}
     text = json.dumps(_shown(document), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
@@ -91,10 +87,6 @@ def _shown(value: Any) -> Any:
 
 def _file(name: str) -> str:
     return (files("cutgate.runtime.commands") / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(sha256(text.encode()).digest()).decode()}'"
 
 
 # ---------------------------------------------------------------- the first screen

@@ -151,7 +151,7 @@ def _deadbands(decision: DrawnDecision) -> list[Floats]:
     return [decision.in_robot(part, np.full(len(part), end)) for part in parts for end in (low, high)]
 
 
-TOGETHER: Final = 0.05
+TOGETHER: Final = 0.12
 """Parts of the path's size: worst places that lie nearer to each other have one label."""
 
 

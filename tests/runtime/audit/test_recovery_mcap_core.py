@@ -4,18 +4,16 @@
 """
 
 import json
-import shutil
-import subprocess
 from hashlib import sha256
 
 import pytest
 
+from tests.node import needs_packages, node
 from tests.runtime.audit.build import session_log
 from tests.runtime.audit.cuts import Whole, recovered
 
 pytestmark = pytest.mark.processes
 
-TIMEOUT_S = 60
 READ = """
 const { readFileSync } = require("node:fs");
 const { createHash } = require("node:crypto");
@@ -40,19 +38,9 @@ Promise.all(process.argv.slice(1).map(read)).then((all) => console.log(JSON.stri
 """
 
 
-def node(script, *arguments):
-    command = [shutil.which("node") or "node", "-e", script, "--", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def mcap_core():
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed: the copy is not read by @mcap/core")
-    if node('require.resolve("@mcap/core")').returncode:
-        pytest.skip(
-            "node finds no @mcap/core (npm install it, and set NODE_PATH): the copy is not read by it"
-        )
+    needs_packages("the copy", "@mcap/core")
 
 
 def by_python(whole, left):

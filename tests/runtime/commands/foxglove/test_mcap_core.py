@@ -4,18 +4,16 @@
 """
 
 import json
-import shutil
-import subprocess
 from hashlib import sha256
 
 import pytest
 
+from tests.node import needs_packages, node
 from tests.runtime.commands.foxglove.sessions import exported, finished_session, one_clock, read_indexed
 from tests.runtime.session.pair import job_of, pair_of
 
 pytestmark = pytest.mark.processes
 
-TIMEOUT_S = 60
 READ = """
 const { readFileSync } = require("node:fs");
 const { createHash } = require("node:crypto");
@@ -45,19 +43,9 @@ read();
 """
 
 
-def node(script, *arguments):
-    command = [shutil.which("node") or "node", "-e", script, "--", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def mcap_core():
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed: the export is not read by @mcap/core")
-    if node('require.resolve("@mcap/core"); require.resolve("@mcap/support")').returncode:
-        pytest.skip(
-            "node finds no @mcap/core and @mcap/support (npm install them, and set NODE_PATH): the export is not read by them"
-        )
+    needs_packages("the export", "@mcap/core", "@mcap/support")
 
 
 def test_the_export_gives_the_same_to_mcap_core(tmp_path, tmp_path_factory):

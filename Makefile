@@ -19,9 +19,11 @@ AT_ONCE ?= 4
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(BRIEF), and not no_cover)" $(if $(BRIEF),$(BRIEFLY))
-	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long" --ignore tests/vcan
+	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long and not browser" --ignore tests/vcan
+	$(if $(BRIEF),,$(PYTEST) -m "browser and not slow and not long" tests/browser)
 
-# With BRIEF=1, on a second Python, those are left out that repeat one act hundreds of times, and whole sessions in virtual
+# A browser draws in software on every core and writes its profile: sessions beside it would wait for processor and disk.
+# With BRIEF=1, on a second Python, it is left out, and what repeats one act hundreds of times, and whole sessions in virtual
 # time with every error and fault, which are the same on any.
 BRIEFLY := --ignore tests/errors --ignore tests/fault_injection
 

@@ -5,7 +5,7 @@ import pytest
 from tests.browser import chromium as machine
 from tests.browser.chromium import opened
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.browser]
 
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
 

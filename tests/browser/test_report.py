@@ -42,7 +42,11 @@ CONTRAST = """() => {
   return least;
 }"""
 
-pytestmark = [pytest.mark.processes, pytest.mark.skipif(program() is None, reason=ABSENT)]
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.browser,
+    pytest.mark.skipif(program() is None, reason=ABSENT),
+]
 
 
 @pytest.fixture(scope="module")

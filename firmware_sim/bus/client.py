@@ -1,23 +1,26 @@
 """python-can's way onto the virtual bus: `can.Bus(interface="cutgate", channel=...)`."""
 
 import math
+import os
 import select
 import socket
 import time
-from typing import Any, Final
+from collections import deque
+from typing import Any, Final, NamedTuple
 
 import can
 
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
 from cutgate.firmware_sim.bus import wire
+from cutgate.firmware_sim.bus.messages import frame_of, message_of
 from cutgate.firmware_sim.bus.peer import peer_of
-from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
+from cutgate.firmware_sim.bus.states import CONTROLLER as ERROR_CONTROLLER
+from cutgate.firmware_sim.bus.states import RECEIVE_OVERFLOW, overflow_frame
+from cutgate.firmware_sim.bus.wire import HubKind, HubRecord, WireError
 
 HELLO_TIMEOUT_S: Final = 2.0
-ERROR_CONTROLLER: Final = 0x004
-"""Identifier of the error frame that stands for lost frames, as Linux numbers it (CAN_ERR_CRTL)."""
-RECEIVE_OVERFLOW: Final = 0x01
-"""Its second data byte (CAN_ERR_CRTL_RX_OVERFLOW)."""
+
+__all__ = ["ERROR_CONTROLLER", "RECEIVE_OVERFLOW", "VirtualBus"]
 
 
 class VirtualBus(can.BusABC):
@@ -60,11 +63,18 @@ class VirtualBus(can.BusABC):
         self._fd_frames = fd
         self._failure: str | None = None
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
-        self._sock = _join(path, wire.hello(fd=fd, own=receive_own_messages))
+        self._waiting: deque[tuple[can.Message, bool]] = deque()
+        """Frames of the datagram that is still in the socket; and whether the filters are to leave them alone."""
+        self._room: int | None = None
+        self._sock, self._depth, self._room = _join(path, wire.hello(fd=fd, own=receive_own_messages))
         self._readable = select.poll()
         self._readable.register(self._sock, select.POLLIN)
         self._writable = select.poll()
         self._writable.register(self._sock, select.POLLOUT)
+        self._has_room = select.poll()
+        self._has_room.register(self._sock, 0)  # woken when the hub ends
+        if self._room is not None:
+            self._has_room.register(self._room, select.POLLIN)
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def fileno(self) -> int:
@@ -78,10 +88,11 @@ class VirtualBus(can.BusABC):
             can.CanOperationError: the hub has ended or misbehaved, now or earlier.
         """
         deadline = math.inf if timeout is None else time.monotonic() + timeout
-        while True:
+        while not self._waiting:
             self._refuse_after_failure()
             try:
-                raw = self._sock.recv(wire.MAX_RECORD + 1, socket.MSG_DONTWAIT)
+                # Left in the socket until its last frame is taken: so long it stays readable for whoever polls it.
+                raw = self._sock.recv(wire.MAX_DATAGRAM, socket.MSG_DONTWAIT | socket.MSG_PEEK)
             except BlockingIOError:
                 if not _wait(self._readable, deadline):
                     return None, False
@@ -90,7 +101,11 @@ class VirtualBus(can.BusABC):
                 raise self._fail(f"the hub at {self._path} has ended: {error.strerror}") from error
             if not raw:
                 raise self._fail(f"the hub at {self._path} has ended")
-            return self._message(raw)
+            self._took(raw)
+        next_one = self._waiting.popleft()
+        if not self._waiting:
+            self._sock.recv(1, socket.MSG_DONTWAIT)
+        return next_one
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Put one frame on the bus; returns once the hub's socket has taken it.
@@ -103,64 +118,81 @@ class VirtualBus(can.BusABC):
             can.CanTimeoutError: the queue stayed full; the frame was not sent and the bus still works.
             can.CanOperationError: a frame no CAN bus carries, or the hub has ended, now or earlier.
         """
-        raw = self._record(msg).pack()
+        raw = wire.of_frame(frame_of(msg, fd=self._fd_frames))
         deadline = math.inf if timeout is None else time.monotonic() + timeout
+        self._refuse_after_failure()
+        self._take_room(deadline)
         while True:
-            self._refuse_after_failure()
             try:
                 self._sock.send(raw, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
             except BlockingIOError:
                 if not _wait(self._writable, deadline):
+                    self._give_room_back()
                     raise can.CanTimeoutError(
                         f"the hub at {self._path} did not take the frame within {timeout} s"
                     ) from None
+                self._refuse_after_failure()
             except OSError as error:
                 raise self._fail(f"the hub at {self._path} has ended: {error.strerror}") from error
             else:
                 return
+
+    def _take_room(self, deadline: float) -> None:
+        """A place in the transmit queue of a paced bus.
+
+        Raises:
+            can.CanTimeoutError: it stayed full.
+        """
+        while self._room is not None:
+            try:
+                os.eventfd_read(self._room)
+            except BlockingIOError:
+                if not _wait(self._has_room, deadline):
+                    raise can.CanTimeoutError(
+                        f"the transmit queue at {self._path}, of {self._depth} frames, is full"
+                    ) from None
+                if self._is_gone():
+                    raise self._fail(f"the hub at {self._path} has ended") from None
+            else:
+                return
+
+    def _give_room_back(self) -> None:
+        if self._room is not None:
+            os.eventfd_write(self._room, 1)
+
+    def _is_gone(self) -> bool:
+        gone = select.poll()
+        gone.register(self._sock, 0)
+        return bool(gone.poll(0))
 
     def shutdown(self) -> None:
         """Leave the bus; may be called more than once."""
         super().shutdown()
         self._failure = self._failure or "the bus was shut down by this program"
         self._sock.close()
+        if self._room is not None:
+            os.close(self._room)
+            self._room = None
 
-    def _record(self, msg: can.Message) -> HubRecord:
-        """The record of a message, checked."""
-        flags = (
-            (Flag.EXTENDED if msg.is_extended_id else 0)
-            | (Flag.REMOTE if msg.is_remote_frame else 0)
-            | (Flag.ERROR if msg.is_error_frame else 0)
-            | (Flag.FD if msg.is_fd else 0)
-            | (Flag.BIT_RATE_SWITCH if msg.bitrate_switch else 0)
-            | (Flag.ERROR_STATE if msg.error_state_indicator else 0)
-        )
-        data = b"" if msg.is_remote_frame else bytes(msg.data)
-        length = msg.dlc if msg.is_remote_frame else len(data)
-        if msg.is_fd and not self._fd_frames:
-            raise can.CanOperationError("FD frame on a bus opened without FD; open it with fd=True")
-        if not 0 <= length <= 64 or not 0 <= msg.arbitration_id <= 0xFFFF_FFFF:
-            raise can.CanOperationError(f"no CAN frame: identifier {msg.arbitration_id}, length {length}")
-        record = HubRecord(HubKind.FRAME, int(flags), msg.arbitration_id, 0, length, data)
-        try:
-            wire.check_frame(record)
-        except WireError as error:
-            raise can.CanOperationError(f"not sent, {error}") from error
-        return record
+    def _took(self, raw: bytes) -> None:
+        """Read one datagram; its frames wait until they are asked for.
 
-    def _message(self, raw: bytes) -> tuple[can.Message, bool]:
-        """The message of a record, and whether the filters of `recv` are to leave it alone."""
+        Raises:
+            can.CanOperationError: the hub says nonsense, or closes this connection.
+        """
         try:
-            record = wire.parse(raw)
+            records = wire.parse_all(raw)
         except WireError as error:
             raise self._fail(f"the hub at {self._path} sent an unknown record: {error}") from error
-        if record.kind is HubKind.FRAME:
-            return _to_message(record, self.channel), False
-        if record.kind is HubKind.OVERRUN:
-            self.lost_frames += record.number
-            return _overrun_message(record, self.channel), True  # no filter may hide a loss
-        reason = record.data.decode(errors="replace") or record.kind.name
-        raise self._fail(f"the hub at {self._path} closed this connection: {reason}")
+        first = records[0]
+        if first.kind is HubKind.FRAME:
+            self._waiting.extend((_to_message(record, self.channel), False) for record in records)
+        elif first.kind is HubKind.OVERRUN:
+            self.lost_frames += first.number
+            self._waiting.append((_overrun_message(first, self.channel), True))  # no filter may hide a loss
+        else:
+            reason = first.data.decode(errors="replace") or first.kind.name
+            raise self._fail(f"the hub at {self._path} closed this connection: {reason}")
 
     def _fail(self, reason: str) -> can.CanOperationError:
         self._failure = reason
@@ -172,32 +204,11 @@ class VirtualBus(can.BusABC):
 
 
 def _to_message(record: HubRecord, channel: str) -> can.Message:
-    flags = record.flags
-    return can.Message(
-        timestamp=record.time_ns * 1e-9,
-        arbitration_id=record.number,
-        is_extended_id=bool(flags & Flag.EXTENDED),
-        is_remote_frame=bool(flags & Flag.REMOTE),
-        is_error_frame=bool(flags & Flag.ERROR),
-        is_fd=bool(flags & Flag.FD),
-        bitrate_switch=bool(flags & Flag.BIT_RATE_SWITCH),
-        error_state_indicator=bool(flags & Flag.ERROR_STATE),
-        is_rx=not flags & Flag.OWN,
-        dlc=record.length,
-        data=record.data,
-        channel=channel,
-    )
+    return message_of(record.frame, record.time_ns * 1e-9, channel)
 
 
 def _overrun_message(record: HubRecord, channel: str) -> can.Message:
-    return can.Message(
-        timestamp=record.time_ns * 1e-9,
-        arbitration_id=ERROR_CONTROLLER,
-        is_extended_id=False,
-        is_error_frame=True,
-        data=bytes((0, RECEIVE_OVERFLOW, 0, 0)) + record.number.to_bytes(4, "big"),
-        channel=channel,
-    )
+    return message_of(overflow_frame(RECEIVE_OVERFLOW, record.number), record.time_ns * 1e-9, channel)
 
 
 def _wait(poll: select.poll, deadline: float) -> bool:
@@ -208,7 +219,15 @@ def _wait(poll: select.poll, deadline: float) -> bool:
     return bool(poll.poll(math.ceil(max(0.0, left_s) * 1000)))
 
 
-def _join(path: str, hello: HubRecord) -> socket.socket:
+class _Joined(NamedTuple):
+    """A connection that was welcomed: the transmit queue's frames, 0 where it is not paced, and what counts its room."""
+
+    sock: socket.socket
+    depth: int
+    room: int | None
+
+
+def _join(path: str, hello: HubRecord) -> _Joined:
     """Connect and be welcomed.
 
     Raises:
@@ -217,33 +236,46 @@ def _join(path: str, hello: HubRecord) -> socket.socket:
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
     try:
         sock.connect(path)
-        refusal = _refusal(sock, hello)
+        return _welcomed(sock, hello)
     except (FileNotFoundError, ConnectionRefusedError):
         refusal = "no hub is serving there: start one with `cutgate bus serve`"
     except BlockingIOError:
         refusal = "the hub accepts no connection, too many wait: end it and start another"
     except (OSError, WireError) as error:
         refusal = str(error)
-    if refusal is not None:
-        sock.close()
-        raise can.CanInitializationError(f"virtual bus {path}: {refusal}")
-    return sock
+    sock.close()
+    raise can.CanInitializationError(f"virtual bus {path}: {refusal}")
 
 
-def _refusal(sock: socket.socket, hello: HubRecord) -> str | None:
-    """Why this client does not join, or is not let in; None if it is."""
+def _welcomed(sock: socket.socket, hello: HubRecord) -> _Joined:
+    """Say hello. Raises WireError with the reason where this client does not join, or is not let in."""
     stranger = peer_of(sock).stranger
     if stranger is not None:
-        return f"the hub is not ours, {stranger}: start one with `cutgate bus serve`, or name its socket"
+        raise WireError(
+            f"the hub is not ours, {stranger}: start one with `cutgate bus serve`, or name its socket"
+        )
     sock.send(hello.pack(), socket.MSG_NOSIGNAL)
     answer = select.poll()
     answer.register(sock, select.POLLIN)
     if not answer.poll(HELLO_TIMEOUT_S * 1000):
-        return f"the hub did not answer within {HELLO_TIMEOUT_S} s: end it and start another"
-    raw = sock.recv(wire.MAX_RECORD + 1)
+        raise WireError(f"the hub did not answer within {HELLO_TIMEOUT_S} s: end it and start another")
+    raw, room, _, _ = socket.recv_fds(sock, wire.MAX_DATAGRAM, 1)
+    try:
+        depth = _depth_of(raw)
+    except WireError:
+        for descriptor in room:
+            os.close(descriptor)
+        raise
+    if bool(depth) != bool(room):
+        raise WireError("the hub says a transmit queue and gives no room for it: end it and start another")
+    return _Joined(sock, depth, room[0] if room else None)
+
+
+def _depth_of(raw: bytes) -> int:
+    """The frames that the transmit queue holds, of the hub's answer. Raises WireError where that is no welcome."""
     if not raw:
-        return "the hub ended before it answered: start it again"
+        raise WireError("the hub ended before it answered: start it again")
     reply = wire.parse(raw)
-    return (
-        None if reply.kind is HubKind.WELCOME else f"the hub refused: {reply.data.decode(errors='replace')}"
-    )
+    if reply.kind is not HubKind.WELCOME:
+        raise WireError(f"the hub refused: {reply.data.decode(errors='replace')}")
+    return reply.number

@@ -12,42 +12,41 @@ What it guarantees:
 """
 
 import errno
-import fcntl
-import math
+import json
 import os
 import select
 import socket
-import stat
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Final, Self, TextIO
 
 from cutgate.config.signals import wake
 from cutgate.firmware_sim.bus import wire
+from cutgate.firmware_sim.bus.carriers import AtOnce, Carrier, Credit, Delivery, Effect, Paced
+from cutgate.firmware_sim.bus.control import inject, status
+from cutgate.firmware_sim.bus.frame import Flag
 from cutgate.firmware_sim.bus.peer import peer_of
-from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
+from cutgate.firmware_sim.bus.socket_place import MAX_CLIENTS, HubError, identity, is_served, listen
+from cutgate.firmware_sim.bus.wire import HubKind, HubRecord, WireError, Wish
 from cutgate.protocol import candump
 
 QUEUE_FRAMES: Final = 65_536
-MAX_CLIENTS: Final = 64
-"""So many take part, and so many more may be about to."""
 HELLO_S: Final = 1.0
 """Within this time a connection says HELLO or is dropped; a client says it at once."""
-MAX_SOCKET_PATH_BYTES: Final = 107
 
 _READS_A_CYCLE: Final = 64  # a busy client waits for its next cycle after so many frames
-_READ: Final = select.POLLIN
-_READ_WRITE: Final = select.POLLIN | select.POLLOUT
-_GONE: Final = select.POLLHUP | select.POLLERR | select.POLLNVAL
-_LOCK_TRIES: Final = 200
-_LOCK_PAUSE_S: Final = 0.01
+_READ: Final = select.EPOLLIN
+_READ_WRITE: Final = select.EPOLLIN | select.EPOLLOUT
+_GONE: Final = select.EPOLLHUP | select.EPOLLERR
+_COARSE_S: Final = 0.003
 
 
-class HubError(Exception):
-    """The hub cannot serve: the socket's place, or the log."""
+__all__ = ["Hub", "HubError", "is_served", "log_line"]
 
 
 @dataclass(slots=True, eq=False)
@@ -55,14 +54,24 @@ class _Client:
     """A connected client; it takes part from its HELLO on."""
 
     sock: socket.socket
+    number: int
     name: str
     until_s: float
     """When its HELLO must have come."""
     joined: bool = False
     fd_frames: bool = False
     own_frames: bool = False
-    queue: deque[bytes] = field(default_factory=deque)
+    queue: deque[tuple[bytes, int]] = field(default_factory=deque)
+    """Datagrams that wait, and how many frames each holds."""
+    waiting: int = 0
+    """Frames in them."""
     lost: int = 0
+    """Frames of which it has not been told."""
+    lost_frames: int = 0
+    polled: bool = False
+    """Whether the hub waits until its socket takes more."""
+    room: int | None = None
+    """What counts the room in its transmit queue, on a paced bus."""
 
 
 class Hub:
@@ -70,7 +79,8 @@ class Hub:
 
     Args:
         path: where the socket is made; its directory must exist.
-        queue_frames: frames that wait for one client before it loses some.
+        queue_frames: frames that wait to be read by one client before it loses some.
+        pace: makes what carries the frames, at the speed of a wire; without it they are carried at once.
         report: told about overruns and refused clients, one line each; it must not wait for anybody.
 
     Raises:
@@ -82,6 +92,7 @@ class Hub:
         path: Path,
         *,
         queue_frames: int = QUEUE_FRAMES,
+        pace: Callable[[Callable[[str], None]], Paced] | None = None,
         report: Callable[[str], None] | None = None,
     ) -> None:
         if not queue_frames >= 2:
@@ -91,18 +102,23 @@ class Hub:
         self._log_name = "_".join(path.stem.split()) or "cutgate"
         self._queue_frames = queue_frames
         self._report = report or (lambda _line: None)
+        self._carrier: Carrier = AtOnce() if pace is None else pace(self._report)
         self._clients: dict[int, _Client] = {}
+        """By descriptor."""
+        self._joined: dict[int, _Client] = {}
+        """By number, those that take part."""
+        self._dirty: set[_Client] = set()
+        """Those for whom something was queued in this turn."""
         self._silent: deque[_Client] = deque()
         """Those that may not have said HELLO, the oldest first."""
         self._lost_clients: set[int] = set()
-        self._last_ns = 0
         self._stopped = False
         self._watched = -1
         self._born = 0
-        self._listener = _listen(path)
-        self._identity = _identity(path)
+        self._listener = listen(path)
+        self._identity = identity(path)
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        self._poll = select.poll()
+        self._poll = select.epoll()
         self._poll.register(self._listener, _READ)
         self._poll.register(self._wake_read, _READ)
 
@@ -137,22 +153,37 @@ class Hub:
             HubError: the log cannot be written; a bus whose log has a gap must not go on.
         """
         while not self._stopped:
-            for descriptor, events in self._poll.poll(self._patience_ms()):
+            for descriptor, events in self._wait():
                 self._attend(descriptor, events)
+                self._flush_dirty()
                 self._drop_lost_clients()
+            self._carry_out(self._carrier.go_on())
+            self._flush_dirty()
             self._drop_silent_clients()
             self._flush_log()
+
+    def _wait(self) -> list[tuple[int, int]]:
+        """What can be read or written, once something can or the carrier has something to do."""
+        wait_s = min((s for s in (self._patience_s(), self._carrier.wait_s()) if s is not None), default=None)
+        if (
+            wait_s is not None and wait_s < _COARSE_S
+        ):  # epoll counts milliseconds, a frame takes a tenth of one
+            select.select([self._poll], [], [], wait_s)
+            wait_s = 0.0
+        return self._poll.poll(wait_s)
 
     def close(self) -> None:
         """Close every connection and remove the socket, if it is still this hub's own."""
         if self._listener.fileno() < 0:
             return
-        if _identity(self.path) == self._identity:
+        if identity(self.path) == self._identity:
             self.path.unlink()
         for client in self._clients.values():
-            client.sock.close()
+            _close(client)
         self._clients.clear()
+        self._joined.clear()
         self._listener.close()
+        self._poll.close()
         os.close(self._wake_read)
         os.close(self._wake_write)
 
@@ -164,7 +195,7 @@ class Hub:
         elif descriptor == self._listener.fileno():
             self._accept()
         elif (client := self._clients.get(descriptor)) is not None:
-            if events & select.POLLOUT:
+            if events & select.EPOLLOUT:
                 self._flush(client)
             if events & (_READ | _GONE):
                 self._read(client)
@@ -183,7 +214,7 @@ class Hub:
         self._born += 1
         peer = peer_of(sock)
         name = f"client {self._born} (process {peer.process})"
-        client = _Client(sock, name, time.monotonic() + HELLO_S)
+        client = _Client(sock, self._born, name, time.monotonic() + HELLO_S)
         self._clients[sock.fileno()] = client
         self._poll.register(sock, _READ)
         if (stranger := peer.stranger) is not None:
@@ -196,7 +227,7 @@ class Hub:
     def _read(self, client: _Client) -> None:
         for _ in range(_READS_A_CYCLE):
             try:
-                raw = client.sock.recv(wire.MAX_RECORD + 1)
+                raw = client.sock.recv(wire.MAX_DATAGRAM + 1)
             except BlockingIOError:
                 return
             except OSError:
@@ -205,71 +236,130 @@ class Hub:
                 self._lost_clients.add(client.sock.fileno())
                 return
             try:
-                self._take(client, wire.parse(raw))
+                self._take(client, raw)
             except WireError as error:
                 self._refuse(client, str(error))
                 return
 
-    def _take(self, client: _Client, record: HubRecord) -> None:
-        if client.joined and record.kind is HubKind.FRAME:
-            self._carry(client, record)
-        elif not client.joined and record.kind is HubKind.HELLO and record.data == wire.MAGIC:
-            if sum(other.joined for other in self._clients.values()) >= MAX_CLIENTS:
-                raise WireError(f"the bus has {MAX_CLIENTS} clients already")
-            client.fd_frames = bool(record.flags & Flag.FD)
-            client.own_frames = bool(record.flags & Flag.OWN)
-            client.joined = True
-            self._silent.remove(client)
-            self._offer(client, HubRecord(HubKind.WELCOME).pack())
-        else:
-            raise WireError(f"{record.kind.name} is out of place")
+    def _take(self, client: _Client, raw: bytes) -> None:
+        if len(raw) > wire.MAX_DATAGRAM:
+            raise WireError(f"datagram of more than {wire.MAX_DATAGRAM} bytes")
+        if client.joined:
+            self._carry_out(self._carrier.take(client.number, raw))
+            return
+        record = wire.parse(raw)
+        match record.kind:
+            case HubKind.HELLO if record.data == wire.MAGIC:
+                self._welcome(client, record.flags)
+            case HubKind.STAT:
+                self._answer(client, wire.text(HubKind.STATUS, json.dumps(self.status())))
+            case HubKind.INJECT:
+                said = inject(self._carrier, record.data.decode(errors="replace"))
+                self._answer(client, wire.text(HubKind.TEXT, said))
+            case kind:
+                raise WireError(f"{kind.name} is out of place")
 
-    def _carry(self, sender: _Client, frame: HubRecord) -> None:
-        """Put one frame on the bus: stamp it, log it, offer it to all who take it."""
-        wire.check_frame(frame)
-        if frame.flags & Flag.OWN:
-            raise WireError("flag OWN is the hub's to set")
-        self._last_ns = max(self._last_ns, time.time_ns())
-        stamped = HubRecord(HubKind.FRAME, frame.flags, frame.number, self._last_ns, frame.length, frame.data)
-        raw = stamped.pack()
-        if self._log is not None:
-            self._write_log(stamped)
-        for client in self._clients.values():
-            if not client.joined or (frame.flags & Flag.FD and not client.fd_frames):
+    def _welcome(self, client: _Client, wishes: int) -> None:
+        if len(self._joined) >= MAX_CLIENTS:
+            raise WireError(f"the bus has {MAX_CLIENTS} clients already")
+        if wishes & Wish.FD and not self._carrier.fd:
+            raise WireError("this bus carries no FD frames; give it their bit rate (bus serve --fd)")
+        client.fd_frames, client.own_frames = bool(wishes & Wish.FD), bool(wishes & Wish.OWN)
+        depth = self._carrier.depth
+        if depth:
+            client.room = os.eventfd(depth, os.EFD_SEMAPHORE | os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        client.joined = True
+        self._silent.remove(client)
+        try:
+            socket.send_fds(
+                client.sock,
+                [HubRecord(HubKind.WELCOME, number=depth).pack()],
+                [] if client.room is None else [client.room],
+                socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL,
+            )
+        except OSError:  # it has gone again
+            self._lost_clients.add(client.sock.fileno())
+            return
+        self._joined[client.number] = client
+        self._carrier.join(client.number, client.name)
+
+    def _answer(self, client: _Client, record: HubRecord) -> None:
+        """The one word for who takes no part."""
+        self._send(client, record.pack())
+        self._lost_clients.add(client.sock.fileno())
+
+    def status(self) -> dict[str, object]:
+        """What is going on, as `cutgate bus stat --json` prints it."""
+        queues = {
+            client.number: (client.name, client.waiting, client.lost_frames)
+            for client in self._joined.values()
+        }
+        return status(self._carrier, queues)
+
+    # ------------------------------------------------------------ from the carrier to the clients
+
+    def _carry_out(self, effects: Iterable[Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case Delivery():
+                    self._deliver(effect)
+                case Credit(client, frames) if client in self._joined:
+                    _give_room(self._joined[client], frames)
+
+    def _deliver(self, delivery: Delivery) -> None:
+        if self._log is not None and delivery.logged:
+            for record in wire.parse_all(delivery.raw):
+                self._write_log(record)
+        for number in delivery.receivers:
+            client = self._joined.get(number)
+            if client is None:
                 continue
-            if client is not sender:
-                self._offer(client, raw)
-            elif client.own_frames:
-                own = HubRecord(
-                    HubKind.FRAME,
-                    frame.flags | Flag.OWN,
-                    frame.number,
-                    self._last_ns,
-                    frame.length,
-                    frame.data,
-                )
-                self._offer(client, own.pack())
+            if client.fd_frames or not delivery.fd:
+                self._offer(client, delivery.raw, delivery.frames)
+            elif delivery.fd < delivery.frames:
+                self._offer(client, wire.without_fd(delivery.raw), delivery.frames - delivery.fd)
+        for number in delivery.own:
+            client = self._joined.get(number)
+            if client is not None and client.own_frames:
+                self._offer(client, wire.own_copies(delivery.raw), delivery.frames)
 
-    def _offer(self, client: _Client, raw: bytes) -> None:
-        if client.lost or len(client.queue) >= self._queue_frames:
-            client.lost += 1
-        elif client.queue or not self._send(client, raw):
-            client.queue.append(raw)
-            if len(client.queue) == 1:
-                self._poll.modify(client.sock, _READ_WRITE)
+    def _offer(self, client: _Client, raw: bytes, count: int) -> None:
+        if client.lost or client.waiting + count > self._queue_frames:
+            client.lost += count
+            client.lost_frames += count
+            return
+        client.queue.append((raw, count))
+        client.waiting += count
+        self._dirty.add(client)
+
+    def _flush_dirty(self) -> None:
+        for client in self._dirty:
+            if not client.polled:
+                self._flush(client)
+        self._dirty.clear()
 
     def _flush(self, client: _Client) -> None:
+        """Send what waits, as much in one datagram as fits, until the socket takes no more."""
         queue = client.queue
-        while queue and self._send(client, queue[0]):
-            queue.popleft()
-        if client.lost and len(queue) <= self._queue_frames // 2:
+        while queue:
+            raw, frames, datagrams = _head_of(queue)
+            if not self._send(client, raw):
+                break
+            client.waiting -= frames
+            for _ in range(datagrams):
+                queue.popleft()
+        if client.lost and client.waiting <= self._queue_frames // 2:
             # Only half-way down, so that a client at its limit gets frames in runs, not one here and there.
-            told = HubRecord(HubKind.OVERRUN, number=min(client.lost, 0xFFFF_FFFF), time_ns=self._last_ns)
-            queue.append(told.pack())
-            self._report(f"{client.name} lost {client.lost} frames: it reads too slowly")
-            client.lost = 0
-        if not queue:
-            self._poll.modify(client.sock, _READ)
+            self._tell_losses(client)
+        if bool(queue) != client.polled:
+            client.polled = bool(queue)
+            self._poll.modify(client.sock, _READ_WRITE if queue else _READ)
+
+    def _tell_losses(self, client: _Client) -> None:
+        told = HubRecord(HubKind.OVERRUN, number=min(client.lost, 0xFFFF_FFFF), time_ns=time.time_ns())
+        client.queue.append((told.pack(), 0))
+        self._report(f"{client.name} lost {client.lost} frames: it reads too slowly")
+        client.lost = 0
 
     def _send(self, client: _Client, raw: bytes) -> bool:
         """Whether the record is dealt with: sent, or its receiver is gone."""
@@ -291,16 +381,18 @@ class Hub:
             client = self._clients.pop(descriptor, None)
             if client is not None:
                 self._poll.unregister(descriptor)
-                client.sock.close()
+                _close(client)
+                if self._joined.pop(client.number, None) is not None:
+                    self._carrier.leave(client.number)
                 if client in self._silent:
                     self._silent.remove(client)
         self._lost_clients.clear()
 
-    def _patience_ms(self) -> float | None:
+    def _patience_s(self) -> float | None:
         """How long the oldest silent client still has; None where there is none."""
         if not self._silent:
             return None
-        return max(0.0, math.ceil((self._silent[0].until_s - time.monotonic()) * 1000.0))
+        return max(0.0, self._silent[0].until_s - time.monotonic())
 
     def _drop_silent_clients(self) -> None:
         while self._silent and not time.monotonic() < self._silent[0].until_s:
@@ -327,94 +419,41 @@ class Hub:
             ) from error
 
 
-def is_served(path: Path) -> bool:
-    """Whether a living hub, or anything else that accepts connections of its kind, listens at `path`.
+def _head_of(queue: deque[tuple[bytes, int]]) -> tuple[bytes, int, int]:
+    """What waits first, as much of it as one datagram takes: the bytes, the frames, and the entries of the queue.
 
-    Raises:
-        HubError: something that is no hub's socket stands there.
+    An entry without frames, which says that some were lost, goes alone.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-        probe.setblocking(False)
-        try:
-            probe.connect(str(path))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except BlockingIOError:
-            return True  # its queue of new connections is full
-        except OSError as error:
-            raise HubError(f"socket {path}: {error.strerror}; give another path") from error
-    return True
+    raw, frames = queue[0]
+    if len(queue) == 1 or not frames:
+        return raw, frames, 1
+    parts, size = [raw], len(raw)
+    for more, count in islice(queue, 1, None):
+        size += len(more)
+        if not count or size > wire.MAX_DATAGRAM:
+            break
+        parts.append(more)
+        frames += count
+    return b"".join(parts), frames, len(parts)
 
 
-def _listen(path: Path) -> socket.socket:
-    """Take the socket's place, one hub at a time.
-
-    Raises:
-        HubError: see `Hub`.
-    """
-    if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
-        raise HubError(
-            f"socket {path}: a path of {len(os.fsencode(path))} bytes, at most {MAX_SOCKET_PATH_BYTES}; "
-            "give a shorter one"
-        )
-    try:
-        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    except OSError as error:
-        raise HubError(f"directory {path.parent} of the socket: {error.strerror}; make it first") from error
-    listener = socket.socket(
-        socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC
-    )
-    try:
-        _lock(
-            directory, path
-        )  # two hubs that start at once must not take each other's fresh socket for a dead one
-        _clear_place(path)
-        listener.bind(str(path))
-        path.chmod(0o600)  # before listen(): until then every connection is refused
-        listener.listen(MAX_CLIENTS)
-    except OSError as error:
-        listener.close()
-        raise HubError(f"socket {path}: {error.strerror}; give a path this user can write to") from error
-    except HubError:
-        listener.close()
-        raise
-    finally:
-        os.close(directory)
-    return listener
-
-
-def _lock(directory: int, path: Path) -> None:
-    for _ in range(_LOCK_TRIES):
-        try:
-            fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(_LOCK_PAUSE_S)
-        else:
-            return
-    raise HubError(
-        f"directory {path.parent} of the socket stays locked by another process; give another path"
-    )
-
-
-def _clear_place(path: Path) -> None:
-    """Remove a dead hub's socket; refuse anything else that stands there."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
+def _give_room(client: _Client, frames: int | None) -> None:
+    """Room in a client's transmit queue; None takes away what it has."""
+    if client.room is None:
         return
-    if not stat.S_ISSOCK(mode):
-        raise HubError(f"{path} exists and is not a socket; give another path")
-    if is_served(path):
-        raise HubError(f"a hub is already serving on {path}; use it, end it, or give another path")
-    path.unlink()
+    if frames is not None:
+        os.eventfd_write(client.room, frames)
+        return
+    with suppress(BlockingIOError):
+        while True:
+            os.eventfd_read(client.room)
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
-    try:
-        status = path.lstat()
-    except FileNotFoundError:
-        return None
-    return status.st_dev, status.st_ino
+def _close(client: _Client) -> None:
+    client.sock.close()
+    if client.room is not None:
+        os.close(client.room)
+        client.room = None
 
 
 def log_line(frame: HubRecord, name: str) -> str:

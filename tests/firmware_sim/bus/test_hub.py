@@ -15,10 +15,11 @@ import can
 import pytest
 
 from cutgate.firmware_sim.bus import hub as hub_module
-from cutgate.firmware_sim.bus import peer, wire
+from cutgate.firmware_sim.bus import peer, socket_place, wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
 from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served, log_line
-from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord
+from cutgate.firmware_sim.bus.frame import Flag
+from cutgate.firmware_sim.bus.wire import HubKind, HubRecord
 
 WAIT_S = 20.0
 
@@ -128,7 +129,7 @@ def test_places_no_socket_can_have_are_refused(place):
 
 
 def test_a_directory_that_stays_locked_is_refused(path, monkeypatch):
-    monkeypatch.setattr(hub_module, "_LOCK_PAUSE_S", 0.0)
+    monkeypatch.setattr(socket_place, "_LOCK_PAUSE_S", 0.0)
     held = os.open(path.parent, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
     try:
@@ -143,7 +144,7 @@ def test_a_place_that_cannot_be_bound_is_refused(path, monkeypatch):
     def refuse(_path):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(hub_module, "_clear_place", refuse)
+    monkeypatch.setattr(socket_place, "_clear_place", refuse)
     with pytest.raises(HubError, match=r"Permission denied; give a path"):
         Hub(path)
 
@@ -206,11 +207,11 @@ def test_frames_before_the_loss_come_before_the_error_frame(path, join):
     ("said", "why"),
     [
         (b"\x01", "record of 1 bytes"),
-        (bytes(2000), "record of 1025 bytes"),
+        (bytes(9000), "datagram of more than 8192 bytes"),
         (HubRecord(HubKind.FRAME).pack(), "FRAME is out of place"),
         (HubRecord(HubKind.HELLO, length=3, data=b"abc").pack(), "HELLO is out of place"),
-        (b"\x02" + HELLO[1:], "framing version 2"),
-        (HELLO[:1] + b"\x09" + HELLO[2:], "unknown kind 9"),
+        (b"\x03" + HELLO[1:], "framing version 3"),
+        (HELLO[:1] + b"\x63" + HELLO[2:], "unknown kind 99"),
         (HELLO[:2] + b"\x80\x00" + HELLO[4:], "unknown flags"),
         (HELLO[:-1], "brings 10"),
     ],
@@ -341,7 +342,7 @@ def test_a_hub_where_nobody_is_silent_waits_for_no_clock(path, join):
     hub = Hub(path)
     with running(hub):
         join(path)
-        assert hub._patience_ms() is None
+        assert hub._patience_s() is None
 
 
 def test_a_client_of_another_user_is_refused_and_named(path, monkeypatch):

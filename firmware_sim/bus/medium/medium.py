@@ -1,0 +1,355 @@
+"""The bus itself: who sends next, how long it takes, what becomes of it. Pure: time comes in as nanoseconds.
+
+How it is used: :meth:`Medium.join` for each node; :meth:`Medium.advance` to now, then :meth:`Medium.offer` a frame; and
+:meth:`Medium.advance` again no later than :attr:`Medium.next_ns`. What it returns is in the order of the bus.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from cutgate.firmware_sim.bus.frame import Frame
+from cutgate.firmware_sim.bus.medium.bits import (
+    ERROR_DELIMITER_BITS,
+    ERROR_FLAG_BITS,
+    INTERMISSION_BITS,
+    RECOVERY_BITS,
+    SUSPEND_BITS,
+    Rates,
+    frame_bits,
+)
+from cutgate.firmware_sim.bus.medium.confinement import Counted, Counters, NodeState
+from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireError
+from cutgate.firmware_sim.bus.medium.nodes import Node, Waiting, arbitration
+
+QUEUE_FRAMES: Final = 10
+"""As `txqueuelen` of a CAN interface."""
+TALKERS_MAX: Final = 4096
+INJECTIONS_MAX: Final = 256
+_RECESSIVE_BITS: Final = 11
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """A frame that reached somebody: whose it was, who has taken it, and who of its senders believes it sent."""
+
+    at_ns: int
+    frame: Frame
+    senders: tuple[int, ...]
+    receivers: tuple[int, ...]
+    sent: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """An error frame was on the bus: which error, and whose frame it hit."""
+
+    at_ns: int
+    kind: WireError
+    frame: Frame
+    senders: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """So many frames have left a node's transmit queue."""
+
+    node: int
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A node may do more or less than before."""
+
+    at_ns: int
+    node: int
+    state: NodeState
+    counters: Counters
+
+
+Event = Carried | Failed | Room | Changed
+
+
+@dataclass(frozen=True, slots=True)
+class _OnWire:
+    """What is being sent: from when, until when; the error that ends it, and the receivers that see it."""
+
+    frame: Frame
+    senders: tuple[Node, ...]
+    start_ns: int
+    end_ns: int
+    error: WireError | None = None
+    seers: tuple[Node, ...] = ()
+
+
+@dataclass
+class Talker:
+    """Frames of one identifier that one node has sent, and how long they kept the bus busy."""
+
+    frames: int = 0
+    busy_ns: int = 0
+
+
+@dataclass
+class Totals:
+    """The bus since it began."""
+
+    frames: int = 0
+    error_frames: int = 0
+    busy_ns: int = 0
+    talkers: dict[tuple[int, int], Talker] = field(default_factory=dict)
+    """By node and identifier; what is beyond the bound, under identifier -1."""
+
+
+class Medium:
+    """A bus of nodes.
+
+    Args:
+        rates: its bit rates.
+        queue_frames: frames that each node's transmit queue holds.
+        restart_ns: so long after it went bus-off a node begins to come back; None: never by itself.
+    """
+
+    def __init__(
+        self, rates: Rates, *, queue_frames: int = QUEUE_FRAMES, restart_ns: int | None = None
+    ) -> None:
+        self.rates = rates
+        self.totals = Totals()
+        self.nodes: dict[int, Node] = {}
+        self._queue_frames = queue_frames
+        self._restart_ns = restart_ns
+        self._injections: list[Injection] = []
+        self._on_wire: _OnWire | None = None
+        self._idle_ns = 0
+        """From when on the bus is free."""
+        self._joined = 0
+        self._intermission_ns = rates.nominal_ns(INTERMISSION_BITS)
+
+    # ------------------------------------------------------------ who takes part
+
+    def join(self, name: str, now_ns: int) -> int:
+        """A node more; its number."""
+        self._joined += 1
+        self.nodes[self._joined] = Node(self._joined, name, self._queue_frames, ready_ns=now_ns)
+        return self._joined
+
+    def leave(self, number: int) -> None:
+        """A node has left; what it has queued still goes, where somebody is there to take it."""
+        self.nodes[number].leaving = True
+        self._forget_who_left()
+
+    def inject(self, injection: Injection) -> bool:
+        """Let an error come; False where too many are to come already."""
+        self._injections = [to_come for to_come in self._injections if to_come.count > 0]
+        if len(self._injections) >= INJECTIONS_MAX:
+            return False
+        self._injections.append(injection)
+        return True
+
+    def offer(self, number: int, frame: Frame, now_ns: int) -> bool:
+        """Queue a frame; False where the node's transmit queue has no room, or the node is bus-off."""
+        node = self.nodes[number]
+        if len(node.queue) >= node.depth or node.state is NodeState.BUS_OFF:
+            node.tally.refused += 1
+            return False
+        node.queue.append(Waiting(frame, now_ns))
+        return True
+
+    # ------------------------------------------------------------ time
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something happens next; None where nothing will unless a frame is offered."""
+        if self._on_wire is not None:
+            return self._on_wire.end_ns
+        times = (self._start_ns(), self._recovery_ns())
+        return min((ns for ns in times if ns is not None), default=None)
+
+    def advance(self, now_ns: int) -> list[Event]:
+        """What has happened until now."""
+        events: list[Event] = []
+        while True:
+            next_ns = self.next_ns
+            if next_ns is None or next_ns > now_ns:
+                return events
+            if self._on_wire is not None:
+                events += self._finish(self._on_wire)
+            elif next_ns == self._start_ns():
+                self._begin(next_ns)
+            else:
+                events += self._recover(next_ns)
+
+    def _start_ns(self) -> int | None:
+        """When the next frame begins."""
+        earliest = min(
+            (from_ns for node in self.nodes.values() if (from_ns := node.sends_from_ns) is not None),
+            default=None,
+        )
+        return None if earliest is None else max(earliest, self._idle_ns)
+
+    # ------------------------------------------------------------ one frame
+
+    def _begin(self, start_ns: int) -> None:
+        """Arbitration: of all that have something to send, who sends."""
+        competing = [
+            node
+            for node in self.nodes.values()
+            if (from_ns := node.sends_from_ns) is not None and from_ns <= start_ns
+        ]
+        lowest = min(arbitration(node.queue[0].frame) for node in competing)
+        senders = tuple(node for node in competing if arbitration(node.queue[0].frame) == lowest)
+        for node in competing:
+            node.tally.lost_arbitration += node not in senders
+        frame = senders[0].queue[0].frame
+        error, seers = self._error(frame, senders)
+        bits = frame_bits(frame)
+        end_ns = start_ns + bits.ns(self.rates)
+        if error is not None:
+            at = CASES[error].from_end
+            end_ns = (start_ns + end_ns) // 2 if at is None else end_ns - self.rates.nominal_ns(at)
+        self._count_recessive(start_ns)
+        self._on_wire = _OnWire(frame, senders, start_ns, end_ns, error, seers)
+
+    def _error(self, frame: Frame, senders: tuple[Node, ...]) -> tuple[WireError | None, tuple[Node, ...]]:
+        """What goes wrong with this frame, and which receivers see it."""
+        receivers = self._receivers(senders)
+        if any(node.queue[0].frame != frame for node in senders):
+            return WireError.BIT, ()  # two that nobody can tell apart by identifier: one is overwritten
+        numbers = tuple(node.number for node in senders)
+        for injection in self._injections:
+            if injection.hits(frame.number, numbers):
+                wanted = injection.receivers
+                seers = [node for node in receivers if wanted is None or node.number in wanted]
+                return injection.kind, tuple(seers) if CASES[injection.kind].by_receivers else ()
+        return (None, ()) if receivers else (WireError.ACK, ())
+
+    def _receivers(self, senders: Iterable[Node]) -> list[Node]:
+        return [
+            node
+            for node in self.nodes.values()
+            if node not in senders and not node.leaving and node.state is not NodeState.BUS_OFF
+        ]
+
+    def _finish(self, sent: _OnWire) -> Iterator[Event]:
+        self._on_wire = None
+        seen_by_active = any(node.state is not NodeState.ERROR_PASSIVE for node in sent.seers)
+        if sent.error is None or (CASES[sent.error].by_receivers and not seen_by_active):
+            yield from self._arrived(sent)
+        else:
+            yield from self._destroyed(sent, sent.error)
+        self._forget_who_left()
+
+    def _arrived(self, sent: _OnWire) -> Iterator[Event]:
+        """Sent, and taken by everybody but those whose error flag nobody sees."""
+        busy_ns = sent.end_ns - sent.start_ns + self._intermission_ns
+        self._occupied(sent, busy_ns)
+        self.totals.frames += 1
+        takers = [node for node in self._receivers(sent.senders) if node not in sent.seers]
+        yield Carried(sent.end_ns, sent.frame, _numbers(sent.senders), _numbers(takers))
+        for node in sent.senders:
+            node.queue.popleft()
+            node.tally.sent += 1
+            yield from self._counted(node, Counted.SENT, sent.end_ns)
+            yield Room(node.number, 1)
+        for node in takers:
+            node.tally.received += 1
+            yield from self._counted(node, Counted.RECEIVED, sent.end_ns)
+        for node in sent.seers:
+            yield from self._counted(node, Counted.RECEIVED_WRONG, sent.end_ns)
+        self._suspend(sent)
+
+    def _destroyed(self, sent: _OnWire, error: WireError) -> Iterator[Event]:
+        """An error frame follows; the frame stays in its queue and is sent again."""
+        flag_ns = self.rates.nominal_ns(ERROR_FLAG_BITS + ERROR_DELIMITER_BITS)
+        self._occupied(sent, sent.end_ns - sent.start_ns + flag_ns + self._intermission_ns)
+        self.totals.error_frames += 1
+        others = self._receivers(sent.senders)
+        if CASES[error].kept:
+            takers = [node for node in others if node not in sent.seers]
+            yield Carried(sent.end_ns, sent.frame, _numbers(sent.senders), _numbers(takers), sent=False)
+        yield Failed(sent.end_ns, error, sent.frame, _numbers(sent.senders))
+        own = Counted.NOT_ACKNOWLEDGED if error is WireError.ACK else Counted.SENT_WRONG
+        for node in sent.senders:
+            node.tally.errors += 1
+            yield from self._counted(node, own, sent.end_ns)
+        for node in others:
+            if not CASES[error].kept or node in sent.seers:
+                yield from self._counted(node, Counted.RECEIVED_WRONG, sent.end_ns)
+        self._suspend(sent)
+
+    def _occupied(self, sent: _OnWire, busy_ns: int) -> None:
+        self._idle_ns = sent.start_ns + busy_ns
+        self.totals.busy_ns += busy_ns
+        for node in sent.senders:
+            node.tally.busy_ns += busy_ns
+            key = (node.number, sent.frame.number)
+            talkers = self.totals.talkers
+            if key not in talkers and len(talkers) >= TALKERS_MAX:
+                key = (node.number, -1)
+            talker = talkers.setdefault(key, Talker())
+            talker.frames += 1
+            talker.busy_ns += busy_ns
+
+    def _suspend(self, sent: _OnWire) -> None:
+        """Who sends in spite of many errors lets the others go first."""
+        for node in sent.senders:
+            if node.state is NodeState.ERROR_PASSIVE:
+                node.ready_ns = self._idle_ns + self.rates.nominal_ns(SUSPEND_BITS)
+
+    # ------------------------------------------------------------ counters, off and back
+
+    def _counted(self, node: Node, counted: Counted, at_ns: int) -> Iterator[Event]:
+        before = node.state
+        node.counters = node.counters.after(counted)
+        if node.state is before:
+            return
+        yield Changed(at_ns, node.number, node.state, node.counters)
+        if node.state is NodeState.BUS_OFF:
+            node.queue.clear()  # what it held is lost, and it has been told
+            node.restart_ns = None if self._restart_ns is None else at_ns + self._restart_ns
+            node.recessive = RECOVERY_BITS // _RECESSIVE_BITS
+
+    def _off(self) -> Iterator[tuple[Node, int]]:
+        """Those that wait for their way back, and since when."""
+        for node in self.nodes.values():
+            if node.state is NodeState.BUS_OFF and node.restart_ns is not None:
+                yield node, node.restart_ns
+
+    def _count_recessive(self, start_ns: int) -> None:
+        """A frame begins: eleven recessive bits were there behind the last one, and as often as the bus was idle for."""
+        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
+        for node, restart_ns in self._off():
+            if restart_ns <= start_ns:
+                idle = (start_ns - max(self._idle_ns, restart_ns)) // eleven_ns
+                node.recessive = max(1, node.recessive - 1 - max(0, idle))
+
+    def _recovery_ns(self) -> int | None:
+        """When the next node comes back, if nobody sends."""
+        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
+        return min(
+            (max(self._idle_ns, restart) + node.recessive * eleven_ns for node, restart in self._off()),
+            default=None,
+        )
+
+    def _recover(self, now_ns: int) -> Iterator[Event]:
+        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
+        for node, restart_ns in list(self._off()):
+            if max(self._idle_ns, restart_ns) + node.recessive * eleven_ns <= now_ns:
+                node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
+                yield Changed(now_ns, node.number, node.state, node.counters)
+                yield Room(node.number, node.depth)
+
+    def _forget_who_left(self) -> None:
+        """Who has left and has nothing to send, or nobody to send it to."""
+        stay = any(not node.leaving for node in self.nodes.values())
+        sending = () if self._on_wire is None else self._on_wire.senders
+        self.nodes = {
+            number: node
+            for number, node in self.nodes.items()
+            if not node.leaving or node in sending or (node.queue and stay)
+        }
+
+
+def _numbers(nodes: Iterable[Node]) -> tuple[int, ...]:
+    return tuple(node.number for node in nodes)

@@ -5,6 +5,10 @@ import can
 from cutgate.firmware_sim.bus import frame as frames
 from cutgate.firmware_sim.bus.frame import Flag, Frame, FrameError
 
+# Plain numbers: IntFlag takes a microsecond for each operation, and a frame needs seven.
+_EXTENDED, _REMOTE, _ERROR, _FD = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR), int(Flag.FD)
+_SWITCH, _STATE, _OWN = int(Flag.BIT_RATE_SWITCH), int(Flag.ERROR_STATE), int(Flag.OWN)
+
 
 def frame_of(msg: can.Message, *, fd: bool) -> Frame:
     """The frame of a message, checked.
@@ -17,12 +21,12 @@ def frame_of(msg: can.Message, *, fd: bool) -> Frame:
         can.CanOperationError: a frame that this bus, or no CAN bus, carries.
     """
     flags = (
-        (Flag.EXTENDED if msg.is_extended_id else 0)
-        | (Flag.REMOTE if msg.is_remote_frame else 0)
-        | (Flag.ERROR if msg.is_error_frame else 0)
-        | (Flag.FD if msg.is_fd else 0)
-        | (Flag.BIT_RATE_SWITCH if msg.bitrate_switch else 0)
-        | (Flag.ERROR_STATE if msg.error_state_indicator else 0)
+        (_EXTENDED if msg.is_extended_id else 0)
+        | (_REMOTE if msg.is_remote_frame else 0)
+        | (_ERROR if msg.is_error_frame else 0)
+        | (_FD if msg.is_fd else 0)
+        | (_SWITCH if msg.bitrate_switch else 0)
+        | (_STATE if msg.error_state_indicator else 0)
     )
     data = b"" if msg.is_remote_frame else bytes(msg.data)
     length = msg.dlc if msg.is_remote_frame else len(data)
@@ -34,7 +38,7 @@ def frame_of(msg: can.Message, *, fd: bool) -> Frame:
         frames.check(msg.arbitration_id, flags, length)
     except FrameError as error:
         raise can.CanOperationError(f"not sent, {error}") from error
-    return Frame(msg.arbitration_id, int(flags), length, data)
+    return Frame(msg.arbitration_id, flags, length, data)
 
 
 def message_of(frame: Frame, time_s: float, channel: str) -> can.Message:
@@ -43,13 +47,13 @@ def message_of(frame: Frame, time_s: float, channel: str) -> can.Message:
     return can.Message(
         timestamp=time_s,
         arbitration_id=frame.number,
-        is_extended_id=bool(flags & Flag.EXTENDED),
-        is_remote_frame=bool(flags & Flag.REMOTE),
-        is_error_frame=bool(flags & Flag.ERROR),
-        is_fd=bool(flags & Flag.FD),
-        bitrate_switch=bool(flags & Flag.BIT_RATE_SWITCH),
-        error_state_indicator=bool(flags & Flag.ERROR_STATE),
-        is_rx=not flags & Flag.OWN,
+        is_extended_id=bool(flags & _EXTENDED),
+        is_remote_frame=bool(flags & _REMOTE),
+        is_error_frame=bool(flags & _ERROR),
+        is_fd=bool(flags & _FD),
+        bitrate_switch=bool(flags & _SWITCH),
+        error_state_indicator=bool(flags & _STATE),
+        is_rx=not flags & _OWN,
         dlc=frame.length,
         data=frame.data,
         channel=channel,

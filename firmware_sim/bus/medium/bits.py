@@ -18,6 +18,9 @@ SUSPEND_BITS: Final = 8
 RECOVERY_BITS: Final = 128 * 11
 """So many recessive bits a node that was bus-off must see before it takes part again."""
 
+_EXTENDED, _REMOTE, _ERROR, _FD = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR), int(Flag.FD)
+_SWITCH, _STATE = int(Flag.BIT_RATE_SWITCH), int(Flag.ERROR_STATE)
+
 _CRC_POLYNOMIAL: Final = 0x4599
 _CRC_BITS: Final = 15
 _END_BITS: Final = 10
@@ -51,9 +54,9 @@ class Bits(NamedTuple):
 
 def frame_bits(frame: Frame) -> Bits:
     """The bits of a frame from its start to the end of its last field; the intermission is not counted."""
-    if frame.flags & Flag.ERROR:
+    if frame.flags & _ERROR:
         return Bits(ERROR_FLAG_BITS + ERROR_DELIMITER_BITS)
-    return _fd_bits(frame) if frame.flags & Flag.FD else _classic_bits(frame)
+    return _fd_bits(frame) if frame.flags & _FD else _classic_bits(frame)
 
 
 # ---------------------------------------------------------------- stuff bits
@@ -118,8 +121,8 @@ def _crc15(value: int, count: int) -> int:
 
 
 def _classic_bits(frame: Frame) -> Bits:
-    remote = int(bool(frame.flags & Flag.REMOTE))
-    if frame.flags & Flag.EXTENDED:  # SOF, base, SRR, IDE, extension, RTR, r1, r0, DLC
+    remote = int(bool(frame.flags & _REMOTE))
+    if frame.flags & _EXTENDED:  # SOF, base, SRR, IDE, extension, RTR, r1, r0, DLC
         base, extension = frame.number >> 18, frame.number & 0x3FFFF
         head = ((base << 2 | 0b11) << 18 | extension) << 7 | remote << 6 | frame.length
         count = 39
@@ -142,14 +145,14 @@ def _fd_bits(frame: Frame) -> Bits:
     A fixed one stands before their first bit, where it takes the place of one that the data would need, and after
     every four.
     """
-    switch = int(bool(frame.flags & Flag.BIT_RATE_SWITCH))
-    if frame.flags & Flag.EXTENDED:  # SOF, base, SRR, IDE, extension, RRS, FDF, res, BRS
+    switch = int(bool(frame.flags & _SWITCH))
+    if frame.flags & _EXTENDED:  # SOF, base, SRR, IDE, extension, RRS, FDF, res, BRS
         base, extension = frame.number >> 18, frame.number & 0x3FFFF
         head, count = ((base << 2 | 0b11) << 18 | extension) << 4 | 0b0100 | switch, 36
     else:  # SOF, identifier, RRS, IDE, FDF, res, BRS
         head, count = frame.number << 5 | 0b00100 | switch, 17
     state, slow = _stuffed(0, head, count)
-    esi = int(bool(frame.flags & Flag.ERROR_STATE))
+    esi = int(bool(frame.flags & _STATE))
     rest = (esi << 4 | FD_LENGTHS.index(frame.length)) << 8 * frame.length | int.from_bytes(frame.data, "big")
     rest_count = 5 + 8 * frame.length
     state, fast = _stuffed(state, rest, rest_count)

@@ -7,6 +7,8 @@ from typing import NamedTuple
 from cutgate.firmware_sim.bus.frame import Flag, Frame
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
 
+_EXTENDED, _REMOTE, _ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
+
 
 class Waiting(NamedTuple):
     """A frame in a transmit queue."""
@@ -75,10 +77,10 @@ def arbitration(frame: Frame) -> int:
 
     Identifier, then remote behind data, then extended behind standard with the same first eleven bits.
     """
-    if frame.flags & Flag.ERROR:
+    if frame.flags & _ERROR:
         return -1  # dominant at once
-    remote = int(bool(frame.flags & Flag.REMOTE))
-    if frame.flags & Flag.EXTENDED:
+    remote = int(bool(frame.flags & _REMOTE))
+    if frame.flags & _EXTENDED:
         base, extension = frame.number >> 18, frame.number & 0x3FFFF
         return base << 21 | 0b11 << 19 | extension << 1 | remote
     return frame.number << 21 | remote << 20

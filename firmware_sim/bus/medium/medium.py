@@ -125,6 +125,7 @@ class Medium:
         """From when on the bus is free."""
         self._joined = 0
         self._intermission_ns = rates.nominal_ns(INTERMISSION_BITS)
+        self._eleven_ns = max(1, rates.nominal_ns(_RECESSIVE_BITS))
 
     # ------------------------------------------------------------ who takes part
 
@@ -176,7 +177,7 @@ class Medium:
             if self._on_wire is not None:
                 events += self._finish(self._on_wire)
             elif next_ns == self._start_ns():
-                self._begin(next_ns)
+                events += self._begin(next_ns)
             else:
                 events += self._recover(next_ns)
 
@@ -190,7 +191,7 @@ class Medium:
 
     # ------------------------------------------------------------ one frame
 
-    def _begin(self, start_ns: int) -> None:
+    def _begin(self, start_ns: int) -> Iterator[Event]:
         """Arbitration: of all that have something to send, who sends."""
         competing = [
             node
@@ -208,7 +209,7 @@ class Medium:
         if error is not None:
             at = CASES[error].from_end
             end_ns = (start_ns + end_ns) // 2 if at is None else end_ns - self.rates.nominal_ns(at)
-        self._count_recessive(start_ns)
+        yield from self._count_recessive(start_ns)
         self._on_wire = _OnWire(frame, senders, start_ns, end_ns, error, seers)
 
     def _error(self, frame: Frame, senders: tuple[Node, ...]) -> tuple[WireError | None, tuple[Node, ...]]:
@@ -221,8 +222,15 @@ class Medium:
             if injection.hits(frame.number, numbers):
                 wanted = injection.receivers
                 seers = [node for node in receivers if wanted is None or node.number in wanted]
-                return injection.kind, tuple(seers) if CASES[injection.kind].by_receivers else ()
+                return self._seen(injection.kind, seers)
         return (None, ()) if receivers else (WireError.ACK, ())
+
+    def _seen(self, kind: WireError, seers: list[Node]) -> tuple[WireError | None, tuple[Node, ...]]:
+        """An error that only passive receivers see destroys nothing: they alone have not got the frame."""
+        if not CASES[kind].by_receivers:
+            return kind, ()
+        destroys = any(node.state is not NodeState.ERROR_PASSIVE for node in seers)
+        return (kind if destroys else None), tuple(seers)
 
     def _receivers(self, senders: Iterable[Node]) -> list[Node]:
         return [
@@ -233,8 +241,7 @@ class Medium:
 
     def _finish(self, sent: _OnWire) -> Iterator[Event]:
         self._on_wire = None
-        seen_by_active = any(node.state is not NodeState.ERROR_PASSIVE for node in sent.seers)
-        if sent.error is None or (CASES[sent.error].by_receivers and not seen_by_active):
+        if sent.error is None:
             yield from self._arrived(sent)
         else:
             yield from self._destroyed(sent, sent.error)
@@ -316,29 +323,32 @@ class Medium:
             if node.state is NodeState.BUS_OFF and node.restart_ns is not None:
                 yield node, node.restart_ns
 
-    def _count_recessive(self, start_ns: int) -> None:
+    def _count_recessive(self, start_ns: int) -> Iterator[Event]:
         """A frame begins: eleven recessive bits were there behind the last one, and as often as the bus was idle for."""
-        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
-        for node, restart_ns in self._off():
+        for node, restart_ns in list(self._off()):
             if restart_ns <= start_ns:
-                idle = (start_ns - max(self._idle_ns, restart_ns)) // eleven_ns
-                node.recessive = max(1, node.recessive - 1 - max(0, idle))
+                idle = (start_ns - max(self._idle_ns, restart_ns)) // self._eleven_ns
+                node.recessive -= 1 + max(0, idle)
+                if node.recessive <= 0:
+                    yield from self._back(node, start_ns)
 
     def _recovery_ns(self) -> int | None:
         """When the next node comes back, if nobody sends."""
-        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
         return min(
-            (max(self._idle_ns, restart) + node.recessive * eleven_ns for node, restart in self._off()),
+            (max(self._idle_ns, restart) + node.recessive * self._eleven_ns for node, restart in self._off()),
             default=None,
         )
 
     def _recover(self, now_ns: int) -> Iterator[Event]:
-        eleven_ns = self.rates.nominal_ns(_RECESSIVE_BITS)
+        """Whoever has seen enough recessive bits by now, on a bus on which nobody sends."""
         for node, restart_ns in list(self._off()):
-            if max(self._idle_ns, restart_ns) + node.recessive * eleven_ns <= now_ns:
-                node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
-                yield Changed(now_ns, node.number, node.state, node.counters)
-                yield Room(node.number, node.depth)
+            if max(self._idle_ns, restart_ns) + node.recessive * self._eleven_ns <= now_ns:
+                yield from self._back(node, now_ns)
+
+    def _back(self, node: Node, now_ns: int) -> Iterator[Event]:
+        node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
+        yield Changed(now_ns, node.number, node.state, node.counters)
+        yield Room(node.number, node.depth)
 
     def _forget_who_left(self) -> None:
         """Who has left and has nothing to send, or nobody to send it to."""

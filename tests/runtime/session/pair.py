@@ -381,9 +381,9 @@ class Pair:
     ) -> None:
         self.directory, self.files, self.job = directory, files, job
         self.fd = fd
-        self.clock = Clock()
+        self.clock = self._clock()
         self.disk = Disk(clock=self.clock)
-        self.wire = Wire(self.clock, durable=lambda: self.disk.durable)
+        self.wire = self._wire()
         self.memory_file = directory / "memory.json"
         self.said: list[str] = []
         self.boots = 0
@@ -396,6 +396,12 @@ class Pair:
         self.cycle_s = CYCLE_S
         self.session: Session | None = None
         self.power_up()
+
+    def _clock(self) -> Clock:
+        return Clock()
+
+    def _wire(self) -> Wire:
+        return Wire(self.clock, durable=lambda: self.disk.durable)
 
     # ------------------------------------------------------------ set-up
 

@@ -50,14 +50,14 @@ class RuntimeDirectoryError(Exception):
 class LatchingSocketcanBus(SocketcanBus):
     """SocketCAN whose first failure stays: every later call raises it again, and the receive buffer is large."""
 
-    def __init__(self, channel: str, *, fd: bool = False) -> None:
-        """Bind to `channel`.
+    def __init__(self, channel: str, *, fd: bool = False, **options: Any) -> None:
+        """Bind to `channel`, with python-can's options of its own bus.
 
         Raises:
             OSError: the kernel has no such interface; see `has_socketcan`.
         """
         self._failure: str | None = None
-        super().__init__(channel=channel, fd=fd)
+        super().__init__(channel=channel, fd=fd, **options)
         # SO_RCVBUF never fails but is capped at net.core.rmem_max; SO_RCVBUFFORCE needs CAP_NET_ADMIN.
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         with suppress(OSError):

@@ -9,10 +9,18 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from cutgate.firmware_sim.bus import wire
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.bits import Rates
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
-from cutgate.firmware_sim.bus.medium.medium import QUEUE_FRAMES, Carried, Changed, Event, Failed, Medium, Room
+from cutgate.firmware_sim.bus.medium.medium import (
+    QUEUE_FRAMES,
+    Carried,
+    Changed,
+    Destroyed,
+    Event,
+    Medium,
+    QueueRoom,
+)
 from cutgate.firmware_sim.bus.medium.nodes import Node
 from cutgate.firmware_sim.bus.overload import Overload
 from cutgate.firmware_sim.bus.states import TRANSMIT_OVERFLOW, overflow_frame, state_frame
@@ -40,7 +48,7 @@ class Delivery(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Credit:
-    """Room in a client's transmit queue: so many frames more; None: none at all from now on."""
+    """QueueRoom in a client's transmit queue: so many frames more; None: none at all from now on."""
 
     client: int
     frames: int | None
@@ -214,11 +222,11 @@ class Paced:
                 raw = wire.of_frame(frame, self._stamps.at(at_ns + self._epoch_ns))
                 own = self._known(senders) if sent else ()
                 yield Delivery(raw, 1, int(bool(frame.flags & Flag.FD)), self._known(receivers), own)
-            case Room(node, count) if node in self._clients:
+            case QueueRoom(node, count) if node in self._clients:
                 yield Credit(self._clients[node], count)
             case Changed(_, node, state, counters) if node in self._clients:
                 yield from self._changed(node, state, counters)
-            case Failed():
+            case Destroyed():
                 pass  # counted by the medium
 
     def _known(self, numbers: tuple[int, ...]) -> tuple[int, ...]:
@@ -235,7 +243,7 @@ class Paced:
             yield Credit(self._clients[node], None)
         yield self._told(node, state_frame(before, state, counters))
 
-    def _told(self, node: int, frame: Frame) -> Delivery:
+    def _told(self, node: int, frame: BusFrame) -> Delivery:
         """What a node hears of its own interface."""
         raw = wire.of_frame(frame, self._stamps.at(self._clock_ns() + self._epoch_ns))
         return Delivery(raw, 1, 0, (self._clients[node],), logged=False)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from cutgate.firmware_sim.bus.carriers import AtOnce, Carrier, Paced
 from cutgate.firmware_sim.bus.frame import EXTENDED_MAX
-from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireError
+from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireFault
 from cutgate.firmware_sim.bus.medium.nodes import Node
 
 SCHEMA: Final = "cutgate.bus/1"
@@ -116,9 +116,9 @@ def injection_of(text: str, nodes: Mapping[int, int]) -> Injection:
     if not isinstance(asked, dict) or not set(asked) <= _KEYS:
         raise InjectionRefusedError(f"must be a JSON object of {', '.join(sorted(_KEYS))}")
     kind = asked.get("error")
-    if not isinstance(kind, str) or kind not in [*WireError]:
-        raise InjectionRefusedError(f"error is {kind!r}, must be one of {', '.join(WireError)}")
-    error = WireError(kind)
+    if not isinstance(kind, str) or kind not in [*WireFault]:
+        raise InjectionRefusedError(f"error is {kind!r}, must be one of {', '.join(WireFault)}")
+    error = WireFault(kind)
     receiver = asked.get("receiver")
     if receiver is not None and not CASES[error].by_receivers:
         raise InjectionRefusedError(

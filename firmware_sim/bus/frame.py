@@ -9,7 +9,7 @@ STANDARD_MAX: Final = 0x7FF
 EXTENDED_MAX: Final = 0x1FFF_FFFF
 
 
-class FrameError(ValueError):
+class BusFrameError(ValueError):
     """A frame that no CAN bus can carry."""
 
 
@@ -30,7 +30,7 @@ _EXTENDED, _REMOTE, _ERROR, _FD = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag
 _FD_ONLY: Final = int(Flag.BIT_RATE_SWITCH | Flag.ERROR_STATE)
 
 
-class Frame(NamedTuple):
+class BusFrame(NamedTuple):
     """One frame.
 
     Attributes:
@@ -50,17 +50,17 @@ def check(number: int, flags: int, length: int) -> None:
     """Refuse what no CAN bus can carry.
 
     Raises:
-        FrameError: identifier, length or combination of flags that no frame has.
+        BusFrameError: identifier, length or combination of flags that no frame has.
     """
     highest = EXTENDED_MAX if flags & (_EXTENDED | _ERROR) else STANDARD_MAX
     if not 0 <= number <= highest:
-        raise FrameError(f"identifier 0x{number:x}, at most 0x{highest:x}")
+        raise BusFrameError(f"identifier 0x{number:x}, at most 0x{highest:x}")
     if flags & _FD:
         if flags & (_REMOTE | _ERROR):
-            raise FrameError("an FD frame is neither a remote nor an error frame")
+            raise BusFrameError("an FD frame is neither a remote nor an error frame")
         if length not in FD_LENGTHS:
-            raise FrameError(f"FD frame of {length} data bytes; 0-8, 12, 16, 20, 24, 32, 48 or 64 exist")
+            raise BusFrameError(f"FD frame of {length} data bytes; 0-8, 12, 16, 20, 24, 32, 48 or 64 exist")
     elif length > 8:
-        raise FrameError(f"classic frame of {length} data bytes, at most 8")
+        raise BusFrameError(f"classic frame of {length} data bytes, at most 8")
     elif flags & _FD_ONLY:
-        raise FrameError("bit rate switch and error state exist in FD frames only")
+        raise BusFrameError("bit rate switch and error state exist in FD frames only")

@@ -254,8 +254,8 @@ class Hub:
             case HubKind.STAT:
                 self._answer(client, wire.text(HubKind.STATUS, json.dumps(self.status())))
             case HubKind.INJECT:
-                said = inject(self._carrier, record.data.decode(errors="replace"))
-                self._answer(client, wire.text(HubKind.TEXT, said))
+                answer = inject(self._carrier, record.data.decode(errors="replace"))
+                self._answer(client, wire.text(HubKind.TEXT, answer))
             case kind:
                 raise WireError(f"{kind.name} is out of place")
 
@@ -438,7 +438,7 @@ def _head_of(queue: deque[tuple[bytes, int]]) -> tuple[bytes, int, int]:
 
 
 def _give_room(client: _Client, frames: int | None) -> None:
-    """Room in a client's transmit queue; None takes away what it has."""
+    """QueueRoom in a client's transmit queue; None takes away what it has."""
     if client.room is None:
         return
     if frames is not None:

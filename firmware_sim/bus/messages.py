@@ -3,14 +3,14 @@
 import can
 
 from cutgate.firmware_sim.bus import frame as frames
-from cutgate.firmware_sim.bus.frame import Flag, Frame, FrameError
+from cutgate.firmware_sim.bus.frame import BusFrame, BusFrameError, Flag
 
 # Plain numbers: IntFlag takes a microsecond for each operation, and a frame needs seven.
 _EXTENDED, _REMOTE, _ERROR, _FD = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR), int(Flag.FD)
 _SWITCH, _STATE, _OWN = int(Flag.BIT_RATE_SWITCH), int(Flag.ERROR_STATE), int(Flag.OWN)
 
 
-def frame_of(msg: can.Message, *, fd: bool) -> Frame:
+def frame_of(msg: can.Message, *, fd: bool) -> BusFrame:
     """The frame of a message, checked.
 
     Args:
@@ -36,12 +36,12 @@ def frame_of(msg: can.Message, *, fd: bool) -> Frame:
         raise can.CanOperationError(f"no CAN frame: identifier {msg.arbitration_id}, length {length}")
     try:
         frames.check(msg.arbitration_id, flags, length)
-    except FrameError as error:
+    except BusFrameError as error:
         raise can.CanOperationError(f"not sent, {error}") from error
-    return Frame(msg.arbitration_id, flags, length, data)
+    return BusFrame(msg.arbitration_id, flags, length, data)
 
 
-def message_of(frame: Frame, time_s: float, channel: str) -> can.Message:
+def message_of(frame: BusFrame, time_s: float, channel: str) -> can.Message:
     """The message of a frame."""
     flags = frame.flags
     return can.Message(

@@ -23,8 +23,8 @@ class Overload:
     def __init__(self, medium: Medium, now_ns: int) -> None:
         self._medium = medium
         self._since_ns = now_ns
-        self._busy_ns = 0
-        self._by_talker: dict[tuple[int, int], int] = {}
+        self._busy_ns = medium.totals.busy_ns
+        self._by_talker = {key: talker.busy_ns for key, talker in medium.totals.talkers.items()}
         self._named: set[tuple[int, int]] = set()
 
     def seen(self, now_ns: int) -> Iterator[str]:

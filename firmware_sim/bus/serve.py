@@ -22,7 +22,7 @@ from cutgate.firmware_sim.bus.ask import NotAnsweredError, counts, let_err
 from cutgate.firmware_sim.bus.carriers import Paced
 from cutgate.firmware_sim.bus.hub import Hub, HubError
 from cutgate.firmware_sim.bus.medium.bits import Rates
-from cutgate.firmware_sim.bus.medium.errors import WireError
+from cutgate.firmware_sim.bus.medium.errors import WireFault
 from cutgate.firmware_sim.bus.medium.medium import QUEUE_FRAMES
 
 
@@ -62,7 +62,8 @@ def _stat(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         (output,) = stack.enter_context(screens(STDOUT))
         if options.json:
-            output.say(json.dumps(counts(path), indent=2))
+            for line in json.dumps(counts(path), indent=2).splitlines():
+                output.say(line)
             return OK
         reading, writing = wake_pipe()
         stack.callback(os.close, reading)
@@ -188,7 +189,7 @@ def _parser() -> argparse.ArgumentParser:
     stat_.add_argument("--json", action="store_true", help="one look: everything counted since it began")
     inject_ = commands.add_parser("inject", help="let errors of the wire come", allow_abbrev=False)
     _add_socket(inject_)
-    inject_.add_argument("error", choices=[*WireError], help="which one")
+    inject_.add_argument("error", choices=[*WireFault], help="which one")
     inject_.add_argument("--id", type=_hexadecimal, metavar="HEX", help="of frames with this identifier")
     inject_.add_argument("--sender", type=_whole(1, 10**9), metavar="CLIENT", help="of frames of this client")
     inject_.add_argument(

@@ -3,8 +3,8 @@
 from typing import Any, Final
 
 TALKERS: Final = 5
-_COLUMNS: Final = ("client", "state", "tx/rx err", "queue", "sent/s", "load", "lost", "name")
-_FORM: Final = "{:>6}  {:<13}  {:>9}  {:>5}  {:>7}  {:>5}  {:>5}  {}"
+_COLUMNS: Final = ("client", "state", "tx/rx err", "queue", "sent/s", "load", "lost", "who")
+_FORM: Final = "{:>6} {:<13} {:>9} {:>5} {:>7} {:>6} {:>5} {}"
 
 
 def page(before: dict[str, Any], after: dict[str, Any], seconds: float) -> list[str]:
@@ -42,11 +42,17 @@ def _was(before: dict[str, Any], client: int) -> dict[str, Any]:
     return found[0] if found else {}
 
 
+def _who(client: dict[str, Any]) -> str:
+    """The name without the number, which stands before it."""
+    name = str(client["name"])
+    return name.removeprefix(f"client {client['client']} ").strip("()")
+
+
 def _line_at_once(before: dict[str, Any], client: dict[str, Any], seconds: float) -> str:
     sent = client["sent"] - _was(before, client["client"]).get("sent", 0)
     return (
         f"{client['client']:>6}  {sent / seconds:.0f} frames/s, {client['unread']} unread, {client['lost']} lost  "
-        f"{client['name']}"
+        f"{_who(client)}"
     )
 
 
@@ -60,7 +66,7 @@ def _line(before: dict[str, Any], client: dict[str, Any], seconds: float, span_n
         f"{(client['sent'] - was.get('sent', 0)) / seconds:.0f}",
         f"{(client['busy_ns'] - was.get('busy_ns', 0)) / span_ns:.1%}",
         client["lost"] + client["refused"],
-        client["name"],
+        _who(client),
     )
 
 

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
 
 CONTROLLER: Final = 0x004
@@ -21,7 +21,7 @@ _DETAIL: Final = {
 """Second byte where the transmit counter is the higher one, and where the receive counter is."""
 
 
-def state_frame(before: NodeState, state: NodeState, counters: Counters) -> Frame:
+def state_frame(before: NodeState, state: NodeState, counters: Counters) -> BusFrame:
     """The error frame by which an interface tells its programs that it may do more or less than before."""
     if state is NodeState.BUS_OFF:
         return _error(BUS_OFF, 0, counters)
@@ -31,11 +31,11 @@ def state_frame(before: NodeState, state: NodeState, counters: Counters) -> Fram
     return _error(CONTROLLER, sending if counters.transmit >= counters.receive else receiving, counters)
 
 
-def overflow_frame(detail: int, frames: int) -> Frame:
+def overflow_frame(detail: int, frames: int) -> BusFrame:
     """Frames were lost for want of room; bytes 4 to 7 say how many, big-endian."""
-    return Frame(CONTROLLER, int(Flag.ERROR), 8, bytes((0, detail, 0, 0)) + frames.to_bytes(4, "big"))
+    return BusFrame(CONTROLLER, int(Flag.ERROR), 8, bytes((0, detail, 0, 0)) + frames.to_bytes(4, "big"))
 
 
-def _error(number: int, detail: int, counters: Counters) -> Frame:
+def _error(number: int, detail: int, counters: Counters) -> BusFrame:
     counts = bytes((min(counters.transmit, 255), min(counters.receive, 255)))
-    return Frame(number | COUNTERS, int(Flag.ERROR), 8, bytes((0, detail, 0, 0, 0, 0)) + counts)
+    return BusFrame(number | COUNTERS, int(Flag.ERROR), 8, bytes((0, detail, 0, 0, 0, 0)) + counts)

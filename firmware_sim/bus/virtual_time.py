@@ -13,7 +13,7 @@ from typing import Final
 
 import can
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.bits import Rates
 from cutgate.firmware_sim.bus.medium.confinement import NodeState
 from cutgate.firmware_sim.bus.medium.medium import QUEUE_FRAMES, Carried, Changed, Event, Medium
@@ -22,8 +22,8 @@ from cutgate.firmware_sim.bus.states import state_frame
 
 NOT_PACED: Final = Rates(10**15)
 """Frames take no time at all."""
-TURN_S: Final = 0.0001
-"""What a turn of a loop takes: one that never waits must not keep time from passing."""
+TURN_S: Final = 0.0005
+"""What a turn of a loop takes, about as on a machine: one that never waits must not keep time from passing."""
 START_S: Final = 1000.0
 _NS: Final = 1_000_000_000
 
@@ -96,7 +96,7 @@ class VirtualTime:
             self._step(end_ns)
         return met or condition()
 
-    def offer(self, number: int, frame: Frame) -> bool:
+    def offer(self, number: int, frame: BusFrame) -> bool:
         """Queue a frame at a node; False where there is no room."""
         return self.medium.offer(number, frame, self.now_ns)
 
@@ -111,8 +111,8 @@ class VirtualTime:
                 loop.take(self)
 
     def _happened(self, event: Event) -> None:
-        for watch in self.watchers:
-            watch(event)
+        for tell in self.watchers:
+            tell(event)
         match event:
             case Carried(at_ns, frame, senders, receivers, sent):
                 for number in receivers:
@@ -126,7 +126,7 @@ class VirtualTime:
                 before, self._states[number] = self._states[number], state
                 self._deliver(number, state_frame(before, state, counters), at_ns)
 
-    def _deliver(self, number: int, frame: Frame, at_ns: int) -> None:
+    def _deliver(self, number: int, frame: BusFrame, at_ns: int) -> None:
         bus = self._buses.get(number)
         if bus is not None and (bus.fd or not frame.flags & Flag.FD):
             bus.inbox.append(message_of(frame, at_ns / _NS, bus.channel_info))
@@ -168,14 +168,27 @@ class VirtualTimeBus(can.BusABC):
         if not self._time.offer(self.number, frame_of(msg, fd=self.fd)):
             raise can.CanTimeoutError(f"the transmit queue of {self.channel_info} is full")
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if self._is_shutdown:
-            raise can.CanOperationError("the bus was shut down by this program")
-        if not self.inbox and timeout != 0:
-            if timeout is None:
-                raise can.CanOperationError("in virtual time recv needs a timeout: it could wait for ever")
-            self._time.until(lambda: bool(self.inbox), timeout)
-        return (self.inbox.popleft(), False) if self.inbox else (None, False)
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame that the filters let through; while it waits time passes, for everybody.
+
+        python-can's own waits by the computer's clock.
+
+        Raises:
+            can.CanOperationError: without a timeout, for it could wait for ever; or it was shut down.
+        """
+        if timeout is None:
+            raise can.CanOperationError("in virtual time recv needs a timeout: it could wait for ever")
+        end_s = self._time.clock() + timeout
+        while True:
+            if self._is_shutdown:
+                raise can.CanOperationError("the bus was shut down by this program")
+            while self.inbox:
+                message = self.inbox.popleft()
+                if message.is_error_frame or self._matches_filters(message):
+                    return message
+            left_s = end_s - self._time.clock()
+            if left_s <= 0.0 or not self._time.until(lambda: bool(self.inbox), left_s):
+                return None
 
     def shutdown(self) -> None:
         """Leave the bus; may be called more than once."""

@@ -24,7 +24,7 @@ from enum import IntEnum, IntFlag, unique
 from typing import Final, NamedTuple
 
 from cutgate.firmware_sim.bus import frame as frames
-from cutgate.firmware_sim.bus.frame import ALL_FLAGS, Flag, Frame, FrameError
+from cutgate.firmware_sim.bus.frame import ALL_FLAGS, BusFrame, BusFrameError, Flag
 
 VERSION: Final = 2
 MAGIC: Final = b"cutgate-bus"
@@ -87,9 +87,9 @@ class HubRecord:
         return _HEAD.pack(VERSION, self.kind, self.flags, self.number, self.time_ns, self.length) + self.data
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> BusFrame:
         """The frame that a FRAME holds."""
-        return Frame(self.number, self.flags, self.length, self.data)
+        return BusFrame(self.number, self.flags, self.length, self.data)
 
 
 def hello(*, fd: bool, own: bool) -> HubRecord:
@@ -100,17 +100,17 @@ def hello(*, fd: bool, own: bool) -> HubRecord:
 
 def refused(reason: str) -> HubRecord:
     """The hub's refusal of a HELLO."""
-    said = reason.encode()[:255]
-    return HubRecord(HubKind.REFUSED, length=len(said), data=said)
+    words = reason.encode()[:255]
+    return HubRecord(HubKind.REFUSED, length=len(words), data=words)
 
 
-def text(kind: HubKind, said: str) -> HubRecord:
+def text(kind: HubKind, content: str) -> HubRecord:
     """A record of a kind that holds a text."""
-    data = said.encode()
+    data = content.encode()
     return HubRecord(kind, number=len(data), data=data)
 
 
-def of_frame(frame: Frame, time_ns: int = 0) -> bytes:
+def of_frame(frame: BusFrame, time_ns: int = 0) -> bytes:
     """A FRAME record's bytes."""
     head = _HEAD.pack(VERSION, _FRAME, frame.flags, frame.number, time_ns, frame.length)
     return head + frame.data
@@ -211,7 +211,7 @@ def _refuse(raw: bytes, at: int) -> None:
 def _check(number: int, flags: int, length: int) -> None:
     try:
         frames.check(number, flags, length)
-    except FrameError as error:
+    except BusFrameError as error:
         raise WireError(str(error)) from error
     if flags & _OWN:
         raise WireError("flag OWN is the hub's to set")

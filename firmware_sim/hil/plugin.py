@@ -15,8 +15,13 @@ END_TIMEOUT_S: Final = 10.0
 
 
 @contextmanager
-def hub_process(path: Path, *, log: Path | None = None) -> Iterator[subprocess.Popen[str]]:
+def hub_process(path: Path, *arguments: str, log: Path | None = None) -> Iterator[subprocess.Popen[str]]:
     """A hub in a process of its own, serving on `path` when the block is entered and ended after it.
+
+    Args:
+        path: of its socket.
+        arguments: more of `cutgate bus serve`, as `--bitrate 1M`.
+        log: a new file for the frames.
 
     It ends by itself when this process dies. The block may end or kill it.
 
@@ -24,6 +29,7 @@ def hub_process(path: Path, *, log: Path | None = None) -> Iterator[subprocess.P
         RuntimeError: it did not come up; the message holds what it said.
     """
     command = program("cutgate.firmware_sim", "bus", "serve", "--socket", str(path), "--until-stdin-closes")
+    command += arguments
     if log is not None:
         command += ["--log", str(log)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as hub:  # noqa: S603

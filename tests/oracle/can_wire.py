@@ -3,7 +3,7 @@ than it sent falls silent. It shares nothing with the model: no table, no counti
 
 from dataclasses import dataclass
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 
 POLYNOMIAL_15 = 0b1100010110011001
 FD_CODES = (12, 16, 20, 24, 32, 48, 64)
@@ -14,7 +14,7 @@ def number(value: int, count: int) -> list[int]:
     return [value >> place & 1 for place in reversed(range(count))]
 
 
-def arbitration_field(frame: Frame) -> list[int]:
+def arbitration_field(frame: BusFrame) -> list[int]:
     """From the start of the frame to what follows the identifier: RTR, IDE and, of FD frames, FDF, res, BRS."""
     remote, fd = int(bool(frame.flags & Flag.REMOTE)), bool(frame.flags & Flag.FD)
     switch = int(bool(frame.flags & Flag.BIT_RATE_SWITCH))
@@ -53,7 +53,7 @@ class Encoded:
     fast: range = range(0)
 
 
-def encoded(frame: Frame) -> Encoded:
+def encoded(frame: BusFrame) -> Encoded:
     """Every bit from start of frame to CRC delimiter."""
     data = [bit for byte in frame.data for bit in number(byte, 8)]
     head = arbitration_field(frame)
@@ -76,7 +76,7 @@ def encoded(frame: Frame) -> Encoded:
     return Encoded(bits, range(len(stuffed(head)), len(bits)))
 
 
-def winners(frames: list[Frame]) -> list[int]:
+def winners(frames: list[BusFrame]) -> list[int]:
     """Of nodes that begin at once, those that are still sending when the identifier and what decides is over."""
     sending = {index: stuffed(arbitration_field(frame)) for index, frame in enumerate(frames)}
     alive = set(sending)

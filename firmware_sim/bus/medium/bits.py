@@ -7,7 +7,7 @@ ones stand before it.
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from cutgate.firmware_sim.bus.frame import FD_LENGTHS, Flag, Frame
+from cutgate.firmware_sim.bus.frame import FD_LENGTHS, BusFrame, Flag
 
 INTERMISSION_BITS: Final = 3
 ERROR_FLAG_BITS: Final = 12
@@ -52,7 +52,7 @@ class Bits(NamedTuple):
         return rates.nominal_ns(self.nominal) + fast
 
 
-def frame_bits(frame: Frame) -> Bits:
+def frame_bits(frame: BusFrame) -> Bits:
     """The bits of a frame from its start to the end of its last field; the intermission is not counted."""
     if frame.flags & _ERROR:
         return Bits(ERROR_FLAG_BITS + ERROR_DELIMITER_BITS)
@@ -120,7 +120,7 @@ def _crc15(value: int, count: int) -> int:
     return crc
 
 
-def _classic_bits(frame: Frame) -> Bits:
+def _classic_bits(frame: BusFrame) -> Bits:
     remote = int(bool(frame.flags & _REMOTE))
     if frame.flags & _EXTENDED:  # SOF, base, SRR, IDE, extension, RTR, r1, r0, DLC
         base, extension = frame.number >> 18, frame.number & 0x3FFFF
@@ -139,7 +139,7 @@ def _classic_bits(frame: Frame) -> Bits:
 # ---------------------------------------------------------------- FD frames
 
 
-def _fd_bits(frame: Frame) -> Bits:
+def _fd_bits(frame: BusFrame) -> Bits:
     """Stuff bits are counted to the end of the data; stuff count and CRC have fixed ones.
 
     A fixed one stands before their first bit, where it takes the place of one that the data would need, and after

@@ -10,7 +10,7 @@ from typing import Final
 
 
 @unique
-class WireError(StrEnum):
+class WireFault(StrEnum):
     """What can go wrong with one frame."""
 
     BIT = "bit"
@@ -37,14 +37,14 @@ class ErrorCase:
     kept: bool = False
 
 
-CASES: Final[dict[WireError, ErrorCase]] = {
-    WireError.BIT: ErrorCase(None, by_receivers=False),
-    WireError.STUFF: ErrorCase(None, by_receivers=True),
-    WireError.FORM: ErrorCase(9, by_receivers=True),
-    WireError.ACK: ErrorCase(8, by_receivers=False),
-    WireError.CRC: ErrorCase(7, by_receivers=True),
-    WireError.LAST_BUT_ONE: ErrorCase(1, by_receivers=True, kept=True),
-    WireError.LAST: ErrorCase(0, by_receivers=False, kept=True),
+CASES: Final[dict[WireFault, ErrorCase]] = {
+    WireFault.BIT: ErrorCase(None, by_receivers=False),
+    WireFault.STUFF: ErrorCase(None, by_receivers=True),
+    WireFault.FORM: ErrorCase(9, by_receivers=True),
+    WireFault.ACK: ErrorCase(8, by_receivers=False),
+    WireFault.CRC: ErrorCase(7, by_receivers=True),
+    WireFault.LAST_BUT_ONE: ErrorCase(1, by_receivers=True, kept=True),
+    WireFault.LAST: ErrorCase(0, by_receivers=False, kept=True),
 }
 """CRC delimiter 9 bits before the end, acknowledge slot 8, end of frame the last 7. A receiver takes a frame when the
 last bit but one was right, the transmitter believes it sent when the last one was: between the two everybody else has
@@ -64,7 +64,7 @@ class Injection:
         count: how many it hits.
     """
 
-    kind: WireError
+    kind: WireFault
     number: int | None = None
     senders: frozenset[int] | None = None
     receivers: frozenset[int] | None = None

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from cutgate.firmware_sim.bus.frame import Frame
+from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium.bits import (
     ERROR_DELIMITER_BITS,
     ERROR_FLAG_BITS,
@@ -19,7 +19,7 @@ from cutgate.firmware_sim.bus.medium.bits import (
     frame_bits,
 )
 from cutgate.firmware_sim.bus.medium.confinement import Counted, Counters, NodeState
-from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireError
+from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireFault
 from cutgate.firmware_sim.bus.medium.nodes import Node, Waiting, arbitration
 
 QUEUE_FRAMES: Final = 10
@@ -34,24 +34,24 @@ class Carried:
     """A frame that reached somebody: whose it was, who has taken it, and who of its senders believes it sent."""
 
     at_ns: int
-    frame: Frame
+    frame: BusFrame
     senders: tuple[int, ...]
     receivers: tuple[int, ...]
     sent: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class Destroyed:
     """An error frame was on the bus: which error, and whose frame it hit."""
 
     at_ns: int
-    kind: WireError
-    frame: Frame
+    kind: WireFault
+    frame: BusFrame
     senders: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class QueueRoom:
     """So many frames have left a node's transmit queue."""
 
     node: int
@@ -68,18 +68,18 @@ class Changed:
     counters: Counters
 
 
-Event = Carried | Failed | Room | Changed
+Event = Carried | Destroyed | QueueRoom | Changed
 
 
 @dataclass(frozen=True, slots=True)
 class _OnWire:
     """What is being sent: from when, until when; the error that ends it, and the receivers that see it."""
 
-    frame: Frame
+    frame: BusFrame
     senders: tuple[Node, ...]
     start_ns: int
     end_ns: int
-    error: WireError | None = None
+    error: WireFault | None = None
     seers: tuple[Node, ...] = ()
 
 
@@ -148,7 +148,7 @@ class Medium:
         self._injections.append(injection)
         return True
 
-    def offer(self, number: int, frame: Frame, now_ns: int) -> bool:
+    def offer(self, number: int, frame: BusFrame, now_ns: int) -> bool:
         """Queue a frame; False where the node's transmit queue has no room, or the node is bus-off."""
         node = self.nodes[number]
         if len(node.queue) >= node.depth or node.state is NodeState.BUS_OFF:
@@ -212,20 +212,20 @@ class Medium:
         yield from self._count_recessive(start_ns)
         self._on_wire = _OnWire(frame, senders, start_ns, end_ns, error, seers)
 
-    def _error(self, frame: Frame, senders: tuple[Node, ...]) -> tuple[WireError | None, tuple[Node, ...]]:
+    def _error(self, frame: BusFrame, senders: tuple[Node, ...]) -> tuple[WireFault | None, tuple[Node, ...]]:
         """What goes wrong with this frame, and which receivers see it."""
         receivers = self._receivers(senders)
         if any(node.queue[0].frame != frame for node in senders):
-            return WireError.BIT, ()  # two that nobody can tell apart by identifier: one is overwritten
+            return WireFault.BIT, ()  # two that nobody can tell apart by identifier: one is overwritten
         numbers = tuple(node.number for node in senders)
         for injection in self._injections:
             if injection.hits(frame.number, numbers):
                 wanted = injection.receivers
                 seers = [node for node in receivers if wanted is None or node.number in wanted]
                 return self._seen(injection.kind, seers)
-        return (None, ()) if receivers else (WireError.ACK, ())
+        return (None, ()) if receivers else (WireFault.ACK, ())
 
-    def _seen(self, kind: WireError, seers: list[Node]) -> tuple[WireError | None, tuple[Node, ...]]:
+    def _seen(self, kind: WireFault, seers: list[Node]) -> tuple[WireFault | None, tuple[Node, ...]]:
         """An error that only passive receivers see destroys nothing: they alone have not got the frame."""
         if not CASES[kind].by_receivers:
             return kind, ()
@@ -258,7 +258,7 @@ class Medium:
             node.queue.popleft()
             node.tally.sent += 1
             yield from self._counted(node, Counted.SENT, sent.end_ns)
-            yield Room(node.number, 1)
+            yield QueueRoom(node.number, 1)
         for node in takers:
             node.tally.received += 1
             yield from self._counted(node, Counted.RECEIVED, sent.end_ns)
@@ -266,7 +266,7 @@ class Medium:
             yield from self._counted(node, Counted.RECEIVED_WRONG, sent.end_ns)
         self._suspend(sent)
 
-    def _destroyed(self, sent: _OnWire, error: WireError) -> Iterator[Event]:
+    def _destroyed(self, sent: _OnWire, error: WireFault) -> Iterator[Event]:
         """An error frame follows; the frame stays in its queue and is sent again."""
         flag_ns = self.rates.nominal_ns(ERROR_FLAG_BITS + ERROR_DELIMITER_BITS)
         self._occupied(sent, sent.end_ns - sent.start_ns + flag_ns + self._intermission_ns)
@@ -275,8 +275,8 @@ class Medium:
         if CASES[error].kept:
             takers = [node for node in others if node not in sent.seers]
             yield Carried(sent.end_ns, sent.frame, _numbers(sent.senders), _numbers(takers), sent=False)
-        yield Failed(sent.end_ns, error, sent.frame, _numbers(sent.senders))
-        own = Counted.NOT_ACKNOWLEDGED if error is WireError.ACK else Counted.SENT_WRONG
+        yield Destroyed(sent.end_ns, error, sent.frame, _numbers(sent.senders))
+        own = Counted.NOT_ACKNOWLEDGED if error is WireFault.ACK else Counted.SENT_WRONG
         for node in sent.senders:
             node.tally.errors += 1
             yield from self._counted(node, own, sent.end_ns)
@@ -348,7 +348,7 @@ class Medium:
     def _back(self, node: Node, now_ns: int) -> Iterator[Event]:
         node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
         yield Changed(now_ns, node.number, node.state, node.counters)
-        yield Room(node.number, node.depth)
+        yield QueueRoom(node.number, node.depth)
 
     def _forget_who_left(self) -> None:
         """Who has left and has nothing to send, or nobody to send it to."""

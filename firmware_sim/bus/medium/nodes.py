@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
 
 _EXTENDED, _REMOTE, _ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
@@ -13,7 +13,7 @@ _EXTENDED, _REMOTE, _ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERRO
 class Waiting(NamedTuple):
     """A frame in a transmit queue."""
 
-    frame: Frame
+    frame: BusFrame
     since_ns: int
 
 
@@ -72,7 +72,7 @@ class Node:
         return max(self.queue[0].since_ns, self.ready_ns)
 
 
-def arbitration(frame: Frame) -> int:
+def arbitration(frame: BusFrame) -> int:
     """The bits by which frames compete, as a number: the lower one goes first.
 
     Identifier, then remote behind data, then extended behind standard with the same first eleven bits.

@@ -17,8 +17,8 @@ import pytest
 from cutgate.firmware_sim.bus import hub as hub_module
 from cutgate.firmware_sim.bus import peer, socket_place, wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, RECEIVE_OVERFLOW
-from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served, log_line
 from cutgate.firmware_sim.bus.frame import Flag
+from cutgate.firmware_sim.bus.hub import Hub, HubError, is_served, log_line
 from cutgate.firmware_sim.bus.wire import HubKind, HubRecord
 
 WAIT_S = 20.0

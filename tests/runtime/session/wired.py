@@ -17,7 +17,7 @@ from tests.runtime.session.pair import Pair, _readable
 from tests.runtime.session.wire import CONTROLLER, RUNTIME, Clock
 
 CLASSIC, FLEXIBLE = Rates(1_000_000), Rates(1_000_000, 5_000_000)
-LOOK_S = 0.005
+LOOK_S = 0.02
 """A loop that would wait longer looks all the same: disk and people do not wake it here."""
 
 
@@ -67,7 +67,7 @@ class WiredPair(Pair):
 
     def power_up(self, *faults: str, **options: Any) -> None:
         super().power_up(*faults, **options)
-        self._loop(CONTROLLER, self._controller_turns, lambda: self.process._wait_s())
+        self._loop(CONTROLLER, self._controller_turns, self.process._wait_s)
 
     def begin(self, job: Any = None) -> Pair:
         super().begin(job)

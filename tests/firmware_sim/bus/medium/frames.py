@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.bus.frame import FD_LENGTHS, Flag, Frame
+from cutgate.firmware_sim.bus.frame import FD_LENGTHS, BusFrame, Flag
 
 FD, SWITCH, STATE, EXTENDED, REMOTE = (
     int(flag) for flag in (Flag.FD, Flag.BIT_RATE_SWITCH, Flag.ERROR_STATE, Flag.EXTENDED, Flag.REMOTE)
@@ -10,26 +10,26 @@ FD, SWITCH, STATE, EXTENDED, REMOTE = (
 RUNS = st.sampled_from([0x00, 0xFF, 0xF8, 0x1F, 0x3E, 0xC1])
 
 
-def of(number: int, data: bytes = b"", flags: int = 0) -> Frame:
-    return Frame(number, flags, len(data), data)
+def of(number: int, data: bytes = b"", flags: int = 0) -> BusFrame:
+    return BusFrame(number, flags, len(data), data)
 
 
 @st.composite
-def classic(draw: st.DrawFn) -> Frame:
+def classic(draw: st.DrawFn) -> BusFrame:
     flags = draw(st.sampled_from([0, 0, EXTENDED, REMOTE, EXTENDED | REMOTE]))
     number = draw(st.sampled_from([0, 0x7F8]) | st.integers(0, 0x1FFFFFFF if flags & EXTENDED else 0x7FF))
     if flags & REMOTE:
-        return Frame(number, flags, draw(st.integers(0, 8)))
+        return BusFrame(number, flags, draw(st.integers(0, 8)))
     data = bytes(draw(st.lists(RUNS | st.integers(0, 255), max_size=8)))
-    return Frame(number, flags, len(data), data)
+    return BusFrame(number, flags, len(data), data)
 
 
 @st.composite
-def flexible(draw: st.DrawFn) -> Frame:
+def flexible(draw: st.DrawFn) -> BusFrame:
     flags = (
         FD | draw(st.sampled_from([0, SWITCH, SWITCH | STATE, STATE])) | draw(st.sampled_from([0, EXTENDED]))
     )
     number = draw(st.sampled_from([0, 0x7F8]) | st.integers(0, 0x1FFFFFFF if flags & EXTENDED else 0x7FF))
     length = draw(st.sampled_from(FD_LENGTHS))
     data = bytes(draw(st.lists(RUNS | st.integers(0, 255), min_size=length, max_size=length)))
-    return Frame(number, flags, length, data)
+    return BusFrame(number, flags, length, data)

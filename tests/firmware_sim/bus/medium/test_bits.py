@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.bits import Bits, Rates, frame_bits
 from tests.firmware_sim.bus.medium.frames import EXTENDED, FD, REMOTE, SWITCH, classic, flexible, of
 from tests.oracle.can_wire import encoded
@@ -31,8 +31,8 @@ def test_a_classic_frame_is_between_the_bounds_of_the_standard(data):
         # 44 fixed bits, and stuff bits: counted on paper, of the start bit and an identifier of zeros
         (of(0x555), 47 - 3),
         (of(0x555, b"\x55" * 8), 108),
-        (Frame(0x555, REMOTE, 8), 44),
-        (Frame(0x15555555, EXTENDED, 0), 64),
+        (BusFrame(0x555, REMOTE, 8), 44),
+        (BusFrame(0x15555555, EXTENDED, 0), 64),
     ],
 )
 def test_frames_with_next_to_no_stuff_bits(frame, bits):
@@ -40,7 +40,7 @@ def test_frames_with_next_to_no_stuff_bits(frame, bits):
 
 
 def test_an_error_frame_is_flag_and_delimiter():
-    assert frame_bits(Frame(0x4, int(Flag.ERROR), 8, bytes(8))) == Bits(20)
+    assert frame_bits(BusFrame(0x4, int(Flag.ERROR), 8, bytes(8))) == Bits(20)
 
 
 def test_time_goes_by_both_rates():

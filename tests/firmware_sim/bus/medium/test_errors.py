@@ -2,7 +2,7 @@
 
 import pytest
 
-from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireError
+from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireFault
 
 
 def hits(injection, *frames):
@@ -10,7 +10,7 @@ def hits(injection, *frames):
 
 
 def test_every_error_has_a_row():
-    assert set(CASES) == set(WireError)
+    assert set(CASES) == set(WireFault)
 
 
 @pytest.mark.parametrize(
@@ -27,4 +27,4 @@ def test_every_error_has_a_row():
     ],
 )
 def test_it_hits_what_it_names_so_often(wanted, expected):
-    assert hits(Injection(WireError.BIT, **wanted), (6, (1,)), (7, (1,)), (7, (1, 2))) == expected
+    assert hits(Injection(WireFault.BIT, **wanted), (6, (1,)), (7, (1,)), (7, (1, 2))) == expected

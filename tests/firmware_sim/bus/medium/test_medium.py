@@ -1,24 +1,25 @@
 """The bus as a whole: order, time, errors, queues, who leaves and who comes back."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.bus.frame import Frame
+from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium import medium as module
 from cutgate.firmware_sim.bus.medium.bits import Rates, frame_bits
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
-from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireError
-from cutgate.firmware_sim.bus.medium.medium import Carried, Changed, Failed, Medium, Room
+from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireFault
+from cutgate.firmware_sim.bus.medium.medium import Carried, Changed, Destroyed, Medium, QueueRoom
 from tests.firmware_sim.bus.medium.frames import FD, SWITCH, classic, flexible, of
 from tests.oracle.can_wire import encoded, winners
 
 RATES = Rates(1_000_000, 5_000_000)
 BIT_NS = 1000
 S = NodeState
-E = WireError
+E = WireFault
 
 
 def bus(nodes=2, **options):
@@ -100,7 +101,7 @@ def test_a_queue_is_first_in_first_out_and_full_at_its_depth():
     assert medium.nodes[1].tally.refused == 1
     events = all_of(medium)
     assert [event.frame.number for event in carried(events)] == numbers
-    assert [event for event in events if isinstance(event, Room)] == [Room(1, 1)] * 3
+    assert [event for event in events if isinstance(event, QueueRoom)] == [QueueRoom(1, 1)] * 3
 
 
 def test_a_busy_bus_carries_its_bit_rate():
@@ -131,20 +132,20 @@ def test_other_data_under_one_identifier_destroys_both_until_both_are_off():
     medium.offer(2, of(5, b"y"), 0)
     events = all_of(medium)
     assert not carried(events)
-    assert len([event for event in events if isinstance(event, Failed)]) == 32
+    assert len([event for event in events if isinstance(event, Destroyed)]) == 32
     assert [medium.nodes[number].state for number in (1, 2, 3)] == [S.BUS_OFF, S.BUS_OFF, S.ERROR_ACTIVE]
 
 
 # ---------------------------------------------------------------- errors
 
 
-@pytest.mark.parametrize("kind", WireError)
+@pytest.mark.parametrize("kind", WireFault)
 def test_after_an_error_the_frame_is_sent_again(kind):
     medium = bus(3)
     assert medium.inject(Injection(kind, number=5))
     medium.offer(1, of(5, b"x"), 0)
     events = all_of(medium)
-    failed, last = only(Failed, events), carried(events)[-1]
+    failed, last = only(Destroyed, events), carried(events)[-1]
     assert (failed.kind, failed.senders, last.sent) == (kind, (1,), True)
     assert medium.totals.error_frames == medium.nodes[1].tally.errors == 1
     assert medium.nodes[1].counters == Counters(8 - 1, 0)
@@ -186,7 +187,7 @@ def test_without_anybody_to_acknowledge_a_node_goes_on_trying_and_is_never_off()
     medium.offer(1, of(5), 0)
     events = all_of(medium, 10**8)
     assert not carried(events)
-    assert {event.kind for event in events if isinstance(event, Failed)} == {E.ACK}
+    assert {event.kind for event in events if isinstance(event, Destroyed)} == {E.ACK}
     assert medium.nodes[1].counters == Counters(128)
     medium.join("late", 10**8)
     event = only(Carried, all_of(medium))
@@ -249,7 +250,7 @@ def test_it_comes_back_after_its_pause_and_128_times_eleven_recessive_bits():
     off, back = [event for event in events if isinstance(event, Changed)][-2:]
     assert back.at_ns - off.at_ns == 10**6 + 1408 * BIT_NS
     assert (back.state, back.counters) == (S.ERROR_ACTIVE, Counters())
-    assert Room(1, 10) in events
+    assert QueueRoom(1, 10) in events
     assert medium.offer(1, of(7), back.at_ns)
     assert only(Carried, all_of(medium)).frame.number == 7
 
@@ -330,15 +331,12 @@ def test_whatever_happens_nothing_is_lost_without_a_word_and_frames_never_overla
         ends += [(e.at_ns, frame_bits(e.frame).ns(RATES)) for e in carried(events) if e.sent]
         if draw.random() < 0.2:
             receivers = draw.choice([None, frozenset({1})])
-            kind = draw.choice([*WireError])
+            kind = draw.choice([*WireFault])
             medium.inject(Injection(kind, receivers=receivers, count=draw.randint(1, 12)))
         flags = draw.choice([0, FD | SWITCH])
         data = bytes(draw.choice([0, 4, 8]))
-        frame = Frame(draw.randrange(4), flags, len(data), data)
+        frame = BusFrame(draw.randrange(4), flags, len(data), data)
         queued += medium.offer(draw.randint(1, len(medium.nodes)), frame, now_ns)
     waiting = sum(len(node.queue) for node in medium.nodes.values())
     assert queued - off <= sent + waiting <= queued
-    assert all(
-        later - took >= earlier + 3 * BIT_NS
-        for (earlier, _), (later, took) in zip(ends, ends[1:], strict=False)
-    )
+    assert all(later - took >= earlier + 3 * BIT_NS for (earlier, _), (later, took) in pairwise(ends))

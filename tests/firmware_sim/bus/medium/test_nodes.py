@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cutgate.firmware_sim.bus.frame import Flag, Frame
+from cutgate.firmware_sim.bus.frame import BusFrame, Flag
 from cutgate.firmware_sim.bus.medium.confinement import Counters
 from cutgate.firmware_sim.bus.medium.nodes import Node, Waiting, arbitration
 from tests.firmware_sim.bus.medium.frames import classic, of
@@ -18,7 +18,7 @@ def test_the_lowest_is_who_a_wire_lets_through(frames):
 
 
 def test_an_error_flag_goes_before_everything():
-    assert arbitration(Frame(0x4, int(Flag.ERROR), 8, bytes(8))) < arbitration(of(0))
+    assert arbitration(BusFrame(0x4, int(Flag.ERROR), 8, bytes(8))) < arbitration(of(0))
 
 
 def test_a_node_sends_when_it_has_something_and_may():

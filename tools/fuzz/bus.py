@@ -6,9 +6,12 @@ from collections.abc import Iterator
 
 from can.io.canutils import CanutilsLogReader
 
-from cutgate.firmware_sim.bus import client, wire
+from cutgate.firmware_sim.bus import client, control, wire
+from cutgate.firmware_sim.bus import frame as frames
+from cutgate.firmware_sim.bus.control import InjectionRefusedError
+from cutgate.firmware_sim.bus.frame import BusFrameError, Flag
 from cutgate.firmware_sim.bus.hub import log_line
-from cutgate.firmware_sim.bus.wire import Flag, HubKind, HubRecord, WireError
+from cutgate.firmware_sim.bus.wire import HubKind, HubRecord, WireError
 from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.records import Side
 from tests.protocol.sessions import DIGEST, KEY
@@ -20,11 +23,15 @@ YEAR_2100_NS = 4_102_444_800_000_000_000
 
 def check(data: bytes) -> None:
     """A datagram as hub and client read it."""
+    attempt(WireError, wire.stamp, data, YEAR_2100_NS)
+    attempt(WireError, wire.parse_all, data)
     record = attempt(WireError, wire.parse, data)
     if record is None:
         return
     expect(record.pack() == data, "a record has one form")
-    expect(len(record.data) in {0, record.length}, "no data come from nowhere")
+    expect(len(record.data) in {0, record.length, record.number}, "no data come from nowhere")
+    if record.kind is HubKind.INJECT:
+        attempt(InjectionRefusedError, control.injection_of, record.data.decode(errors="replace"), {1: 1})
     if record.kind is not HubKind.FRAME:
         return
     message = client._to_message(record, "vcan0")  # noqa: SLF001 - what a client makes of it
@@ -41,7 +48,7 @@ def check(data: bytes) -> None:
             is_error=message.is_error_frame,
             now_s=0.0,
         )
-    if attempt(WireError, lambda: wire.check_frame(record) or True):
+    if attempt(BusFrameError, lambda: frames.check(record.number, record.flags, record.length) or True):
         _logged(record)
 
 
@@ -63,6 +70,8 @@ def _seeds() -> Iterator[bytes]:
     yield wire.refused("the bus has 64 clients already").pack()
     yield HubRecord(HubKind.WELCOME).pack()
     yield HubRecord(HubKind.OVERRUN, number=12).pack()
+    yield wire.text(HubKind.INJECT, '{"error": "crc", "sender": 1, "count": 3}').pack()
+    yield wire.of_frame(frames.BusFrame(1)) + wire.of_frame(frames.BusFrame(2, int(Flag.FD), 12, bytes(12)))
     for flags, number, data in (
         (0, 0x081, bytes(8)),
         (0, 0x601, b"\x10\x14" + bytes(6)),

@@ -6,6 +6,7 @@ A node that errs too often must not go on disturbing the others: from ``PASSIVE`
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum, unique
+from functools import cached_property
 from typing import Final
 
 WARNING: Final = 96
@@ -46,14 +47,14 @@ STEPS: Final[dict[Counted, tuple[int, int]]] = {
 """By how much the transmit and the receive error counter change."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Counters:
     """Error counters of one node: transmit and receive."""
 
     transmit: int = 0
     receive: int = 0
 
-    @property
+    @cached_property
     def state(self) -> NodeState:
         """What a node with these counters may do."""
         if self.transmit >= OFF:
@@ -69,4 +70,5 @@ class Counters:
             return self  # alone on the bus a node never goes off
         transmit, receive = STEPS[counted]
         before = RECEIVE_BELOW_PASSIVE + 1 if receive < 0 and self.receive >= PASSIVE else self.receive
-        return Counters(max(0, self.transmit + transmit), min(max(0, before + receive), PASSIVE))
+        after = (max(0, self.transmit + transmit), min(max(0, before + receive), PASSIVE))
+        return self if after == (self.transmit, self.receive) else Counters(*after)

@@ -119,6 +119,8 @@ class Medium:
         self.nodes: dict[int, Node] = {}
         self._queue_frames = queue_frames
         self._restart_ns = restart_ns
+        self._waiting_off: set[Node] = set()
+        """Those that are bus-off and wait for their way back."""
         self._injections: list[Injection] = []
         self._on_wire: _OnWire | None = None
         self._idle_ns = 0
@@ -307,20 +309,21 @@ class Medium:
     # ------------------------------------------------------------ counters, off and back
 
     def _counted(self, node: Node, counted: Counted, at_ns: int) -> Iterator[Event]:
-        before = node.state
-        node.counters = node.counters.after(counted)
-        if node.state is before:
+        before, node.counters = node.counters, node.counters.after(counted)
+        if node.counters is before or node.state is before.state:
             return
         yield Changed(at_ns, node.number, node.state, node.counters)
         if node.state is NodeState.BUS_OFF:
             node.queue.clear()  # what it held is lost, and it has been told
             node.restart_ns = None if self._restart_ns is None else at_ns + self._restart_ns
+            if node.restart_ns is not None:
+                self._waiting_off.add(node)
             node.recessive = RECOVERY_BITS // _RECESSIVE_BITS
 
     def _off(self) -> Iterator[tuple[Node, int]]:
         """Those that wait for their way back, and since when."""
-        for node in self.nodes.values():
-            if node.state is NodeState.BUS_OFF and node.restart_ns is not None:
+        for node in self._waiting_off:
+            if node.restart_ns is not None:
                 yield node, node.restart_ns
 
     def _count_recessive(self, start_ns: int) -> Iterator[Event]:
@@ -334,6 +337,8 @@ class Medium:
 
     def _recovery_ns(self) -> int | None:
         """When the next node comes back, if nobody sends."""
+        if not self._waiting_off:
+            return None
         return min(
             (max(self._idle_ns, restart) + node.recessive * self._eleven_ns for node, restart in self._off()),
             default=None,
@@ -347,11 +352,14 @@ class Medium:
 
     def _back(self, node: Node, now_ns: int) -> Iterator[Event]:
         node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
+        self._waiting_off.discard(node)
         yield Changed(now_ns, node.number, node.state, node.counters)
         yield QueueRoom(node.number, node.depth)
 
     def _forget_who_left(self) -> None:
         """Who has left and has nothing to send, or nobody to send it to."""
+        if not any(node.leaving for node in self.nodes.values()):
+            return
         stay = any(not node.leaving for node in self.nodes.values())
         sending = () if self._on_wire is None else self._on_wire.senders
         self.nodes = {
@@ -359,6 +367,7 @@ class Medium:
             for number, node in self.nodes.items()
             if not node.leaving or node in sending or (node.queue and stay)
         }
+        self._waiting_off.intersection_update(self.nodes.values())
 
 
 def _numbers(nodes: Iterable[Node]) -> tuple[int, ...]:

@@ -256,9 +256,13 @@ def test_it_comes_back_after_its_pause_and_128_times_eleven_recessive_bits():
 
 
 def test_on_a_busy_bus_each_frame_counts_once_towards_the_way_back():
-    medium = bus(3, restart_ns=0)
-    medium.nodes[1].counters, medium.nodes[1].restart_ns, medium.nodes[1].recessive = Counters(256), 0, 128
-    now_ns, frames = 0, 0
+    medium = bus(3, restart_ns=10**6)
+    medium.inject(Injection(E.BIT, senders=frozenset({1}), count=32))
+    medium.offer(1, of(5), 0)
+    while medium.nodes[1].state is not S.BUS_OFF:
+        medium.advance(medium.next_ns)
+    now_ns, frames = medium.nodes[1].restart_ns, 0
+    medium.advance(now_ns)
     while medium.nodes[1].state is S.BUS_OFF:
         while medium.offer(2, of(5, bytes(8)), now_ns):
             pass

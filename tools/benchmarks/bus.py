@@ -250,7 +250,13 @@ def _paced_virtual(message: can.Message, each_s: float) -> tuple[float, float]:
 
 def sessions() -> Rows:
     """Both loops on the bus's clock at 1 Mbit/s, the hip stem's path: from its upload to its cut, and while it cuts."""
-    yield ("transfers", "upload", "virtual seconds in one of the processor, upload", "while it cuts", "load while it cuts")
+    yield (
+        "transfers",
+        "upload",
+        "virtual seconds in one of the processor, upload",
+        "while it cuts",
+        "load while it cuts",
+    )
     for name, fd in (("classic", ()), ("FD", tuple(Side))):
         with _session(fd) as pair:
             began, since = time.process_time(), pair.clock()

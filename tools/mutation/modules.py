@@ -43,6 +43,14 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     "runtime/session/withdrawal.py": ("tests/runtime/session/test_withdrawal.py",),
     "runtime/session/withdrawn.py": ("tests/runtime/session/test_withdrawn.py",),
     "runtime/session/witness.py": ("tests/runtime/session/test_witness.py",),
+    **{
+        f"firmware_sim/bus/medium/{name}.py": (f"tests/firmware_sim/bus/medium/test_{name}.py",)
+        for name in ("bits", "confinement", "errors", "medium", "nodes")
+    },
+    **{
+        f"firmware_sim/bus/{name}.py": (f"tests/firmware_sim/bus/test_{name}.py",)
+        for name in ("carriers", "control", "overload", "states", "virtual_time")
+    },
     "firmware_sim/table.py": (
         "tests/firmware_sim/test_table.py",
         "tests/firmware_sim/test_remembering.py",

@@ -81,10 +81,11 @@ mutation: $(READY)
 	$(BIN)/python -m tools.mutation.run $(if $(JOBS),--jobs $(JOBS)) $(if $(SAMPLE),--sample $(SAMPLE)) \
 		$(if $(CHANGED),--changed) $(if $(RECORD),--record) $(MODULES)
 
-# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's, the tool paths' and the signed logs' beside it.
+# Prints the tables; make bench WRITE=docs/benchmarks.md writes them there as well, the wire's, the bus's, the tool paths' and the signed logs' beside it.
 bench: $(READY)
 	$(BIN)/python tools/benchmarks/verification.py $(if $(WRITE),--write $(WRITE))
 	$(BIN)/python tools/benchmarks/wire.py $(if $(WRITE),--write $(WRITE:.md=-wire.md))
+	$(BIN)/python tools/benchmarks/bus.py $(if $(WRITE),--write $(WRITE:.md=-bus.md))
 	$(BIN)/python tools/benchmarks/tool_paths.py $(if $(WRITE),--write $(WRITE:.md=-tool-paths.md))
 	$(BIN)/python tools/benchmarks/audit.py $(if $(WRITE),--write $(WRITE:.md=-audit.md))
 

@@ -124,5 +124,5 @@ class FaultyBus(can.BusABC):
             heartbeat = decode_frame(message.arbitration_id, bytes(message.data))
         except FrameError:
             return
-        if isinstance(heartbeat, ControllerHeartbeat):
-            self._heard = heartbeat.state
+        assert isinstance(heartbeat, ControllerHeartbeat)  # noqa: S101 - of this identifier
+        self._heard = heartbeat.state

@@ -103,7 +103,7 @@ class HilProcess:
         """Type one line at its terminal. Of a program that has ended the exit code tells."""
         stream = self._process.stdin
         assert stream is not None  # noqa: S101 - a pipe was asked for
-        with suppress(BrokenPipeError):
+        with suppress(BrokenPipeError, ValueError):  # its end has been seen: the stream is closed
             stream.write(f"{command}\n".encode())
             stream.flush()
 

@@ -70,6 +70,13 @@ def pytest_configure(config: pytest.Config) -> None:
     if path is not None and not hasattr(config, "workerinput"):
         if path.suffix not in {".html", ".md"}:
             raise pytest.UsageError(f"--cutgate-matrix is {str(path)!r}, must end in .html or .md")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        except OSError as error:
+            raise pytest.UsageError(
+                f"--cutgate-matrix {str(path)!r} cannot be written ({error.strerror}); name another file"
+            ) from None
         config.pluginmanager.register(_Matrix(path), "cutgate-matrix")
 
 
@@ -96,7 +103,6 @@ class _Matrix:
             MatrixRow(row["test"], tuple(row["faults"]), row["ended"], tuple(row["health"]), row["outcome"])
             for row in self._rows.values()
         ]
-        self._path.parent.mkdir(parents=True, exist_ok=True)
         self._path.write_text(page(rows, self._path.suffix), encoding="utf-8")
 
 
@@ -202,8 +208,8 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     """End what the test has started, judge it, and keep it where the test or its health has failed."""
     try:
         returned = yield
-    except pytest.skip.Exception:
-        raise
+    except (pytest.skip.Exception, pytest.exit.Exception, KeyboardInterrupt):
+        raise  # what was started is ended with its fixture
     except BaseException:
         _conclude(item, failed=True)
         raise
@@ -228,8 +234,8 @@ def _conclude(item: pytest.Item, *, failed: bool) -> list[str]:
         row = MatrixRow(item.nodeid, tuple(map(str, rig.faults_used)), rig.summary, found, "")
         item.user_properties.append((_ROW, row.as_dict()))
     if failed or trouble:
-        text = "\n".join(rig.artefacts(item.config.getoption("--cutgate-artefacts"), item.nodeid))
-        item.add_report_section("call", "cutgate artefacts", text)
+        kept = rig.artefacts(item.config.getoption("--cutgate-artefacts"), item.nodeid)
+        item.add_report_section("call", "cutgate artefacts", "\n".join(kept))
     return trouble
 
 

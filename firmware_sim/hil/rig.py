@@ -1,5 +1,6 @@
 """What one test has started: a bus, a controller, a runtime; how it ended, and what is kept of it."""
 
+import errno
 import json
 import os
 import re
@@ -27,6 +28,7 @@ from cutgate.firmware_sim.hil.child import WAIT_S, HilProcess, HilTimeoutError, 
 from cutgate.firmware_sim.hil.health import HealthFinding
 from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.firmware_sim.hil.inputs import HilFiles
+from cutgate.protocol.states import StopCause
 from cutgate.protocol.wire import Side
 from cutgate.runtime.audit.inspect import Status
 from cutgate.runtime.audit.reading import reading
@@ -325,27 +327,35 @@ class HilRig:
                 lines += [f"no report page: {trouble}"] if trouble else []
         place = self.folder
         if directory is not None:
-            place = _new_folder(directory, re.sub(r"[^A-Za-z0-9_.-]+", "_", name)[-NAME_MAX:])
-            _copy(self.folder, place)
+            try:
+                place = _new_folder(directory, re.sub(r"[^A-Za-z0-9_.-]+", "_", name)[-NAME_MAX:])
+                _copy(self.folder, place)
+            except OSError as error:  # the failure of the test is what counts, and all of it lies here
+                lines.append(f"not copied to {printable(str(directory))}: {error.strerror}")
+                place = self.folder
         kept = sorted(path for path in place.rglob("*") if path.suffix in KEPT and path.is_file())
         return [*lines, *(printable(str(path)) for path in kept)]
 
 
 def _judged(session: HilSession, *, unfinished: bool) -> list[HealthFinding]:
     """What the session's outcome and its log say."""
-    code = None if unfinished else session.ended()
-    findings = health.of_outcome(session.document, code)
+    findings = health.of_outcome(session.document, None if unfinished else session.ended())
     log = session.log
     if log is None:
         return findings
-    with ExitStack() as stack:
-        read = stack.enter_context(reading(log))
-        if read.report.status is not Status.OK:
-            findings.append(HealthFinding("log", "; ".join(read.report.reasons)))
-        findings += health.of_faults(read.one_by_one("/audit/fault"))
-        findings += health.of_frames(read.one_by_one("/can/frame"))
-        findings += health.of_timing(read.one_by_one("/timing"))
-    return findings
+    try:
+        with reading(log) as read:
+            if read.report.status is not Status.OK:
+                findings.append(HealthFinding("log", "; ".join(read.report.reasons)))
+            findings += health.of_faults(read.one_by_one("/audit/fault"))
+            findings += health.of_frames(read.one_by_one("/can/frame"))
+            findings += health.of_timing(read.one_by_one("/timing"))
+    except InputError as error:
+        findings.append(HealthFinding("log", str(error)))
+    ended_here = (
+        StopCause.OPERATOR_QUIT.name if unfinished else None
+    )  # that is the end of the test, not a second finding
+    return [finding for finding in findings if finding.name != ended_here]
 
 
 def _report(log: Path, page: Path) -> str:
@@ -366,9 +376,7 @@ def _new_folder(directory: Path, name: str) -> Path:
         with suppress(FileExistsError):
             place.mkdir()
             return place
-    raise InputError(
-        directory, "--cutgate-artefacts", None, f"{COPIES_MAX} copies of {name} lie there", "remove them"
-    )
+    raise OSError(errno.EEXIST, f"{COPIES_MAX} copies of this test lie there, remove them")
 
 
 def _copy(folder: Path, place: Path) -> None:

@@ -121,6 +121,28 @@ def test_a_line_means_this(line, fault):
 
 
 @pytest.mark.parametrize(
+    "line",
+    [
+        "lose any",
+        "lose any p=1",
+        "lose any x2",
+        "lose any x1 p=0.5",
+        "lose any p=0.000001",
+        "delay any by 5..30ms @cutting x3 p=0.25 seed=9",
+        "delay any by 30ms",
+        "hang@loaded",
+    ],
+)
+def test_a_line_in_its_usual_form_is_written_as_it_was(line):
+    assert str(parse_fault(line)) == line
+
+
+def test_a_fault_concerns_the_identifiers_of_its_message():
+    for name, ids in MESSAGES.items():
+        assert parse_fault(f"lose {name}").can_ids == ids
+
+
+@pytest.mark.parametrize(
     ("line", "allowed"),
     [
         ("explode", "use one of flip-path-bit, .* of messages: lose, corrupt, "),

@@ -9,6 +9,8 @@ import pytest
 
 from cutgate.config.key import new_key_file
 from cutgate.firmware_sim.hil.conform import NAMES
+from cutgate.firmware_sim.hil.inputs import write_files
+from cutgate.firmware_sim.hil.rig import HilRig
 
 pytest_plugins = ["pytester"]
 
@@ -204,10 +206,42 @@ TARGET = """
 
 
 @pytest.mark.processes
-def test_cases_are_played_with_a_controller_of_ones_own(pytester):
+def test_cases_are_played_with_the_controller_that_options_name(pytester, tmp_path):
+    (tmp_path / "target").mkdir()
+    files = write_files(tmp_path / "target")
+    rig = HilRig(tmp_path / "target", files, ())
+    try:
+        rig.controller(time_scale=1)
+        named = ["--cutgate-interface", rig.bus.interface, "--cutgate-channel", rig.bus.channel]
+        named += ["--cutgate-key", files.key, "--cutgate-site", files.site, "--cutgate-plant-disconnected"]
+        chosen = [*CONFORM[:-1], "version or approved or nothing", *named]
+        done = pytester.runpytest_inprocess(*chosen, "-rs")
+        done.assert_outcomes(passed=3, skipped=1, deselected=len(NAMES) - 4)
+        done.stdout.fnmatch_lines(
+            ["SKIPPED*NOT RUN: needs the approved robot file; name it with --cutgate-robot"]
+        )
+        approved = [*CONFORM[:-1], "approved", *named, "--cutgate-robot", files.robot]
+        pytester.runpytest_inprocess(*approved).assert_outcomes(passed=1, deselected=len(NAMES) - 1)
+        done = pytester.runpytest_subprocess(*chosen, "-n", "2")
+        done.stdout.fnmatch_lines(
+            ["*several workers would speak to one controller; run these tests with -n 0*"]
+        )
+        assert "passed" not in done.parseoutcomes()
+    finally:
+        rig.close()
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_each_worker_has_a_controller_of_its_own(pytester):
     pytester.makeconftest(TARGET)
-    done = pytester.runpytest_inprocess(*CONFORM[:-1], "version or approved or nothing")
-    outcomes = done.parseoutcomes()
-    assert outcomes["passed"] >= 2
-    assert "failed" not in outcomes
-    assert "skipped" not in outcomes
+    pytester.makepyfile(test_sessions=SESSIONS.split("    def test_health", maxsplit=1)[0])
+    pytester.makepyfile(test_mine="def test_conforms(cutgate_conform_case): cutgate_conform_case()")
+    chosen = "version or approved or nothing or completed or heartbeat_stops"
+    done = pytester.runpytest_subprocess(
+        "-p", "no:cacheprovider", "-n", "2", "-k", chosen, "--cutgate-matrix", "m.md"
+    )
+    done.assert_outcomes(passed=6)
+    assert "2 tests with sessions, 1 different faults, 0 tests failed." in (pytester.path / "m.md").read_text(
+        "utf-8"
+    )

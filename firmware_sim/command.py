@@ -5,7 +5,8 @@ import hashlib
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -25,9 +26,12 @@ from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
 from cutgate.firmware_sim.arrivals import NONCE_BYTES
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.fault_language import MessageFault, parse_fault
 from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.faulty_bus import FaultyBus
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
 from cutgate.firmware_sim.loop import NS_PER_US, Options, Process
+from cutgate.firmware_sim.message_faults import Tell
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
 from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.endpoint import Endpoint
@@ -40,6 +44,8 @@ from cutgate.protocol.states import StopCause
 LISTEN_S: Final = 0.6
 """How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
 TRANSFER_TIMEOUT_S: Final = 2.0
+FAULTS_TOLD: Final = 10
+"""So often each fault of a message is shown on the screen."""
 
 
 class RefusedError(Exception):
@@ -80,7 +86,8 @@ def _run(options: argparse.Namespace) -> None:
             "no key file is given (--key); name the one that the runtime has too, or make one for both with: cutgate key new FILE"
         )
     key, memory_file = load_key(options.key), memory.beside(options.key)
-    settings = _options(options, robot)
+    faults = [parse_fault(text, "--fault") for text in options.fault]
+    settings = _options(options, robot, tuple(fault for fault in faults if isinstance(fault, FaultSpec)))
     remembered = memory.load(memory_file, now_us=time.time_ns() // NS_PER_US)
     memory.save(memory_file, remembered)  # one that cannot be written is found before anything depends on it
     controller = _controller(robot, key, remembered, options.serial)
@@ -105,15 +112,32 @@ def _run(options: argparse.Namespace) -> None:
             say(
                 f"a fault was latched before power-up ({remembered.latched.name}): acknowledge it, then reset"
             )
+        of_messages = [fault for fault in faults if isinstance(fault, MessageFault)]
+        faulty = FaultyBus(bus, of_messages, tell=_told(say)) if of_messages else None
+        if faulty is not None:
+            settings = replace(settings, late_wait_s=faulty.late_wait_s)
         process = Process(
             controller,
-            Port(bus, _endpoint(key, fd=options.fd)),
+            Port(faulty or bus, _endpoint(key, fd=options.fd)),
             memory_file,
             options=settings,
             commands=typed(ConsoleCommand),
             say=say,
         )
+        if faulty is not None:
+            faulty.controller_state = lambda: process.controller.state
         process.run(reading)
+
+
+def _told(say: Callable[[str], None]) -> Tell:
+    """Shows the first times that each fault happens; one of every frame would be all that is read."""
+
+    def tell(fault: MessageFault, times: int, _message: can.Message) -> None:
+        if times <= FAULTS_TOLD:
+            last = "; no more of these are shown" if times == FAULTS_TOLD else ""
+            say(f"fault injected: {fault} ({times}){last}")
+
+    return tell
 
 
 def _controller(robot: Robot, key: bytes, remembered: Memory, serial: str | None) -> Controller:
@@ -127,17 +151,13 @@ def _controller(robot: Robot, key: bytes, remembered: Memory, serial: str | None
     return Controller.powered_up(identity, holdings, remembered, os.urandom(NONCE_BYTES))
 
 
-def _options(options: argparse.Namespace, robot: Robot) -> Options:
+def _options(options: argparse.Namespace, robot: Robot, faults: tuple[FaultSpec, ...]) -> Options:
     permille = options.time_scale * 1000
     if not (1 <= permille <= PLANT_SPEED_PERMILLE_MAX and abs(permille - round(permille)) <= 1e-9 * permille):
         raise RefusedError(
             f"--time-scale is {options.time_scale:g}, must be 0.001 to {PLANT_SPEED_PERMILLE_MAX / 1000:g} "
             "in whole thousandths, as it is announced"
         )
-    try:
-        faults = tuple(FaultSpec.parse(text) for text in options.fault)
-    except ValueError as error:
-        raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
     return Options(options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints)
@@ -228,6 +248,10 @@ def _parser() -> argparse.ArgumentParser:
         help="where the arm stands at power-up, deg and mm (write --joints=...); default the middle of the limits",
     )
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="NAME@STATE", help="a fault to have in that state"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="NAME@STATE, or what happens to messages on their way: lose ControllerHeartbeat @cutting x3; see docs/hil.md",
     )
     return parser

@@ -46,6 +46,10 @@ class FaultSpec:
     name: FaultName
     state: ControllerState
 
+    def __str__(self) -> str:
+        """``NAME@STATE``, as it is parsed."""
+        return f"{self.name}@{self.state.name.lower()}"
+
     @classmethod
     def parse(cls, text: str) -> "FaultSpec":
         """``NAME@STATE``; raises ValueError naming what is allowed."""

@@ -5,6 +5,7 @@ heartbeat, flush. The heartbeat is the last act of a cycle in which the table wa
 """
 
 import contextlib
+import math
 import os
 import select
 import time
@@ -60,7 +61,8 @@ class Options:
     """How this simulated controller behaves.
 
     ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
-    ``joints``: where the arm stands at power-up, rad and mm.
+    ``joints``: where the arm stands at power-up, rad and mm;
+    ``late_wait_s``: until when a frame waits that the bus holds back, for injected delays.
     """
 
     time_scale: float = 1.0
@@ -68,6 +70,7 @@ class Options:
     faults: tuple[FaultSpec, ...] = ()
     hold_roll_rad: float | None = None
     joints: Joints | None = None
+    late_wait_s: Callable[[], float] = lambda: math.inf
 
 
 class Process:
@@ -200,7 +203,8 @@ class Process:
     def _wait_s(self) -> float:
         if self.upload.check is not None:
             return 0.0
-        return self._cycle.wait_s(None if self._link_open else self._next_announce_s)
+        wait_s = self._cycle.wait_s(None if self._link_open else self._next_announce_s)
+        return min(wait_s, self._options.late_wait_s())
 
     @property
     def _console_descriptor(self) -> int | None:

@@ -1,54 +1,303 @@
-"""pytest fixtures for tests that join several processes or clients on a bus."""
+"""pytest plugin: hardware-in-the-loop tests of controllers and runtime (docs/hil.md).
 
-import subprocess
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+pytest loads this module in every project of an environment that has cutgate: it imports nothing but pytest, and does
+nothing for a test that asks for none of its fixtures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cutgate.config.interpreter import program
+if TYPE_CHECKING:
+    from cutgate.firmware_sim.fault_language import Fault
+    from cutgate.firmware_sim.hil.child import HilProcess
+    from cutgate.firmware_sim.hil.conform import ConformCase, ConformSuite, ConformTarget
+    from cutgate.firmware_sim.hil.inputs import HilFiles
+    from cutgate.firmware_sim.hil.rig import HilBus, HilClock, HilOperator, HilRig, HilSession
 
-END_TIMEOUT_S: Final = 10.0
+_RIG = pytest.StashKey["HilRig"]()
+_ROW = "cutgate_matrix_row"
+_CASE = "cutgate_conform_case"
 
 
-@contextmanager
-def hub_process(path: Path, *arguments: str, log: Path | None = None) -> Iterator[subprocess.Popen[str]]:
-    """A hub in a process of its own, serving on `path` when the block is entered and ended after it.
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the controller under test, and of what is kept."""
+    group = parser.getgroup("cutgate", "hardware in the loop (cutgate)")
+    group.addoption(
+        "--cutgate-interface", metavar="NAME", help="python-can interface of the controller under test"
+    )
+    group.addoption("--cutgate-channel", metavar="NAME", help="its channel")
+    group.addoption("--cutgate-key", type=Path, metavar="FILE", help="its pre-shared key")
+    group.addoption(
+        "--cutgate-robot", type=Path, metavar="FILE", help="the approved robot file, which it must report"
+    )
+    group.addoption(
+        "--cutgate-site", type=Path, metavar="FILE", help="site file: heartbeat, time-out, reply time"
+    )
+    group.addoption("--cutgate-fd", action="store_true", help="bulk records in CAN FD frames")
+    group.addoption(
+        "--cutgate-plant-disconnected", action="store_true", help="you say: its axes and cutter have no power"
+    )
+    group.addoption(
+        "--cutgate-artefacts",
+        type=Path,
+        metavar="DIR",
+        help="where logs and frames of failed tests are copied to",
+    )
+    group.addoption(
+        "--cutgate-matrix",
+        type=Path,
+        metavar="FILE",
+        help="write which faults were tried to this .html or .md file",
+    )
 
-    Args:
-        path: of its socket.
-        arguments: more of `cutgate bus serve`, as `--bitrate 1M`.
-        log: a new file for the frames.
 
-    It ends by itself when this process dies. The block may end or kill it.
-
-    Raises:
-        RuntimeError: it did not come up; the message holds what it said.
-    """
-    command = program("cutgate.firmware_sim", "bus", "serve", "--socket", str(path), "--until-stdin-closes")
-    command += arguments
-    if log is not None:
-        command += ["--log", str(log)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as hub:  # noqa: S603
-        assert hub.stdout is not None  # noqa: S101 - a pipe was asked for
-        line = hub.stdout.readline()
-        if not line.startswith("serving on "):
-            raise RuntimeError(f"the hub on {path} did not come up; it said {line!r}")
+def pytest_configure(config: pytest.Config) -> None:
+    """The markers, and a page that collects its rows where one is wanted."""
+    config.addinivalue_line(
+        "markers",
+        "cutgate_faults(*lines): faults of the simulated controller and of its messages (docs/hil.md)",
+    )
+    config.addinivalue_line(
+        "markers",
+        "cutgate_expect(*names, may=()): one of these must be found by the health check; those of may are allowed",
+    )
+    path = config.getoption("--cutgate-matrix")
+    if path is not None and not hasattr(config, "workerinput"):
+        if path.suffix not in {".html", ".md"}:
+            raise pytest.UsageError(f"--cutgate-matrix is {str(path)!r}, must end in .html or .md")
         try:
-            yield hub
-        finally:
-            hub.terminate()
-            hub.wait(END_TIMEOUT_S)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        except OSError as error:
+            raise pytest.UsageError(
+                f"--cutgate-matrix {str(path)!r} cannot be written ({error.strerror}); name another file"
+            ) from None
+        config.pluginmanager.register(_Matrix(path), "cutgate-matrix")
+
+
+class _Matrix:
+    """Collects rows from every worker and writes the page at the end."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._rows: dict[str, dict[str, Any]] = {}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """The last report of a test counts; a later phase that failed makes it failed."""
+        row = dict(report.user_properties).get(_ROW)
+        if isinstance(row, dict):
+            earlier = self._rows.get(report.nodeid, {}).get("outcome")
+            failed = report.failed or earlier == "failed"
+            self._rows[report.nodeid] = {**row, "outcome": "failed" if failed else earlier or report.outcome}
+
+    def pytest_sessionfinish(self) -> None:
+        """Write it whole, over what stood there."""
+        from cutgate.firmware_sim.hil.matrix import MatrixRow, page  # noqa: PLC0415 - only where it is used
+
+        rows = [
+            MatrixRow(row["test"], tuple(row["faults"]), row["ended"], tuple(row["health"]), row["outcome"])
+            for row in self._rows.values()
+        ]
+        self._path.write_text(page(rows, self._path.suffix), encoding="utf-8")
+
+
+# ---------------------------------------------------------------- a test's bus, controller and session
 
 
 @pytest.fixture
-def virtual_bus() -> Iterator[Path]:
-    """The socket of a hub in a process of its own: the channel of `can.Bus(interface="cutgate")`."""
-    # Not pytest's tmp_path: a socket's path has at most 107 bytes.
-    with tempfile.TemporaryDirectory(prefix="cutgate-") as directory:
-        path = Path(directory) / "bus.sock"
-        with hub_process(path):
-            yield path
+def cutgate_files(tmp_path: Path) -> HilFiles:
+    """What sessions read: a short plan, its registration, robot, site and a new key. Override it to bring your own."""
+    from cutgate.firmware_sim.hil.inputs import write_files  # noqa: PLC0415
+
+    folder = tmp_path / "cutgate-files"
+    folder.mkdir()
+    return write_files(folder)
+
+
+@pytest.fixture
+def cutgate_faults(request: pytest.FixtureRequest) -> tuple[Fault, ...]:
+    """The faults of this test's markers; ``cutgate_controller`` has them without being told."""
+    from cutgate.config.refusal import InputError  # noqa: PLC0415
+    from cutgate.firmware_sim.fault_language import parse_fault  # noqa: PLC0415
+
+    lines = [line for marker in request.node.iter_markers("cutgate_faults") for line in reversed(marker.args)]
+    try:
+        return tuple(parse_fault(line, "cutgate_faults") for line in reversed(lines))
+    except InputError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def cutgate_rig(
+    request: pytest.FixtureRequest, tmp_path: Path, cutgate_files: HilFiles, cutgate_faults: tuple[Fault, ...]
+) -> Iterator[HilRig]:
+    """Everything that this test starts; ended, judged and kept after it."""
+    from cutgate.firmware_sim.hil.rig import HilRig  # noqa: PLC0415
+
+    folder = tmp_path / "cutgate"
+    folder.mkdir()
+    rig = HilRig(folder, cutgate_files, cutgate_faults)
+    _expectations(request.node)  # a marker that nobody understands is told before anything is started
+    request.node.stash[_RIG] = rig
+    try:
+        yield rig
+    finally:
+        rig.close()
+
+
+@pytest.fixture
+def cutgate_bus(cutgate_rig: HilRig) -> HilBus:
+    """A virtual bus of its own, the hub a process: ``interface``, ``channel``, ``open()`` for one more node."""
+    return cutgate_rig.bus
+
+
+@pytest.fixture
+def cutgate_controller(cutgate_rig: HilRig) -> Callable[..., HilProcess]:
+    """Starts the simulated controller: ``cutgate_controller(*faults, time_scale=30, joints=None, fd=False)``."""
+    return cutgate_rig.controller
+
+
+@pytest.fixture
+def cutgate_runtime(cutgate_rig: HilRig) -> Callable[..., HilSession]:
+    """Starts our runtime: ``cutgate_runtime(files=None, fd=False, more=())``."""
+    return cutgate_rig.session
+
+
+@pytest.fixture
+def cutgate_session(cutgate_rig: HilRig) -> HilSession:
+    """A session of our runtime, begun, with whatever controller is or comes on the bus."""
+    return cutgate_rig.session()
+
+
+@pytest.fixture
+def cutgate_operator(cutgate_rig: HilRig) -> HilOperator:
+    """Types at both terminals: ``type("stop")``, ``type("release")``, ``cut()`` for hold and start."""
+    return cutgate_rig.operator
+
+
+@pytest.fixture
+def cutgate_clock() -> HilClock:
+    """Real time: ``now_s()``, ``until(condition)``."""
+    from cutgate.firmware_sim.hil.rig import HilClock  # noqa: PLC0415
+
+    return HilClock()
+
+
+# ---------------------------------------------------------------- after a test
+
+
+def _expectations(item: pytest.Item) -> list[Any]:
+    from cutgate.firmware_sim.hil.health import Expectation  # noqa: PLC0415
+
+    try:
+        return [
+            Expectation(marker.args, tuple(marker.kwargs.get("may", ())))
+            for marker in item.iter_markers("cutgate_expect")
+        ]
+    except ValueError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """End what the test has started, judge it, and keep it where the test or its health has failed."""
+    try:
+        returned = yield
+    except (pytest.skip.Exception, pytest.exit.Exception, KeyboardInterrupt):
+        raise  # what was started is ended with its fixture
+    except BaseException:
+        _conclude(item, failed=True)
+        raise
+    trouble = _conclude(item, failed=False)
+    if trouble:
+        pytest.fail("health check:\n" + "\n".join(f"  {line}" for line in trouble), pytrace=False)
+    return returned
+
+
+def _conclude(item: pytest.Item, *, failed: bool) -> list[str]:
+    """What the health check says; empty for a test that has no rig."""
+    rig = item.stash.get(_RIG, None)
+    if rig is None:
+        return []
+    from cutgate.firmware_sim.hil.health import unexpected  # noqa: PLC0415
+    from cutgate.firmware_sim.hil.matrix import MatrixRow  # noqa: PLC0415
+
+    rig.close()
+    trouble = unexpected(rig.findings, _expectations(item)) if rig.sessions else []
+    if rig.sessions:
+        found = tuple(dict.fromkeys(finding.name for finding in rig.findings))
+        row = MatrixRow(item.nodeid, tuple(map(str, rig.faults_used)), rig.summary, found, "")
+        item.user_properties.append((_ROW, row.as_dict()))
+    if failed or trouble:
+        kept = rig.artefacts(item.config.getoption("--cutgate-artefacts"), item.nodeid)
+        item.add_report_section("call", "cutgate artefacts", "\n".join(kept))
+    return trouble
+
+
+# ---------------------------------------------------------------- the negative suite
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """One item for each case of the negative suite."""
+    if _CASE in metafunc.fixturenames:
+        from cutgate.firmware_sim.hil.conform import NAMES  # noqa: PLC0415
+
+        metafunc.parametrize(_CASE, NAMES, indirect=True, scope="function")
+
+
+@pytest.fixture(scope="session")
+def cutgate_conform_target(request: pytest.FixtureRequest) -> ConformTarget:
+    """The controller under test, as the options name it. Override it to bring your own.
+
+    It fails where an option is missing, or where several workers would speak to one controller.
+    """
+    from cutgate.firmware_sim.hil.conform import ConformTarget  # noqa: PLC0415
+
+    option = request.config.getoption
+    needed = ("--cutgate-interface", "--cutgate-channel", "--cutgate-key", "--cutgate-plant-disconnected")
+    missing = [name for name in needed if not option(name)]
+    if missing:
+        pytest.fail(
+            f"the controller under test: {', '.join(missing)} is not given; name it, and disconnect its plant first "
+            "(docs/controllers.md)",
+            pytrace=False,
+        )
+    if getattr(request.config, "workerinput", {}).get("workercount", 1) > 1:
+        raise pytest.UsageError(
+            "several workers would speak to one controller; run these tests with -n 0 or -n 1"
+        )
+    return ConformTarget(
+        option("--cutgate-interface"),
+        option("--cutgate-channel"),
+        option("--cutgate-key"),
+        robot=option("--cutgate-robot"),
+        site=option("--cutgate-site"),
+        fd=option("--cutgate-fd"),
+    )
+
+
+@pytest.fixture(scope="session")
+def cutgate_conform_suite(cutgate_conform_target: ConformTarget) -> Iterator[ConformSuite]:
+    """The suite in front of that controller, for all cases of this process."""
+    from cutgate.config.refusal import InputError  # noqa: PLC0415
+    from cutgate.firmware_sim.hil.conform import ConformSuite  # noqa: PLC0415
+
+    try:
+        suite = ConformSuite(cutgate_conform_target)
+        with suite:
+            yield suite
+    except InputError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def cutgate_conform_case(request: pytest.FixtureRequest, cutgate_conform_suite: ConformSuite) -> ConformCase:
+    """One case of the negative suite; a test calls it."""
+    from cutgate.firmware_sim.hil.conform import ConformCase  # noqa: PLC0415
+
+    return ConformCase(cutgate_conform_suite, request.param)

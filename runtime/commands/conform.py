@@ -76,10 +76,10 @@ def conform(
     fd = fd or settings.bus.fd
     chosen, secret = _inputs(robot, only, key)
     _refuse_existing(out)
-    bus = _open(interface, channel, fd=fd, bitrate_bit_s=settings.bus.bitrate_bit_s)
+    bus = open_unused_bus(interface, channel, fd=fd, bitrate_bit_s=settings.bus.bitrate_bit_s)
     try:
         messages().print(ABOUT, soft_wrap=True)
-        bench = _bench(bus, secret, settings, fd=fd)
+        bench = bench_on(bus, secret, settings, fd=fd)
         outcome = _run(bench, chosen)
     except KeyboardInterrupt:
         messages().print("interrupted: the controller was told to stop; there is no report", soft_wrap=True)
@@ -98,7 +98,7 @@ def conform(
 
 def _inputs(robot: Path | None, only: list[str] | None, key: Path) -> tuple[tuple[Case, ...], bytes]:
     """Cases and key. Raises InputError for anything that is not as it must be."""
-    approved = _approved(robot)
+    approved = approved_records(robot)
     known = tuple(case for case in cases(approved) if approved is not None or not case.approved)
     names = {case.name for case in known}
     for name in only or ():
@@ -108,7 +108,8 @@ def _inputs(robot: Path | None, only: list[str] | None, key: Path) -> tuple[tupl
     return chosen, load_key(key)
 
 
-def _approved(robot: Path | None) -> Approved | None:
+def approved_records(robot: Path | None) -> Approved | None:
+    """What a robot file approves, as a controller must report it; None without one. Raises InputError."""
     if robot is None:
         return None
     found = load_robot(robot).value
@@ -138,7 +139,7 @@ def _write(out: Path | None, text: str) -> None:
         raise InputError(str(out), "", None, f"cannot be written: {error.strerror}") from None
 
 
-def _open(interface: str, channel: str, *, fd: bool, bitrate_bit_s: int) -> can.BusABC:
+def open_unused_bus(interface: str, channel: str, *, fd: bool, bitrate_bit_s: int) -> can.BusABC:
     """The bus, on which no session is under way. Raises InputError otherwise."""
     try:
         bus = open_bus(interface, channel, fd=fd, bitrate_bit_s=bitrate_bit_s)
@@ -167,7 +168,8 @@ def _refuse_a_session(bus: can.BusABC) -> None:
             )
 
 
-def _bench(bus: can.BusABC, key: bytes, settings: Site, *, fd: bool) -> Bench:
+def bench_on(bus: can.BusABC, key: bytes, settings: Site, *, fd: bool) -> Bench:
+    """A bench in real time on an open bus."""
     poller = select.poll()
     poller.register(bus.fileno(), select.POLLIN)
 

@@ -61,17 +61,43 @@ Where something does not work, and before there is a robot:
 """
 
 
+HIL: Final = "hil"
+HIL_SUFFIXES: Final = (".py", ".toml", ".txt")
+
+
 def example(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder, or one that is empty.")],
+    names: Annotated[
+        list[str],
+        typer.Argument(metavar="[hil] DIR", help="A new folder, or one that is empty; hil before it: tests."),
+    ],
 ) -> None:
     """Write the example files into a folder, to start from: robot, site, plans, registrations, README.txt.
 
+    With hil before the folder: a small project of tests of a controller, with hardware in the loop (docs/hil.md).
     Nothing that exists is touched. Exit code: 0 written, 2 refused.
     """
-    files = {path.name: path.read_bytes() for path in sorted(EXAMPLES.iterdir()) if path.suffix in SUFFIXES}
-    fill(folder, "DIR", files | {"README.txt": README.encode()})
-    told = f"{folder}: {len(files) + 1} files written; {folder / 'README.txt'} says how to start"
+    *kind, name = names
+    if kind not in ([], [HIL]):
+        raise InputError(
+            "[hil] DIR", "", " ".join(names), f"a folder, or {HIL} and a folder", "quote a name with spaces"
+        )
+    folder = Path(name)
+    files = _hil_files() if kind else _start_files()
+    fill(folder, "DIR", files)
+    told = f"{folder}: {len(files)} files written; {folder / 'README.txt'} says how to start"
     echo(printable(told))
+
+
+def _start_files() -> dict[str, bytes]:
+    """What a session reads, and how to start."""
+    files = {path.name: path.read_bytes() for path in sorted(EXAMPLES.iterdir()) if path.suffix in SUFFIXES}
+    return files | {"README.txt": README.encode()}
+
+
+def _hil_files() -> dict[str, bytes]:
+    """A project of tests, its README.txt among them."""
+    there = sorted((EXAMPLES / HIL).iterdir())
+    return {path.name: path.read_bytes() for path in there if path.suffix in HIL_SUFFIXES}
 
 
 def fill(folder: Path, option: str, files: dict[str, bytes]) -> None:

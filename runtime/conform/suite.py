@@ -76,19 +76,42 @@ def run(
     Raises:
         can.CanError: the bus failed.
     """
+    suite = Suite(bench)
     results: list[Result] = []
-    halted: str | None = None
     for case in cases:
-        if halted is not None and case is not NOTHING_MOVED:
-            result = Result(case, CaseVerdict.NOT_RUN, f"not run: {halted}")
-        elif case is NOTHING_MOVED:  # needs no session, is true or not whatever has happened
-            result = _conclude(bench, case, heard=bench.announce is not None)
-        else:
-            result, halted = _repeated(bench, case)
+        result = suite.judge(case)
         results.append(result)
         tell(result)
     last = bench.announce
     return SuiteOutcome(tuple(results), last.state if last else None, last.cause if last else None)
+
+
+class Suite:
+    """The suite at work, for whoever asks for one case after the other.
+
+    Args:
+        bench: the conversation with the controller.
+
+    Attributes:
+        halted: why nothing more is said to the controller; None while the suite goes on.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self.halted: str | None = None
+
+    def judge(self, case: Case) -> Result:
+        """Run one case and come back to a controller that stands; not run after a halt.
+
+        Raises:
+            can.CanError: the bus failed.
+        """
+        if case is NOTHING_MOVED:  # needs no session, is true or not whatever has happened
+            return _conclude(self._bench, case, heard=self._bench.announce is not None)
+        if self.halted is not None:
+            return Result(case, CaseVerdict.NOT_RUN, f"not run: {self.halted}")
+        result, self.halted = _repeated(self._bench, case)
+        return result
 
 
 def _conclude(bench: Bench, case: Case, *, heard: bool) -> Result:

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 import can
 
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.fault_language import ANY, FAULT_TABLE, ByRule, MessageAction, MessageFault
+from cutgate.firmware_sim.message_faults import MessageFaults
 from cutgate.protocol.records import Side
+from cutgate.protocol.states import ControllerState
 from cutgate.runtime.interlock.state import OperatorCommand
 from tests.fault_injection.tap import SENDER, Tap
 from tests.runtime.session.pair import Pair
@@ -15,11 +18,15 @@ from tests.runtime.session.wire import CONTROLLER, RUNTIME, Node
 
 RATES = (*(0.0,) * 9, 0.002, 0.01, 0.05)
 """How often each thing may happen to a frame, or in a cycle, while faults are injected: most things not at all, some often."""
-LATE_S = 0.25
+LATE_MS = 250
+LATE_S = LATE_MS / 1000
 STILL_S = 0.3
 """The longest delay of a frame, and the longest that a loop stands still, s: above and below the time-out."""
 
-FrameError = Callable[["Injection", can.Message], list[can.Message] | None]
+STATES = (*(None,) * len(ControllerState), *ControllerState)
+"""When a fault of frames may happen: half of them at any time, the others in one state of the controller."""
+
+FrameAttack = Callable[["Injection", can.Message], list[can.Message] | None]
 """What becomes of a frame on its way; None where it is of a kind that this does not concern."""
 Act = Callable[["Injection"], None]
 
@@ -29,7 +36,7 @@ class Injection:
     """The faults of one seed over one pair.
 
     Attributes:
-        frame_errors, acts: what may happen, by the name under which a person reads it.
+        frame_attacks, acts: what may happen besides the faults of frames, by the name under which a person reads it.
         only: nothing but these happen, and that often; everything where empty.
         fell: what a person reads when a test has failed: everything that happened, in order.
         tap: what anybody has heard on the bus so far.
@@ -38,7 +45,7 @@ class Injection:
 
     pair: Pair
     seed: int
-    frame_errors: Mapping[str, FrameError]
+    frame_attacks: Mapping[str, FrameAttack]
     acts: Mapping[str, Act]
     only: Collection[str] = ()
     blowing: bool = False
@@ -50,7 +57,12 @@ class Injection:
 
     def __post_init__(self) -> None:
         self.draw = random.Random(self.seed)
-        self.frame_rates = {name: self._rate(name) for name in self.frame_errors}
+        drawn = [fault for action in MessageAction if (fault := self._drawn(action)) is not None]
+        self.faults = MessageFaults(
+            drawn, lambda fault, _times, message: self._note_frame(message, str(fault))
+        )
+        self.fell += [f"may happen: {fault}" for fault in drawn]
+        self.frame_rates = {name: self._rate(name) for name in self.frame_attacks}
         self.act_rates = {name: self._rate(name) / 2 for name in self.acts}
         self.heard: list[can.Message] = []
         self.pair.wire.rules.append(self._frame)
@@ -59,6 +71,16 @@ class Injection:
         if not self.only:
             return self.draw.choice(RATES)
         return RATES[-1] if name in self.only else 0.0
+
+    def _drawn(self, action: MessageAction) -> MessageFault | None:
+        """A fault of frames, as often as it may happen; None for not at all. Its line brings back what it does."""
+        rate = self._rate(action)
+        if not rate:
+            return None
+        takes_time = FAULT_TABLE[action].by is not ByRule.NEVER
+        by_ms = (0, LATE_MS) if takes_time else None
+        state = None if self.only else self.draw.choice(STATES)
+        return MessageFault(action, ANY, by_ms, state, None, rate, self.draw.getrandbits(32))
 
     def note(self, text: str) -> None:
         self.fell.append(f"{self.pair.clock() - 1000:8.3f} s  {text}")
@@ -71,19 +93,29 @@ class Injection:
             if taken is not None:
                 return taken
         if self.blowing:
-            for name, change in self.frame_errors.items():
+            for name, change in self.frame_attacks.items():
                 if not self.draw.random() < self.frame_rates[name]:
                     continue
                 becomes = change(self, message)
                 if becomes is not None:
-                    self.note(f"{message.arbitration_id:03X} {bytes(message.data).hex()} {name}")
+                    self._note_frame(message, name)
                     return becomes
         if len(self.heard) < 5000:
             self.heard.append(message)
-        return [message]
+        if not self.blowing:
+            return [message]
+        sender = SENDER[message.arbitration_id]
+        return self.faults.passing(message, sender, self.pair.controller.state, self.pair.clock())
+
+    def _note_frame(self, message: can.Message, text: str) -> None:
+        self.note(f"{message.arbitration_id:03X} {bytes(message.data).hex()} {text}")
 
     def strike(self) -> None:
-        """What happens in this cycle besides."""
+        """What happens in this cycle besides; what was late and is due arrives first."""
+        now_s = self.pair.clock()
+        for sender in Side:
+            node = self.pair.wire.nodes[sender.peer]
+            self.pair.wire.late += [(now_s, node, message) for message in self.faults.late(sender, now_s)]
         due = [act for due_s, act in self.later if due_s <= self.pair.clock()]
         self.later = [entry for entry in self.later if entry[0] > self.pair.clock()]
         for act in due:
@@ -130,43 +162,11 @@ def with_data(message: can.Message, data: bytes, can_id: int | None = None) -> c
     return can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False)
 
 
-def corrupted(injection: Injection, message: can.Message) -> list[can.Message]:
-    data = bytearray(message.data)
-    for _ in range(injection.draw.randint(1, 3)):
-        data[injection.draw.randrange(len(data))] ^= 1 << injection.draw.randrange(8)
-    return [with_data(message, bytes(data))]
-
-
-def shortened(injection: Injection, message: can.Message) -> list[can.Message]:
-    return [with_data(message, bytes(message.data)[: injection.draw.randrange(8)])]
-
-
-def delayed(injection: Injection, message: can.Message) -> list[can.Message]:
-    injection.hold(message)
-    return []
-
-
 def said_again(injection: Injection, message: can.Message) -> list[can.Message]:
     """Something that either side has said before, in whatever session, arrives as well."""
     old = injection.draw.choice(injection.heard or [message])
     injection.hold(old)
     return [message]
-
-
-def misaddressed(injection: Injection, message: can.Message) -> list[can.Message]:
-    return [with_data(message, bytes(message.data), injection.draw.choice([*SENDER, 0x123]))]
-
-
-FRAME_ERRORS: dict[str, FrameError] = {
-    "corrupted": corrupted,
-    "shortened": shortened,
-    "lost": lambda _injection, _message: [],
-    "twice": lambda _injection, message: [message, message],
-    "delayed": delayed,
-    "said again": said_again,
-    "misaddressed": misaddressed,
-}
-"""The eight communication errors, as far as chance can make them: nothing here writes a CRC."""
 
 
 # ---------------------------------------------------------------- people, loops, disk, power

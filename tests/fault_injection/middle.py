@@ -74,7 +74,7 @@ def _read(can_id: int, data: bytes) -> Any:
         return None
 
 
-def _rewriting(change: Callable[[Injection, Any], Frame | None]) -> chance.FrameError:
+def _rewriting(change: Callable[[Injection, Any], Frame | None]) -> chance.FrameAttack:
     """He lets a frame say something else."""
 
     def rewrite(injection: Injection, message: can.Message) -> list[can.Message] | None:
@@ -173,7 +173,7 @@ def _swapped(injection: Injection, message: can.Message) -> list[can.Message]:
     return []
 
 
-FRAME_ATTACKS: dict[str, chance.FrameError] = {
+FRAME_ATTACKS: dict[str, chance.FrameAttack] = {
     "he holds it back": _held,
     "he lets the next one pass first": _swapped,
     "he drops it": lambda _injection, _message: [],

@@ -24,7 +24,7 @@ from cutgate.runtime.interlock.permissives import awaiting_confirmation
 from cutgate.runtime.interlock.phases import ENDED
 from cutgate.runtime.interlock.state import OperatorCommand, Phase, RecordDurable, ReplyReceived
 from cutgate.runtime.session.job import make_job, read_files
-from tests.fault_injection.injection import ACTS, FRAME_ERRORS, Injection, reboot
+from tests.fault_injection.injection import ACTS, Injection, reboot
 from tests.fault_injection.middle import ATTACKS, FRAME_ATTACKS
 from tests.fault_injection.oracle import Oracle
 from tests.runtime.audit.build import inputs
@@ -47,7 +47,7 @@ class Play:
 
     def __init__(self, pair, seed, only):
         self.pair, self.oracle = pair, Oracle(pair)
-        self.injection = Injection(pair, seed, FRAME_ERRORS | FRAME_ATTACKS, ACTS | ATTACKS, only)
+        self.injection = Injection(pair, seed, FRAME_ATTACKS, ACTS | ATTACKS, only)
         self.job = replace(pair.job, deadlines=replace(pair.job.deadlines, **SHORT))
         self.oracle.controller_powered()
         self.process = pair.process
@@ -316,7 +316,7 @@ SEEDED = {
     "no time-out": (_no_time_out, (KILLED,), "after the runtime last said CUT"),
     "the device is not looked at": (_device_not_looked_at, (PERSON,), "the device released"),
     "a motion is not listed": (_bone_motion_not_listed, (PERSON,), "of a bone that had moved"),
-    "an OPEN clears a latch": (_opening_clears_a_latch, ("misaddressed",), "a latch was left"),
+    "an OPEN clears a latch": (_opening_clears_a_latch, ("misaddress",), "a latch was left"),
     "nothing waits for the disk": (
         _nothing_waits_for_the_disk,
         ("the disk is slow",),

@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -20,13 +21,15 @@ from cutgate.firmware_sim import command, memory
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.frames import IDS, RuntimeHeartbeat
-from cutgate.protocol.states import StopCause
+from cutgate.protocol.states import ControllerState, StopCause
 
 ROBOT = SHIPPED / "config" / "presets" / "example.toml"
 
 
 class Bus:
     """An empty bus; or one that carries this message."""
+
+    channel_info, protocol = "a bus", can.CanProtocol.CAN_20
 
     def __init__(self, message=None):
         self.message = message
@@ -84,6 +87,33 @@ def refused(capfd, arguments, *texts):
     assert error.startswith("cutgate sim: ")
     assert error.count("\n") == 1
     assert all(text in error for text in texts), error
+
+
+def test_faults_of_messages_lie_on_its_bus_know_its_state_and_are_shown_a_few_times(given, capfd):
+    arguments, processes = given
+    lines = ["lose any @cutting p=1", "hang@done", "delay Joints01 by 40ms"]
+    words = [word for line in lines for word in ("--fault", line)]
+    assert command.main([*arguments, *words]) == command.OK
+    ((process, _wake),) = processes
+    bus = process.port.bus
+    assert [str(fault) for fault in bus.faults.done] == [lines[0], lines[2]]
+    assert [str(fault) for fault in process._options.faults] == [lines[1]]
+    assert bus.controller_state() is process.controller.state is ControllerState.INHIBITED
+    assert process._wait_s() < 1.0
+    joints = can.Message(arbitration_id=0x300, data=bytes(8), is_extended_id=False)
+    bus.send(joints)
+    assert 0.0 <= process._options.late_wait_s() <= 0.04
+    process.controller = replace(process.controller, state=ControllerState.CUTTING)
+    capfd.readouterr()
+    said = []
+    tell = command._told(said.append)
+    for times in range(1, command.FAULTS_TOLD + 3):
+        tell("F", times, joints)
+    assert said == [
+        *(f"fault injected: F ({n})" for n in range(1, 10)),
+        "fault injected: F (10); no more of these are shown",
+    ]
+    assert bus.controller_state() is ControllerState.CUTTING
 
 
 def test_the_controller_starts_with_what_the_robot_file_says(given, capfd):
@@ -217,6 +247,7 @@ def test_a_time_scale_is_said_to_be_for_simulation_only(given, capfd):
         (["--joints", "9000,70,250,0,55"], ["--joints: ", "name joints that the bus can report"]),
         (["--fault", "explode"], ["--fault: ", "'explode' is not known"]),
         (["--fault", "hang@moon"], ["--fault: ", "state must be one of"]),
+        (["--fault", "lose Heartbeat"], ["--fault: ", "message must be one of ControllerFault"]),
         (["--robot", "nowhere.toml"], ["nowhere.toml"]),
         (["--key", "nowhere.key"], ["nowhere.key"]),
     ],

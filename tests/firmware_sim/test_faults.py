@@ -19,6 +19,11 @@ def test_every_fault_can_happen_in_every_state(name, state):
     assert FaultSpec.parse(f"{name}@{state.name.lower()}") == FaultSpec(name, state)
 
 
+@pytest.mark.parametrize("text", ["hang@loaded", "flip-path-bit@cutting"])
+def test_a_fault_is_written_as_it_is_read(text):
+    assert str(FaultSpec.parse(text)) == text
+
+
 def test_a_fault_without_a_state_happens_when_a_path_is_loaded():
     assert FaultSpec.parse("hang") == FaultSpec(FaultName.HANG, ControllerState.LOADED)
 

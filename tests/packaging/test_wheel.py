@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -62,6 +63,7 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
         for pattern in ("*.json", "*.toml", "*.service")
         for path in (ROOT / "examples").glob(pattern)
     }
+    project = {path.name for path in (ROOT / "examples" / "hil").iterdir() if path.is_file()}
     presets = {path.name for path in (ROOT / "config" / "presets").iterdir()}
     assert data >= {"cutgate/py.typed", "cutgate/protocol/cutgate.dbc"}
     assert data >= {f"cutgate/runtime/commands/reach_page.{kind}" for kind in ("js", "css")}
@@ -69,6 +71,8 @@ def test_it_holds_the_package_and_its_data_alone(wheel):
     assert data >= {f"cutgate/runtime/commands/report/{name}" for name in drawn}
     assert data >= {f"cutgate/examples/{name}" for name in examples}
     assert data >= {f"cutgate/config/presets/{name}" for name in presets}
+    assert set(names) >= {f"cutgate/examples/hil/{name}" for name in project}
+    assert "README.txt" in project
 
 
 MEMORY = Path("/dev/shm")
@@ -155,3 +159,27 @@ def test_a_session_from_a_hostile_folder_takes_nothing_from_it(programs, folder)
             )
             controller.terminate()
         hub.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def with_pytest(programs, tmp_path_factory):
+    """The same environment with pytest and pytest-xdist as locked, and nothing else: after all that must do without."""
+    lock = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
+    wanted = ("execnet", "iniconfig", "packaging", "pluggy", "pygments", "pytest", "pytest-xdist")
+    blocks = [block for block in re.split(r"\n(?=\S)", lock) if re.split("[=; ]", block)[0] in wanted]
+    assert len(blocks) == len(wanted)
+    chosen = tmp_path_factory.mktemp("lock") / "requirements.txt"
+    chosen.write_text("\n".join(blocks) + "\n", encoding="utf-8")
+    pip = [programs / "python", "-m", "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:"]
+    run([*pip, "--require-hashes", "-r", chosen])
+    return programs
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_the_project_of_tests_passes_as_it_is_written(workers, with_pytest, tmp_path):
+    run([with_pytest / "cutgate", "example", "hil", "project"], cwd=tmp_path)
+    command = [with_pytest / "python", "-m", "pytest", "-n", workers, "--cutgate-matrix", "matrix.md"]
+    done = run(command, cwd=tmp_path / "project")
+    assert "4 passed" in done.stdout
+    matrix = (tmp_path / "project" / "matrix.md").read_text(encoding="utf-8")
+    assert "4 tests with sessions, 1 different faults, 0 tests failed." in matrix

@@ -5,7 +5,6 @@ it is what a test may take on the slowest machine before it counts as hung.
 """
 
 import json
-import math
 import os
 import re
 import secrets
@@ -27,6 +26,7 @@ import can
 
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.config.key import load_key, new_key_file
+from cutgate.firmware_sim.hil import inputs
 from cutgate.protocol import records
 from cutgate.protocol.codes import KEY_BYTES, PresharedKey, SessionCodes
 from cutgate.protocol.frames import (
@@ -50,26 +50,13 @@ WAIT_S = 20.0
 END_S = 10.0
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "examples" / "robot.toml"
-SITE = """schema = "cutgate.site/1"
-clock_skew_s = 0
-[timing]
-heartbeat_ms = 50
-timeout_ms = 1000
-[approach]
-approach_clearance_mm = 0.5
-[controller]
-simulated = true
-"""
+SITE = inputs.SITE
 HEARTBEAT_S, TIMEOUT_S = 0.05, 1.0
 IN_TIME = round(TIMEOUT_S / HEARTBEAT_S) + 2
 """Heartbeats of the controller: those of the time-out, the one that was due with the last it heard, and one more turn."""
-STANDS = "-35.5,79.5,340,-4,30.5"
-"""Where the arm stands at power-up: half a degree from the entry pose, so that no test waits for the approach."""
-POSES = 300
-FEED_MM_S = 2.0
+STANDS, POSES = inputs.STANDS, inputs.POSES
 FAST = 30
 """Time scale at which the short path of 36 mm takes 0.6 s; at scale 1 it outlasts every test."""
-UNIT = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 SAFE = ("INHIBITED", "FAULT")
 
 
@@ -598,33 +585,12 @@ def session_codes(rig: Rig) -> SessionCodes:
 
 def write_inputs(folder: Path) -> None:
     """A short shallow path, its registration, a site and two keys."""
-    (folder / "plan.json").write_text(json.dumps(plan()), encoding="utf-8")
+    (folder / "plan.json").write_text(json.dumps(inputs.short_plan()), encoding="utf-8")
     register(folder, "registration")
     (folder / "site.toml").write_text(SITE, encoding="utf-8")
     for name in ("site.key", "wrong.key"):
         if not (folder / name).exists():
             new_key_file(folder / name, secrets.token_bytes(KEY_BYTES))
-
-
-def plan() -> dict[str, object]:
-    """300 poses, two blocks on the wire, in the middle of the example robot's workspace."""
-    poses = []
-    for number in range(POSES):
-        part = number / (POSES - 1)
-        lean, toward = math.radians(30 + 10 * part), math.radians(40 + 20 * part)
-        axis = (math.sin(lean) * math.cos(toward), math.sin(lean) * math.sin(toward), math.cos(lean))
-        tip = (630 - 30 * part, -5 * math.sin(6 * part), 200.0)
-        poses.append([round(value, 6) for value in (*tip, *axis)])
-    return {
-        "schema": "cutgate.plan/1",
-        "id": "short",
-        "implant": "none",
-        "side": "left",
-        "units": "mm",
-        "feed_mm_s": FEED_MM_S,
-        "ct_T_implant": UNIT,
-        "poses": poses,
-    }
 
 
 def register(
@@ -643,7 +609,7 @@ def registration(name: str, shift_mm: tuple[float, float, float] = (0, 0, 0)) ->
     return {
         "schema": "cutgate.registration/1",
         "id": name,
-        "R_T_CT": [[*row[:3], by] for row, by in zip(UNIT, (*shift_mm, 1), strict=True)],
+        "R_T_CT": [[*row[:3], by] for row, by in zip(inputs.UNIT, (*shift_mm, 1), strict=True)],
         "residual_rms_mm": 0.1,
         "created_utc": "2026-01-01T00:00:00Z",
     }

@@ -27,7 +27,7 @@ from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium.bits import INTERMISSION_BITS, Rates, frame_bits
 from cutgate.firmware_sim.bus.messages import frame_of
 from cutgate.firmware_sim.bus.virtual_time import VirtualTime
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.protocol.frames import IDS, ControllerHeartbeat, RuntimeHeartbeat
 from cutgate.protocol.records import Side
 from cutgate.runtime.interlock.state import Phase

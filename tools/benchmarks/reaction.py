@@ -24,7 +24,7 @@ from cutgate.config.key import load_key, new_key_file
 from cutgate.config.load import load_robot
 from cutgate.config.records import calibration_record, limits_record, tool_record
 from cutgate.firmware_sim.console import ConsoleCommand
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.firmware_sim.kinematics import as_joints
 from cutgate.firmware_sim.loop import Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory

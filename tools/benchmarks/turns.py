@@ -12,7 +12,7 @@ from pages import Rows
 from paths import EXAMPLES
 
 from cutgate.config.key import new_key_file
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.protocol.codes import KEY_BYTES
 
 PARTS = 100

@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from cutgate.firmware_sim.hil.plugin import virtual_bus
+from cutgate.firmware_sim.hil.hub import virtual_bus
 
 __all__ = ["virtual_bus"]
 

@@ -17,7 +17,7 @@ from cutgate.config.key import new_key_file
 from cutgate.firmware_sim import command
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 
 pytestmark = pytest.mark.processes
 

@@ -13,7 +13,7 @@ import pytest
 
 from cutgate.firmware_sim.bus.medium.bits import Rates
 from cutgate.firmware_sim.bus.virtual_time import VirtualTime
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from tests.firmware_sim.bus.every_bus import BusSuite
 
 

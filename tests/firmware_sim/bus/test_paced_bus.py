@@ -19,7 +19,7 @@ from cutgate.firmware_sim.bus.client import VirtualBus
 from cutgate.firmware_sim.bus.medium.bits import frame_bits
 from cutgate.firmware_sim.bus.messages import frame_of
 from cutgate.firmware_sim.bus.serve import main
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from tests.firmware_sim.bus.test_bus import false_hub, fill
 
 pytestmark = pytest.mark.processes

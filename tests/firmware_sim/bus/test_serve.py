@@ -9,7 +9,7 @@ import pytest
 
 from cutgate.config.interpreter import program
 from cutgate.firmware_sim.bus.serve import main, serve
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 
 pytestmark = pytest.mark.processes
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cutgate.config.key import new_key_file
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.runtime.commands.app import execute
 
 ROBOT = Path(__file__).parents[3] / "examples" / "robot.toml"

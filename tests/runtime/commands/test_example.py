@@ -3,6 +3,7 @@
 import errno
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,39 @@ def test_what_to_look_at_first_is_told_with_options_that_there_are():
     (words,) = commands("doctor")
     named = cli.load("doctor").make_context("doctor", words[1:]).params
     assert [str(named[option]) for option in ("site", "key", "log_dir")] == ["site.toml", "site.key", "logs"]
+
+
+def test_a_project_of_tests_is_written_with_all_that_it_needs(tmp_path, capsys):
+    folder = tmp_path / "hil"
+    assert cli.execute(["example", "hil", str(folder)]) == 0
+    written = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert written.keys() == {
+        "README.txt",
+        "pyproject.toml",
+        "pretended.py",
+        "test_own_controller.py",
+        "test_simulated_controller.py",
+    }
+    assert capsys.readouterr().out == f"{folder}: 5 files written; {folder}/README.txt says how to start\n"
+    project = tomllib.loads(written["pyproject.toml"].decode())["project"]
+    assert "cutgate" in project["dependencies"]
+    lines = written["README.txt"].decode().splitlines()
+    assert len(lines) <= 10
+    for name in written.keys() - {"README.txt", "pyproject.toml"}:
+        compile(written[name], name, "exec")
+        assert name.encode() in written["README.txt"]
+
+
+def test_a_folder_may_be_called_hil(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.execute(["example", "hil"]) == 0
+    assert (tmp_path / "hil" / "robot.toml").exists()
+
+
+def test_two_names_are_refused_where_the_first_is_not_hil(tmp_path, refusal):
+    line = refusal("example", "start", tmp_path / "x")
+    assert "a folder, or hil and a folder" in line
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("there", [False, True])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cutgate.config import bus as config_bus
 from cutgate.config.model import Site
-from cutgate.firmware_sim.hil.plugin import hub_process
+from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.runtime.doctor.examined import Examined
 from cutgate.runtime.doctor.facts import LinkDetail, RawSocket, SocketRefusal, Unknown
 from cutgate.runtime.doctor.probes import can_bus

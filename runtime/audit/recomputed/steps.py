@@ -13,7 +13,7 @@ own table lets be seen, and follows from what it showed before. The log closes i
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from cutgate.protocol import records as wire
 from cutgate.protocol.states import ControllerState, StopCause
@@ -48,6 +48,14 @@ DEVIATION: Final = "Deviation"
 """An effect that lists what deviates in place of the phase's permissives."""
 
 
+class Stood(NamedTuple):
+    """How the controller stood."""
+
+    state: str
+    cause: str
+    epoch: int
+
+
 @dataclass
 class Steps:
     """What the records so far have led to.
@@ -65,6 +73,8 @@ class Steps:
     """How the controller stood as it opened the session, from its OPENED to the decision on it."""
     _fault: str | None = None
     """The cause that the last fault frame claimed."""
+    _stood: Stood | None = None
+    """The controller, by its last heartbeat; by its OPENED before the first."""
     _view: records.AuditController | None = None
     _left: set[str] = field(default_factory=set)
     """Of permit, start and reset."""
@@ -80,6 +90,7 @@ class Steps:
             yield f"{records.AuditSession.TOPIC} cannot be read: {error}"
             return
         self._epoch = answer.epoch
+        self._stood = Stood(answer.state.name, answer.cause.name, answer.epoch)
         self._opened = opened_as(
             at_rest=answer.state is ControllerState.OPEN and answer.cause is StopCause.NONE,
             withdrawal_due=bool(answer.withdrawal_due),
@@ -106,7 +117,8 @@ class Steps:
     def controller(self, record: records.AuditController) -> Iterator[str]:
         """What the controller shows from now on."""
         yield from self._passed()
-        before, self._view = self._view, record
+        before, self._stood = self._stood, Stood(record.state, record.cause, record.epoch)
+        self._view = record
         self._due = True
         shown = f"the controller shows {_told(record)}"
         if not self.table.shows(
@@ -120,9 +132,7 @@ class Steps:
         if before is not None:
             yield from self._goes_on(before, record, shown)
 
-    def _goes_on(
-        self, before: records.AuditController, record: records.AuditController, shown: str
-    ) -> Iterator[str]:
+    def _goes_on(self, before: Stood, record: records.AuditController, shown: str) -> Iterator[str]:
         """From what it showed before; what enables it or lets go of it has left this side."""
         stopped = record.epoch != self._epoch
         if not stopped and before.epoch != self._epoch:
@@ -138,9 +148,7 @@ class Steps:
             if not needed:
                 yield f"{shown} behind decision {self._number}, and {what}"
 
-    def _needed(
-        self, before: records.AuditController, record: records.AuditController
-    ) -> Iterator[tuple[str, bool]]:
+    def _needed(self, before: Stood, record: records.AuditController) -> Iterator[tuple[str, bool]]:
         """What must not be so, and whether it is not."""
         kind = ENABLED_BY.get(record.state)
         if kind is not None:

@@ -96,6 +96,7 @@ demo: $(READY)
 docs: $(READY) pictures
 	$(BIN)/python -m cutgate.config.constants > docs/constants.md
 	$(BIN)/python -m docs.make_state_machines
+	$(BIN)/python -m docs.make_transitions
 	$(BIN)/python -m docs.make_error_matrix
 	$(BIN)/python -m docs.make_recovery
 	$(BIN)/python -m docs.make_attacks

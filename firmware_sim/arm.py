@@ -5,13 +5,16 @@ No bus, no clock: time comes in as an argument. :meth:`PlantArm.load` follows ev
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from cutgate.firmware_sim.approach import BoundApproach
 from cutgate.firmware_sim.kinematics import GOES_RAD, Joints
-from cutgate.firmware_sim.plant import Plant, PlantFault, PlantState, StoredPath
+from cutgate.firmware_sim.mechanical import LeastDistances, MechanicalLimits
+from cutgate.firmware_sim.plant import Leg, Plant, PlantFault, PlantState, StoredPath, Visited
 from cutgate.firmware_sim.state import Holdings
 from cutgate.protocol.records import Calibration, Limits, Permit
+from cutgate.protocol.states import StopCause
 
 OFF_START_DEG = 2.0
 DRIFT_DEG_S = 1.0
@@ -26,6 +29,7 @@ class PlantArm:
         joints: where it stands then, rad and mm; the middle of its limits where not given.
         hold_roll_rad: the q3 held by a path of vertical axis throughout, where the robot declares one.
         time_scale: seconds of the plant in one of the clock.
+        true_calibration: the arm as it is, where it is another one than is reported.
 
     Attributes:
         state: where it is.
@@ -35,6 +39,8 @@ class PlantArm:
         speed_ratio: the highest joint speed since the start, over its limit.
         measured: the joints at the end of the cycle before.
         frozen: the joints that the bus hears instead of the true ones, with a fault.
+        mechanical: where the true arm's limit switches are.
+        distances: how near the true arm has come to each limit while it cut, since the start.
     """
 
     def __init__(
@@ -44,16 +50,20 @@ class PlantArm:
         joints: Joints | None = None,
         hold_roll_rad: float | None = None,
         time_scale: float = 1.0,
+        true_calibration: Calibration | None = None,
     ) -> None:
         self._hold_roll_rad = hold_roll_rad
+        self._true_calibration = true_calibration
         self._time_scale = time_scale
         self._rush = 1.0
         self._drifts_since_s: float | None = None
+        self._drifted_rad = 0.0
         self.frozen: Joints | None = None
         self.load(holdings)
         self.state = PlantState(joints or middle_of(self.plant.limits))
         self.measured = self.state.joints
         self.executed, self.speed_ratio = 0, 0.0
+        self.distances = LeastDistances(self.mechanical)
 
     def load(self, holdings: Holdings) -> None:
         """The stored path has changed; the arm keeps its place, and what was to be executed is void."""
@@ -62,6 +72,8 @@ class PlantArm:
             calibration=Calibration.parse(holdings.calibration),
             hold_roll_rad=self._hold_roll_rad,
         )
+        reported = self.plant.calibration
+        self.mechanical = MechanicalLimits.of(self.plant.limits, reported, self._true_calibration or reported)
         self.path = StoredPath.of(holdings.path) if holdings.path is not None else None
         self._approach: BoundApproach | None = None
 
@@ -71,6 +83,7 @@ class PlantArm:
         self.state = PlantState(self.state.joints)
         self.measured = self.state.joints
         self.executed, self.speed_ratio = 0, 0.0
+        self.distances = LeastDistances(self.mechanical)
 
     def move(self, gap_s: float, *, moving: bool, cutter: bool) -> PlantFault | None:
         """One cycle of motion. ``state.done`` says afterwards that it stands at the start joints again.
@@ -96,14 +109,29 @@ class PlantArm:
         before, self.state, self.measured = self.measured, advance.state, advance.state.joints
         self.executed += len(advance.executed)
         self.speed_ratio = max(self.speed_ratio, advance.speed_ratio)
-        return advance.fault or self.plant.too_fast(before, self.measured, gap_s * self._time_scale)
+        return (
+            advance.fault
+            or self.plant.too_fast(before, self.measured, gap_s * self._time_scale)
+            or self._visit(advance.visited)
+        )
+
+    def _visit(self, visited: Sequence[Visited]) -> PlantFault | None:
+        """The true arm has been there; a fault if a limit switch tripped."""
+        for leg, segment, (q0, q1, q2, q3, q4) in visited:
+            reading = (q0 + self._drifted_rad, q1, q2, q3, q4)
+            if leg is Leg.CUT:
+                self.distances.add((reading,), segment)
+            tripped = self.mechanical.tripped(reading)
+            if tripped:
+                return PlantFault(StopCause.LIMIT_EXCEEDED, f"limit switch of the true arm: {tripped}")
+        return None
 
     def reported(self, now_s: float) -> Joints:
         """The joints as the bus hears them; others than the controller goes by only with a fault."""
         q0, q1, q2, q3, q4 = self.frozen or self.state.joints
         if self._drifts_since_s is not None:
-            q0 += math.radians(DRIFT_DEG_S) * (now_s - self._drifts_since_s)
-        return q0, q1, q2, q3, q4
+            self._drifted_rad = math.radians(DRIFT_DEG_S) * (now_s - self._drifts_since_s)
+        return q0 + self._drifted_rad, q1, q2, q3, q4
 
     # ------------------------------------------------------------ what can be wrong with it
 

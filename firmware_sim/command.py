@@ -34,7 +34,7 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
 from cutgate.protocol.port import Port
-from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
+from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Calibration, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
 
 LISTEN_S: Final = 0.6
@@ -140,7 +140,24 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
         raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
-    return Options(options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints)
+    true = _true_calibration(options.true_calibration, robot)
+    return Options(
+        options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints, true_calibration=true
+    )
+
+
+def _true_calibration(file: Path | None, robot: Robot) -> Calibration | None:
+    """The calibration of the arm as it is: of a robot file that is the other one's but for links and calibration."""
+    if file is None:
+        return None
+    true = load_robot(file).value
+    for name, record in (("[limits]", limits_record), ("[tool]", tool_record)):
+        if record(true) != record(robot):
+            raise RefusedError(
+                f"--true-calibration: {file}: {name} is not that of --robot, and only [arm] and [calibration] are taken "
+                f"from this file; write the {name} of --robot into it"
+            )
+    return calibration_record(true)
 
 
 def _joints(text: str | None, limits: Limits) -> Joints:
@@ -226,6 +243,12 @@ def _parser() -> argparse.ArgumentParser:
         "--joints",
         metavar="q0,q1,q2,q3,q4",
         help="where the arm stands at power-up, deg and mm (write --joints=...); default the middle of the limits",
+    )
+    parser.add_argument(
+        "--true-calibration",
+        type=Path,
+        metavar="FILE",
+        help="a robot.toml whose [arm] and [calibration] are those of the arm as it is; what is reported stays --robot's",
     )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@STATE", help="a fault to have in that state"

@@ -60,7 +60,8 @@ class Options:
     """How this simulated controller behaves.
 
     ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
-    ``joints``: where the arm stands at power-up, rad and mm.
+    ``joints``: where the arm stands at power-up, rad and mm;
+    ``true_calibration``: the arm as it is, where it is another one than is reported.
     """
 
     time_scale: float = 1.0
@@ -68,6 +69,7 @@ class Options:
     faults: tuple[FaultSpec, ...] = ()
     hold_roll_rad: float | None = None
     joints: Joints | None = None
+    true_calibration: records.Calibration | None = None
 
 
 class Process:
@@ -129,6 +131,7 @@ class Process:
             joints=options.joints,
             hold_roll_rad=options.hold_roll_rad,
             time_scale=options.time_scale,
+            true_calibration=options.true_calibration,
         )
 
     # ------------------------------------------------------------ the loop
@@ -303,6 +306,8 @@ class Process:
         self._refused_opens.clear()
         line = console.state_line(self.controller)
         if isinstance(event, PathFinished):
+            for text in console.distance_lines(self.arm.distances):
+                self._say(text)
             line += f": {console.executed_line(self.arm.executed, self.arm.speed_ratio)}"
         self._say(line)
 

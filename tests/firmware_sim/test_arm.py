@@ -8,7 +8,7 @@ import pytest
 
 from cutgate.firmware_sim.approach import own_ends
 from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, PlantArm, middle_of
-from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm, inverse
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState
 from cutgate.firmware_sim.state import Holdings
@@ -256,3 +256,59 @@ def test_the_speed_of_a_rushing_arm_is_judged_by_the_time_scale_that_it_says():
     arm = begun()
     arm.rush()
     assert arm.move(0.01, moving=True, cutter=True).cause is StopCause.LIMIT_EXCEEDED
+
+
+# ---------------------------------------------------------------- the arm as it is
+
+
+def test_how_near_the_true_arm_came_is_kept_of_the_cut_alone():
+    """Entry, exit and the joint lines are verified for themselves, and lie above the path."""
+    arm = begun()
+    while arm.state.leg < Leg.CUT:
+        assert arm.distances.least == {}
+        moved(arm, dt_s=0.001)
+    while not arm.state.done:
+        moved(arm)
+    least = arm.distances.least
+    slide = [pose[2] for pose in _cut_readings()]
+    assert least["bottom"].distance == pytest.approx(min(slide) - LIMITS.q_min[2], abs=0.01)
+    assert least["top"].distance == pytest.approx(LIMITS.q_max[2] - max(slide), abs=0.01)
+    assert least["bottom"].segment == len(PATH) - 2
+    arm.begin(GIVEN)
+    assert arm.distances.least == {}
+
+
+def _cut_readings():
+    """Reported joints at every pose of the path."""
+    arm = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    path = begun().path
+    return [inverse(arm, path.pose(index)) for index in range(len(path))]
+
+
+def test_a_limit_switch_stops_an_arm_that_stands_further_than_is_reported():
+    """5 deg of the shoulder: the readings are inside of their limits, the arm is not."""
+    true = replace(CALIBRATED, joint_offset_u=(-5 * records.UNIT, *CALIBRATED.joint_offset_u[1:]))
+    limits = replace(LIMITS, q_min_u=(-50 * records.UNIT, *LIMITS.q_min_u[1:]))
+    assert math.degrees(min(joints[0] for joints in _cut_readings())) > -49.0
+    for calibration, expected in ((CALIBRATED, None), (true, StopCause.LIMIT_EXCEEDED)):
+        arm = PlantArm(
+            replace(WITH_PATH, limits=limits.body()), joints=AT_START, true_calibration=calibration
+        )
+        arm.begin(GIVEN)
+        fault = None
+        while fault is None and not arm.state.done:
+            fault = arm.move(DT_S, moving=True, cutter=True)
+        assert (fault.cause if fault else None) is expected
+        if fault:
+            assert fault.detail.startswith("limit switch of the true arm: q0 = ")
+
+
+def test_an_arm_that_drifts_trips_its_limit_switch():
+    limits = replace(LIMITS, q_max_u=(-30 * records.UNIT, *LIMITS.q_max_u[1:]))
+    arm = PlantArm(replace(WITH_PATH, limits=limits.body()), joints=AT_START)
+    arm.begin(GIVEN)
+    arm.drift(0.0)
+    for after_s, cause in ((10.0, None), (20.0, StopCause.LIMIT_EXCEEDED)):
+        arm.reported(after_s)
+        fault = arm.move(DT_S, moving=True, cutter=True)
+        assert (fault.cause if fault else None) is cause

@@ -117,6 +117,36 @@ def test_the_arm_stands_where_joints_say_and_else_in_the_middle(given):
     assert shown[1] == pytest.approx([0, 72.5, 250, 0, 55])
 
 
+def _true_file(given, old, new):
+    """A copy of the robot file with another text in the place of this one."""
+    file = Path(given[0][1]).with_name("true.toml")
+    text = ROBOT.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    return str(file)
+
+
+def test_the_true_arm_may_be_another_one_than_is_reported(given):
+    arguments, processes = given
+    file = _true_file(given, "upper_link_mm = 450.0", "upper_link_mm = 448.0")
+    assert command.main([*arguments, "--true-calibration", file]) == command.OK
+    assert command.main(arguments) == command.OK
+    (other, _), (same, _) = processes
+    assert (other.arm.mechanical.arm.upper_mm, other.arm.plant.calibration.upper_mm) == (448.0, 450.0)
+    assert same._options.true_calibration is None
+    assert same.arm.mechanical.arm == same.arm.mechanical.believed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [("length_mm = 160.0", "length_mm = 150.0", "[tool]"), ("[-80.0, 80.0]", "[-80.0, 70.0]", "[limits]")],
+)
+def test_of_the_true_arm_only_links_and_calibration_may_be_others(given, capfd, old, new, named):
+    arguments, _ = given
+    file = _true_file(given, old, new)
+    refused(capfd, [*arguments, "--true-calibration", file], file, f"{named} is not that of --robot")
+
+
 def test_every_boot_has_a_nonce_of_its_own(given):
     arguments, processes = given
     command.main(arguments)

@@ -14,6 +14,7 @@ from cutgate.firmware_sim.approach import own_ends
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.mechanical import distances_text
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import FaultArisen, Memory, OpenLink
 from cutgate.protocol import records
@@ -468,10 +469,21 @@ def test_a_whole_life_ends_where_it_began(runtime):
     assert one.bench.shown[-1] == (
         f"state DONE: 20 segments executed, peak joint speed {ratio:.0%} of its limit"
     )
+    assert one.bench.shown[-2] == (
+        f"least distances of the true arm in the cut: {distances_text(one.process.arm.distances.least)}"
+    )
     one.items.clear()
     one.run(0.1)
     assert one.frames(Progress)[-1] == Progress(19, 65535)
     assert one.controller.measured_u == START_U
+
+
+def test_an_arm_that_is_another_one_than_is_reported_says_so_after_the_cut(runtime):
+    true = replace(NOMINAL, upper_link_error_u=2 * records.UNIT)
+    one = runtime(time_scale=20.0, true_calibration=true).open().load().permit(START_U).start().run(5.0)
+    assert one.controller.state is ControllerState.DONE
+    told = "the true wrist centre was up to 2.000 mm from where the reported calibration has it"
+    assert told in one.bench.shown
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
 from cutgate.firmware_sim.arrivals import NONCE_BYTES
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.drives import TIME_SCALE_MAX
 from cutgate.firmware_sim.faults import FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
 from cutgate.firmware_sim.loop import NS_PER_US, Options, Process
@@ -140,9 +141,18 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
         raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
-    true = _true_calibration(options.true_calibration, robot)
+    if options.dynamics and not options.time_scale <= TIME_SCALE_MAX:
+        raise RefusedError(
+            f"--time-scale is {options.time_scale:g}, must be at most {TIME_SCALE_MAX:g} with --dynamics: the drives of a "
+            "plant that is faster take more steps than a cycle has time for"
+        )
     return Options(
-        options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints, true_calibration=true
+        options.time_scale,
+        faults=faults,
+        hold_roll_rad=hold,
+        joints=joints,
+        true_calibration=_true_calibration(options.true_calibration, robot),
+        dynamics=options.dynamics,
     )
 
 
@@ -243,6 +253,11 @@ def _parser() -> argparse.ArgumentParser:
         "--joints",
         metavar="q0,q1,q2,q3,q4",
         help="where the arm stands at power-up, deg and mm (write --joints=...); default the middle of the limits",
+    )
+    parser.add_argument(
+        "--dynamics",
+        action="store_true",
+        help="the joints follow their command by drives with mass, and brake along the path instead of standing at once",
     )
     parser.add_argument(
         "--true-calibration",

@@ -61,7 +61,8 @@ class Options:
 
     ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
     ``joints``: where the arm stands at power-up, rad and mm;
-    ``true_calibration``: the arm as it is, where it is another one than is reported.
+    ``true_calibration``: the arm as it is, where it is another one than is reported;
+    ``dynamics``: whether the joints follow their command by drives with mass.
     """
 
     time_scale: float = 1.0
@@ -70,6 +71,7 @@ class Options:
     hold_roll_rad: float | None = None
     joints: Joints | None = None
     true_calibration: records.Calibration | None = None
+    dynamics: bool = False
 
 
 class Process:
@@ -132,6 +134,7 @@ class Process:
             hold_roll_rad=options.hold_roll_rad,
             time_scale=options.time_scale,
             true_calibration=options.true_calibration,
+            dynamics=options.dynamics,
         )
 
     # ------------------------------------------------------------ the loop
@@ -377,16 +380,17 @@ class Process:
 
     def _measure(self) -> None:
         """Where the arm stands, for PERMIT, START and the end of the retract."""
-        self._feed(JointsMeasured(records.joints_to_counts(self.arm.state.joints)))
+        self._feed(JointsMeasured(records.joints_to_counts(self.arm.reading)))
 
     def _move(self, gap_s: float) -> None:
         if self.controller.state is not ControllerState.CUTTING:
+            self.arm.settle(gap_s)
             return
         fault = self.arm.move(gap_s, moving=self.controller.may_move, cutter=self.controller.cutting_mode)
         if fault is not None:
             self._say(f"the arm stopped by itself: {fault.detail}")
             self._feed(FaultArisen(fault.cause))
-        elif self.arm.state.done:
+        elif self.arm.done:
             self._measure()
             self._feed(PathFinished())
 
@@ -405,7 +409,7 @@ class Process:
         endpoint.send_frame(reports.heartbeat(self.controller), now_s)
         for frame in joint_frames(self.arm.reported(self._clock())):
             endpoint.send_frame(frame, now_s)
-        progress = reports.progress(self.controller, self.arm.state)
+        progress = reports.progress(self.controller, self.arm.seen)
         if progress is not None:
             endpoint.send_frame(progress, now_s)
 

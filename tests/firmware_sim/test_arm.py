@@ -8,7 +8,8 @@ import pytest
 
 from cutgate.firmware_sim.approach import own_ends
 from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, PlantArm, middle_of
-from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm, inverse
+from cutgate.firmware_sim.drives import BANDWIDTH_RAD_S
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm, forward, inverse
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState
 from cutgate.firmware_sim.state import Holdings
@@ -312,3 +313,113 @@ def test_an_arm_that_drifts_trips_its_limit_switch():
         arm.reported(after_s)
         fault = arm.move(DT_S, moving=True, cutter=True)
         assert (fault.cause if fault else None) is cause
+
+
+# ---------------------------------------------------------------- with mass
+
+
+def dynamic(**options):
+    limits = replace(LIMITS, acceleration_u=tuple(5 * speed for speed in LIMITS.speed_u))
+    arm = PlantArm(replace(WITH_PATH, limits=limits.body()), joints=AT_START, dynamics=True, **options)
+    arm.begin(replace(GIVEN, approach=replace(GIVEN.approach, speed_percent=25)))
+    return arm
+
+
+def test_an_arm_with_mass_follows_its_command_to_the_end_and_is_done_when_it_stands():
+    arm, off = dynamic(), []
+    while not arm.state.done:
+        moved(arm)
+        off.append(max(abs(a - b) for a, b in zip(arm.reading, arm.state.joints, strict=True)))
+    assert not arm.done
+    assert 0.001 < max(off) < 2.0
+    cycles = 0
+    while not arm.done:
+        moved(arm)
+        cycles += 1
+    assert 5 < cycles < 50
+    assert arm.reading == arm.measured == arm.state.joints == pytest.approx(AT_START)
+    assert (arm.executed, arm.seen) == (len(PATH) - 1, arm.state)
+
+
+def test_an_arm_with_mass_keeps_its_distances_but_for_what_it_rounds_off():
+    """By no more than it is behind."""
+    arms = dynamic(), begun()
+    for arm in arms:
+        while not arm.done:
+            moved(arm)
+    with_mass, without = (arm.distances.least for arm in arms)
+    assert with_mass.keys() == without.keys()
+    behind_mm = PATH.feed_mm_s * 2.0 / BANDWIDTH_RAD_S
+    assert all(with_mass[name].distance >= without[name].distance - behind_mm for name in without)
+    assert with_mass != without
+
+
+def test_an_arm_with_mass_that_may_not_move_any_more_brakes_along_its_path():
+    """From 10 mm/s in 175 ms, and in half a mm; then it stands at its command exactly."""
+    arm = dynamic()
+    while arm.state.leg is not Leg.CUT:
+        moved(arm)
+    moved(arm, 100)
+    command, start = arm.state.joints, arm.reading
+    kinematics = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    moving = []
+    for _ in range(40):
+        before = arm.reading
+        assert arm.move(DT_S, moving=False, cutter=False) is None
+        moving.append(arm.reading != before)
+    assert arm.state.joints == command == arm.reading
+    assert moving[:3] == [True] * 3
+    assert not moving[-1]
+    braked_mm = math.dist(forward(kinematics, start).tip, forward(kinematics, command).tip)
+    assert braked_mm == pytest.approx(PATH.feed_mm_s * 2.0 / BANDWIDTH_RAD_S, rel=0.02)
+
+
+def test_a_stop_that_voids_the_path_brakes_all_the_same():
+    arm = moved(dynamic(), 50)
+    arm.load(replace(WITH_PATH, path=None))
+    for _ in range(50):
+        before = arm.reading
+        arm.settle(DT_S)
+        assert arm.measured == arm.reading
+    assert before == arm.reading == arm.state.joints
+
+
+def test_an_arm_without_mass_has_nothing_to_settle():
+    arm = moved(begun(), 50)
+    before = arm.reading
+    arm.settle(DT_S)
+    assert arm.reading == arm.measured == arm.state.joints == before
+    assert arm.seen is arm.state
+
+
+def test_a_drive_of_which_too_much_is_asked_stops_the_arm():
+    """On the approach at the whole of its speed limits, with a tenth of the usual acceleration."""
+    arm = PlantArm(
+        replace(
+            WITH_PATH, limits=replace(LIMITS, acceleration_u=tuple(v // 2 for v in LIMITS.speed_u)).body()
+        ),
+        joints=AT_START,
+        dynamics=True,
+    )
+    arm.begin(GIVEN)
+    fault = None
+    while fault is None:
+        fault = arm.move(DT_S, moving=True, cutter=True)
+    assert fault.cause is StopCause.TRACKING_DEVIATION
+    assert fault.detail.startswith("the drive of q")
+
+
+def test_with_mass_it_can_be_pushed_aside_and_frozen_as_without():
+    arm = moved(dynamic(), 20)
+    q0 = arm.state.joints[0]
+    arm.freeze()
+    assert arm.frozen == arm.reading
+    arm.push_aside()
+    assert arm.reading == arm.state.joints
+    assert math.degrees(arm.reading[0] - q0) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("scale", [0.5, 4.0])
+def test_the_time_scale_of_an_arm_with_mass_is_that_of_its_plant(scale):
+    slow, scaled = moved(dynamic(), 10, scale * DT_S), moved(dynamic(time_scale=scale), 10)
+    assert scaled.reading == pytest.approx(slow.reading)

@@ -147,6 +147,19 @@ def test_of_the_true_arm_only_links_and_calibration_may_be_others(given, capfd, 
     refused(capfd, [*arguments, "--true-calibration", file], file, f"{named} is not that of --robot")
 
 
+def test_the_joints_have_mass_where_that_is_asked_for(given, capfd):
+    arguments, processes = given
+    assert command.main([*arguments, "--dynamics", "--time-scale", "10"]) == command.OK
+    assert command.main(arguments) == command.OK
+    assert [process.arm.driven is not None for process, _ in processes] == [True, False]
+    capfd.readouterr()
+    refused(
+        capfd,
+        [*arguments, "--dynamics", "--time-scale", "10.001"],
+        "--time-scale is 10.001, must be at most 10",
+    )
+
+
 def test_every_boot_has_a_nonce_of_its_own(given):
     arguments, processes = given
     command.main(arguments)

@@ -20,6 +20,7 @@ from cutgate.protocol.states import StopCause
 OFF_START_DEG = 2.0
 DRIFT_DEG_S = 1.0
 RUSH = 3.0
+WEAK = 0.01
 
 
 class PlantArm:
@@ -193,6 +194,19 @@ class PlantArm:
     def freeze(self) -> None:
         """The bus hears these joints from now on, wherever the arm goes."""
         self.frozen = self.reading
+
+    def weaken(self) -> None:
+        """From now on its drives, if it has any, have a hundredth of their acceleration."""
+        if self.driven:
+            self.driven.weaken(WEAK)
+
+    def power(self, *, on: bool) -> None:
+        """Without power its drives, if it has any, brake; with it again they hold the arm where it stands."""
+        if self.driven:
+            self.driven.powered = on
+            if on:
+                self.state = PlantState(self.reading)
+                self.driven.stand(self.state)
 
     def rush(self) -> None:
         """From now on the plant runs three times as fast as it says."""

@@ -24,9 +24,10 @@ from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
 from cutgate.firmware_sim.arrivals import NONCE_BYTES
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.drives import TIME_SCALE_MAX
-from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
 from cutgate.firmware_sim.loop import NS_PER_US, Options, Process
 from cutgate.firmware_sim.state import Controller, Holdings, Identity, Memory
@@ -41,6 +42,7 @@ from cutgate.protocol.states import StopCause
 LISTEN_S: Final = 0.6
 """How long the bus is listened to before anything is sent: longer than any period of cutgate's frames."""
 TRANSFER_TIMEOUT_S: Final = 2.0
+SLOW_MS_MAX: Final = 10_000
 
 
 class RefusedError(Exception):
@@ -141,6 +143,8 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
         raise RefusedError(f"--fault: {error}") from None
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
+    if not options.dynamics and any(fault.name is FaultName.WEAK_DRIVE for fault in faults):
+        raise RefusedError(f"--fault: {FaultName.WEAK_DRIVE} needs drives; add --dynamics")
     if options.dynamics and not options.time_scale <= TIME_SCALE_MAX:
         raise RefusedError(
             f"--time-scale is {options.time_scale:g}, must be at most {TIME_SCALE_MAX:g} with --dynamics: the drives of a "
@@ -153,7 +157,22 @@ def _options(options: argparse.Namespace, robot: Robot) -> Options:
         joints=joints,
         true_calibration=_true_calibration(options.true_calibration, robot),
         dynamics=options.dynamics,
+        bone_motion=_bone_motion(options.bone_motion),
+        slow_s=_slow_s(options.slow_ms),
     )
+
+
+def _bone_motion(text: str | None) -> BoneMotion | None:
+    try:
+        return None if text is None else BoneMotion.parse(text)
+    except ValueError as error:
+        raise RefusedError(f"--bone-motion: {error}") from None
+
+
+def _slow_s(slow_ms: float) -> float:
+    if not 0.0 < slow_ms <= SLOW_MS_MAX:
+        raise RefusedError(f"--slow-ms is {slow_ms:g}, must be more than 0 and at most {SLOW_MS_MAX}")
+    return slow_ms / 1000.0
 
 
 def _true_calibration(file: Path | None, robot: Robot) -> Calibration | None:
@@ -258,6 +277,17 @@ def _parser() -> argparse.ArgumentParser:
         "--dynamics",
         action="store_true",
         help="the joints follow their command by drives with mass, and brake along the path instead of standing at once",
+    )
+    parser.add_argument(
+        "--bone-motion",
+        metavar="SECONDS,MM",
+        help="the bone moves by itself so long after a cut was started; its sensor tells of 0.2 mm and more",
+    )
+    parser.add_argument(
+        "--slow-ms",
+        type=float,
+        default=1000.0 * Options().slow_s,
+        help=f"how late each cycle is with the fault {FaultName.SLOW}; default 30",
     )
     parser.add_argument(
         "--true-calibration",

@@ -14,7 +14,7 @@ Pure: time comes in as `dt_s`, in seconds of the plant.
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Self
 
 from cutgate.firmware_sim.kinematics import Joints, as_joints
@@ -223,6 +223,11 @@ class DrivenArm:
             return ()
         steps = math.ceil(min(dt_s, SETTLES_S) / CYCLE_S)
         return tuple(self.follow(command.joints, command, min(dt_s, SETTLES_S) / steps) for _ in range(steps))
+
+    def weaken(self, part: float) -> None:
+        """The drives have so much of their acceleration left, in (0, 1]."""
+        q0, q1, q2, q3, q4 = (part * limit for limit in self._drives.acceleration)
+        self._drives = replace(self._drives, acceleration=(q0, q1, q2, q3, q4))
 
     def tripped(self) -> str:
         """The drive that has fallen behind by more than its bound; empty if none has."""

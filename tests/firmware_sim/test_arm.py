@@ -423,3 +423,27 @@ def test_with_mass_it_can_be_pushed_aside_and_frozen_as_without():
 def test_the_time_scale_of_an_arm_with_mass_is_that_of_its_plant(scale):
     slow, scaled = moved(dynamic(), 10, scale * DT_S), moved(dynamic(time_scale=scale), 10)
     assert scaled.reading == pytest.approx(slow.reading)
+
+
+def test_weak_drives_and_power_are_those_of_an_arm_with_mass():
+    arm = moved(dynamic(), 20)
+    arm.weaken()
+    assert arm.driven._drives.acceleration[0] == pytest.approx(0.01 * 5 * LIMITS.speed[0])
+    arm.power(on=False)
+    assert not arm.driven.powered
+    for _ in range(200):
+        arm.settle(DT_S)
+    assert arm.reading != arm.state.joints
+    arm.power(on=True)
+    assert arm.driven.powered
+    assert arm.driven.at_rest
+    assert arm.state == PlantState(arm.reading)
+
+
+def test_an_arm_without_mass_stands_where_it_is_whatever_its_power():
+    arm = moved(begun(), 20)
+    before = arm.state
+    arm.weaken()
+    arm.power(on=False)
+    arm.power(on=True)
+    assert arm.state is before

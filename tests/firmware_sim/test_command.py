@@ -17,6 +17,7 @@ from cutgate.config.bus import RuntimeDirectoryError
 from cutgate.config.load import SHIPPED
 from cutgate.firmware_sim import __main__ as entry
 from cutgate.firmware_sim import command, memory
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.frames import IDS, RuntimeHeartbeat
@@ -158,6 +159,24 @@ def test_the_joints_have_mass_where_that_is_asked_for(given, capfd):
         [*arguments, "--dynamics", "--time-scale", "10.001"],
         "--time-scale is 10.001, must be at most 10",
     )
+
+
+def test_a_weak_drive_needs_drives(given, capfd):
+    arguments, _ = given
+    refused(capfd, [*arguments, "--fault", "weak-drive@cutting"], "weak-drive needs drives; add --dynamics")
+    assert command.main([*arguments, "--fault", "weak-drive@cutting", "--dynamics"]) == command.OK
+
+
+def test_the_bone_moves_and_cycles_are_late_as_is_asked_for(given, capfd):
+    arguments, processes = given
+    assert command.main([*arguments, "--bone-motion", "2.5,1", "--slow-ms", "80"]) == command.OK
+    assert command.main(arguments) == command.OK
+    asked = [(process._options.bone_motion, process._options.slow_s) for process, _ in processes]
+    assert asked == [(BoneMotion(2.5, 1.0), 0.08), (None, 0.03)]
+    capfd.readouterr()
+    refused(capfd, [*arguments, "--bone-motion", "2.5"], "--bone-motion: '2.5' must be SECONDS,MM")
+    for slow in ("0", "-1", "nan", "10001"):
+        refused(capfd, [*arguments, f"--slow-ms={slow}"], "must be more than 0 and at most 10000")
 
 
 def test_every_boot_has_a_nonce_of_its_own(given):

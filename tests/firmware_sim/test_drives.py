@@ -223,3 +223,9 @@ def test_an_arm_is_powered_and_its_drives_trip():
     assert arm.tripped().startswith("the drive of q0")
     arm.powered = False
     assert arm.tripped() == ""
+
+
+def test_weak_drives_have_a_part_of_their_acceleration():
+    arm = driven()
+    arm.weaken(0.1)
+    assert arm._drives.acceleration == pytest.approx([0.1 * limit for limit in LIMITED.acceleration])

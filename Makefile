@@ -41,11 +41,11 @@ coverage: $(READY)
 test-slow: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "slow and not long" --ignore tests/vcan
 
-# A million random segments against the dense reference on all cores, 2000 runs of fault injection over both loops, the large worlds of
-# the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
+# A million random segments against the dense reference on all cores, 10 000 plans cut by the simulated arm, 2000 runs of fault
+# injection over both loops, the large worlds of the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration \
-		tests/runtime/audit tests/system/test_kill_anywhere.py
+		tests/firmware_sim tests/runtime/audit tests/system/test_kill_anywhere.py
 
 # Whole sessions on real SocketCAN; where the kernel has no vcan0, in a small virtual machine (docs/bus.md).
 test-vcan: $(READY)

@@ -15,9 +15,9 @@ import pytest
 from cutgate.config.bus import SOCKETCAN_CHANNEL, has_socketcan, open_bus
 from cutgate.protocol.frames import BULK_IDS, ControllerFault
 from cutgate.protocol.states import StopCause
-from cutgate.runtime.commands.app import execute
 from tests.system.harness import FAST, POSES, Observer, Rig, registration, state_of
-from tests.vcan.conftest import WIRE, ip, refused_frames, slow_down
+from tests.vcan.interfaces import WIRE, ip, refused_frames, slow_down
+from tests.vcan.sessions import assert_cut, assert_sound
 
 pytestmark = [
     pytest.mark.processes,
@@ -42,16 +42,6 @@ def cutting(rig, *, scale: float = 1):
     run.line("permitted:")
     rig.begin(sim, run)
     return sim, run
-
-
-def assert_sound(log, capsys) -> None:
-    """What a reviewer does with a log: verify it, and decide again."""
-    capsys.readouterr()
-    assert execute(["audit", "verify", str(log)]) == 0
-    assert execute(["audit", "replay", str(log)]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("OK (signed, key ")
-    assert "IDENTICAL" in said
 
 
 def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
@@ -85,19 +75,35 @@ def test_the_operator_stops_a_cut(rig, capsys):
     assert_sound(rig.logs()[-1], capsys)
 
 
-@pytest.mark.parametrize("how", ["set {} down", "del {}"], ids=["down", "deleted"])
-def test_an_interface_that_fails_in_mid_cut_stops_both_sides(tmp_path, own_interface, capsys, how):
+@pytest.mark.parametrize(
+    ("fails", "cured"),
+    [
+        ("set {} down", ["set {} up"]),
+        ("del {}", ["add dev {} type vcan", "set {} up"]),
+    ],
+    ids=["down", "deleted"],
+)
+def test_an_interface_that_fails_in_mid_cut_stops_both_sides_and_once_it_is_back_the_next_session_cuts(
+    tmp_path, own_interface, capsys, fails, cured
+):
     """Down is what a driver in trouble does, deleted an adapter that is pulled out."""
     with Rig(tmp_path, "socketcan", own_interface) as rig:
         sim, run = rig.cutting()
-        ip(*how.format(own_interface).split())
+        ip(*fails.format(own_interface).split())
         assert run.exit() == 3
         assert sim.exit() == 2
         assert state_of(sim) == "INHIBITED (BUS_FAILED)"
+        assert "state DONE" not in sim.told
         assert rig.log().of("/audit/decision")[-1]["first_out"] == "BUS_FAILED"
         # who notices first, who reads or who writes, is the kernel's affair, and so is the word for it
         assert re.search(r"the bus failed: .*(Network is down|No such device)", run.told), run.told
         assert_sound(rig.logs()[-1], capsys)
+    for words in cured:
+        ip(*words.format(own_interface).split())
+    with Rig(tmp_path, "socketcan", own_interface) as rig:
+        sim, run = rig.cutting(scale=FAST)
+        assert_cut(rig, sim, run, capsys)
+        assert len(rig.logs()) == 2
 
 
 @contextmanager

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cutgate.firmware_sim.hil.conform import ConformCase, ConformSuite, ConformTarget
     from cutgate.firmware_sim.hil.inputs import HilFiles
     from cutgate.firmware_sim.hil.rig import HilBus, HilClock, HilOperator, HilRig, HilSession
+    from cutgate.firmware_sim.hil.virtual import VirtualRig
 
 _RIG = pytest.StashKey["HilRig"]()
 _ROW = "cutgate_matrix_row"
@@ -188,6 +189,18 @@ def cutgate_clock() -> HilClock:
     return HilClock()
 
 
+@pytest.fixture
+def cutgate_virtual(
+    tmp_path: Path, cutgate_files: HilFiles, cutgate_faults: tuple[Fault, ...]
+) -> Iterator[VirtualRig]:
+    """The simulated controller and a script in one process, in virtual time: ``controller()``, ``open()``, ``run(s)``."""
+    from cutgate.firmware_sim.hil.virtual import VirtualRig  # noqa: PLC0415
+
+    rig = VirtualRig(tmp_path, cutgate_files, cutgate_faults)
+    yield rig
+    rig.close()
+
+
 # ---------------------------------------------------------------- after a test
 
 
@@ -285,11 +298,10 @@ def cutgate_conform_target(request: pytest.FixtureRequest) -> ConformTarget:
 def cutgate_conform_suite(cutgate_conform_target: ConformTarget) -> Iterator[ConformSuite]:
     """The suite in front of that controller, for all cases of this process."""
     from cutgate.config.refusal import InputError  # noqa: PLC0415
-    from cutgate.firmware_sim.hil.conform import ConformSuite  # noqa: PLC0415
+    from cutgate.firmware_sim.hil.conform import in_front_of  # noqa: PLC0415
 
     try:
-        suite = ConformSuite(cutgate_conform_target)
-        with suite:
+        with in_front_of(cutgate_conform_target) as suite:
             yield suite
     except InputError as error:
         pytest.fail(str(error), pytrace=False)

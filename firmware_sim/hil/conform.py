@@ -1,10 +1,11 @@
 """The negative suite, one case at a time, for a controller that tests name."""
 
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import can
 import pytest
@@ -14,6 +15,7 @@ from cutgate.config.load import load_site
 from cutgate.config.model import Site
 from cutgate.config.refusal import InputError
 from cutgate.runtime.commands.conform import approved_records, bench_on, open_unused_bus
+from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.failures import HaltError
 from cutgate.runtime.conform.suite import CaseVerdict, Result, Suite
 from cutgate.runtime.conform.table import cases
@@ -46,34 +48,21 @@ class ConformSuite:
     """The suite in front of one controller, for as long as the tests of a process last.
 
     Args:
-        target: which controller.
+        bench: the conversation with it.
+        robot: the approved robot.toml, which it must report; None leaves that case out.
 
     Raises:
-        InputError: key, files or bus are refused, a session is under way, or no controller is heard.
+        InputError: the robot file is refused, or no controller is heard.
     """
 
-    def __init__(self, target: ConformTarget) -> None:
-        settings = load_site(target.site).value if target.site else Site()
-        self._cases = {case.name: case for case in cases(approved_records(target.robot))}
-        self._approves = target.robot is not None
-        key = load_key(target.key)
-        rate = settings.bus.bitrate_bit_s
-        self._bus = open_unused_bus(target.interface, target.channel, fd=target.fd, bitrate_bit_s=rate)
-        self._bench = bench_on(self._bus, key, settings, fd=target.fd)
-        self._suite = Suite(self._bench)
-
-    def __enter__(self) -> Self:
+    def __init__(self, bench: Bench, robot: Path | None = None) -> None:
+        self._cases = {case.name: case for case in cases(approved_records(robot))}
+        self._approves = robot is not None
+        self._suite = Suite(bench)
         try:
-            self._bench.hello()
+            bench.hello()
         except HaltError as error:
-            self._bus.shutdown()
             raise InputError("bus", "", None, str(error), "start the controller, then the tests") from None
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        with suppress(can.CanError):  # whatever ended the tests, the controller is told to stop
-            self._bench.stop_now()
-        self._bus.shutdown()
 
     def judge(self, name: str) -> Result | None:
         """What came of a case; None for one that needs the approved robot file, where there is none."""
@@ -81,6 +70,25 @@ class ConformSuite:
         if case.approved and not self._approves:
             return None
         return self._suite.judge(case)
+
+
+@contextmanager
+def in_front_of(target: ConformTarget) -> Iterator[ConformSuite]:
+    """The suite in front of a controller on a bus; whatever ends it, the controller is told to stop.
+
+    Raises:
+        InputError: key, files or bus are refused, a session is under way, or no controller is heard.
+    """
+    settings = load_site(target.site).value if target.site else Site()
+    key, rate = load_key(target.key), settings.bus.bitrate_bit_s
+    bus = open_unused_bus(target.interface, target.channel, fd=target.fd, bitrate_bit_s=rate)
+    try:
+        bench = bench_on(bus, key, settings, fd=target.fd)
+        yield ConformSuite(bench, target.robot)
+        with suppress(can.CanError):
+            bench.stop_now()
+    finally:
+        bus.shutdown()
 
 
 class ConformCase:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cutgate.firmware_sim.hil.conform import ConformCase, ConformSuite, ConformTarget
     from cutgate.firmware_sim.hil.inputs import HilFiles
     from cutgate.firmware_sim.hil.rig import HilBus, HilClock, HilOperator, HilRig, HilSession
+    from cutgate.firmware_sim.hil.virtual import VirtualRig
 
 _RIG = pytest.StashKey["HilRig"]()
 _ROW = "cutgate_matrix_row"
@@ -61,6 +62,10 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers",
         "cutgate_faults(*lines): faults of the simulated controller and of its messages (docs/hil.md)",
+    )
+    config.addinivalue_line(
+        "markers",
+        "cutgate_wire(bitrate, fd=None, queue=10): the bus of this test models the wire at this rate (docs/bus.md)",
     )
     config.addinivalue_line(
         "markers",
@@ -141,7 +146,7 @@ def cutgate_rig(
 
     folder = tmp_path / "cutgate"
     folder.mkdir()
-    rig = HilRig(folder, cutgate_files, cutgate_faults)
+    rig = HilRig(folder, cutgate_files, cutgate_faults, _wire(request.node))
     _expectations(request.node)  # a marker that nobody understands is told before anything is started
     request.node.stash[_RIG] = rig
     try:
@@ -188,7 +193,32 @@ def cutgate_clock() -> HilClock:
     return HilClock()
 
 
+@pytest.fixture
+def cutgate_virtual(
+    tmp_path: Path, cutgate_files: HilFiles, cutgate_faults: tuple[Fault, ...]
+) -> Iterator[VirtualRig]:
+    """The simulated controller and a script in one process, in virtual time: ``controller()``, ``open()``, ``run(s)``."""
+    from cutgate.firmware_sim.hil.virtual import VirtualRig  # noqa: PLC0415
+
+    rig = VirtualRig(tmp_path, cutgate_files, cutgate_faults)
+    yield rig
+    rig.close()
+
+
 # ---------------------------------------------------------------- after a test
+
+
+def _wire(item: pytest.Item) -> list[str]:
+    """How the bus is served, of the nearest marker."""
+    marker = item.get_closest_marker("cutgate_wire")
+    if marker is None:
+        return []
+    options = {**dict(zip(("bitrate", "fd", "queue"), marker.args, strict=False)), **marker.kwargs}
+    if "bitrate" not in options or not options.keys() <= {"bitrate", "fd", "queue"} or len(marker.args) > 3:
+        pytest.fail('cutgate_wire takes bitrate, fd and queue, for example cutgate_wire("1M")', pytrace=False)
+    return [
+        word for name, value in options.items() if value is not None for word in (f"--{name}", str(value))
+    ]
 
 
 def _expectations(item: pytest.Item) -> list[Any]:
@@ -285,11 +315,10 @@ def cutgate_conform_target(request: pytest.FixtureRequest) -> ConformTarget:
 def cutgate_conform_suite(cutgate_conform_target: ConformTarget) -> Iterator[ConformSuite]:
     """The suite in front of that controller, for all cases of this process."""
     from cutgate.config.refusal import InputError  # noqa: PLC0415
-    from cutgate.firmware_sim.hil.conform import ConformSuite  # noqa: PLC0415
+    from cutgate.firmware_sim.hil.conform import in_front_of  # noqa: PLC0415
 
     try:
-        suite = ConformSuite(cutgate_conform_target)
-        with suite:
+        with in_front_of(cutgate_conform_target) as suite:
             yield suite
     except InputError as error:
         pytest.fail(str(error), pytrace=False)

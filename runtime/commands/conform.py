@@ -3,6 +3,7 @@
 import os
 import select
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -168,24 +169,47 @@ def _refuse_a_session(bus: can.BusABC) -> None:
             )
 
 
-def bench_on(bus: can.BusABC, key: bytes, settings: Site, *, fd: bool) -> Bench:
-    """A bench in real time on an open bus."""
+def bench_on(
+    bus: can.BusABC,
+    key: bytes,
+    settings: Site,
+    *,
+    fd: bool,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] | None = None,
+    random: Callable[[int], bytes] = os.urandom,
+) -> Bench:
+    """A bench on an open bus, in real time unless told otherwise.
+
+    Args:
+        bus: an open python-can bus.
+        key: the pre-shared key, 32 bytes.
+        settings: of the site.
+        fd: bulk records in CAN FD frames.
+        clock: monotonic seconds.
+        wait: waits until a frame may have come, at most so many seconds; None for the bus's descriptor.
+        random: the operating system's generator.
+    """
+    return Bench(
+        bus,
+        key,
+        _timing(settings),
+        reply_s=settings.timing.reply_timeout_ms / 1000,
+        clock=clock,
+        wait=wait or _waiting(bus),
+        random=random,
+        fd=fd,
+    )
+
+
+def _waiting(bus: can.BusABC) -> Callable[[float], None]:
     poller = select.poll()
     poller.register(bus.fileno(), select.POLLIN)
 
     def wait(seconds: float) -> None:
         poller.poll(seconds * 1000.0)
 
-    return Bench(
-        bus,
-        key,
-        _timing(settings),
-        reply_s=settings.timing.reply_timeout_ms / 1000,
-        clock=time.monotonic,
-        wait=wait,
-        random=os.urandom,
-        fd=fd,
-    )
+    return wait
 
 
 def _run(bench: Bench, chosen: tuple[Case, ...]) -> SuiteOutcome:

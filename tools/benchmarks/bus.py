@@ -195,7 +195,7 @@ def _raw(path: Path, together: int) -> float:
 
 
 def pace() -> Rows:
-    """A sender whose transmit queue is never empty: bits on the wire, stuff bits and intermission counted, of the rate.
+    """A sender whose transmit queue, of 1000 frames here, is never empty: bits on the wire, stuff bits and intermission counted, of the rate.
 
     FD frames of 64 bytes with bit rate switch: of the time that they take.
     """

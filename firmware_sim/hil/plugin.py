@@ -216,9 +216,8 @@ def _wire(item: pytest.Item) -> list[str]:
     options = {**dict(zip(("bitrate", "fd", "queue"), marker.args, strict=False)), **marker.kwargs}
     if "bitrate" not in options or not options.keys() <= {"bitrate", "fd", "queue"} or len(marker.args) > 3:
         pytest.fail('cutgate_wire takes bitrate, fd and queue, for example cutgate_wire("1M")', pytrace=False)
-    return [
-        word for name, value in options.items() if value is not None for word in (f"--{name}", str(value))
-    ]
+    given = {name: str(value) for name, value in options.items() if value is not None}
+    return [part for name, value in given.items() for part in (f"--{name}", value)]
 
 
 def _expectations(item: pytest.Item) -> list[Any]:

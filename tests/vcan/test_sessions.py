@@ -1,4 +1,4 @@
-"""Whole sessions on real SocketCAN, every part a process of its own, started as a user starts it."""
+"""Whole sessions on real SocketCAN, every part a process of its own; the first ones and the demo started as a user starts them."""
 
 import json
 import re
@@ -36,16 +36,10 @@ def rig(tmp_path):
         yield made
 
 
-def cutting(rig, *, scale: float = 1):
-    """Controller and runtime, with the arm moving."""
-    sim, run = rig.sim(scale=scale, fresh=True), rig.run(json=True, fresh=True)
+def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
+    sim, run = rig.sim(scale=FAST, fresh=True), rig.run(json=True, fresh=True)
     run.line("permitted:")
     rig.begin(sim, run)
-    return sim, run
-
-
-def test_a_session_cuts_every_segment_and_leaves_a_sound_log(rig, capsys):
-    sim, run = cutting(rig, scale=FAST)
     assert run.exit() == 0
     assert f"DONE: {POSES - 1} segments executed" in sim.line("state DONE")
     assert rig.at_rest(sim) == "INHIBITED"
@@ -67,7 +61,7 @@ def test_a_path_that_leaves_the_workspace_is_refused(rig, capsys):
 
 
 def test_the_operator_stops_a_cut(rig, capsys):
-    sim, run = cutting(rig)
+    sim, run = rig.cutting()
     run.say("stop")
     assert run.exit() == 3
     rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.OPERATOR_STOP)
@@ -135,7 +129,7 @@ def test_a_full_transmit_queue_holds_up_neither_upload_nor_cut(tmp_path, narrow_
     with Rig(tmp_path, "socketcan", narrow_interface) as rig:
         slow_down(narrow_interface, "200kbit")  # ten frames in 6 ms: a third of the time the queue is full
         with crowded(narrow_interface) as fills:
-            run, sim = rig.run(json=True, fd=fd, fresh=True), rig.sim(scale=FAST, fd=fd, fresh=True)
+            run, sim = rig.run(fd=fd), rig.sim(scale=FAST, fd=fd)
             run.line("permitted:")
         # Each filling ended with one frame of the crowd's own that was refused: what is more was ours.
         assert refused_frames(narrow_interface) > fills[0], "the queue was full, and nobody noticed"
@@ -150,7 +144,7 @@ def test_a_queue_that_another_node_fills_while_it_cuts_holds_up_neither_cut_nor_
     tmp_path, narrow_interface, capsys
 ):
     with Rig(tmp_path, "socketcan", narrow_interface) as rig:
-        sim, run = cutting(rig)
+        sim, run = rig.cutting()
         slow_down(
             narrow_interface, "100kbit"
         )  # ten frames in 13 ms: filled each 20 ms the queue is seldom empty

@@ -25,6 +25,7 @@ pytestmark = [
 ]
 
 VCAN0 = ("socketcan", SOCKETCAN_CHANNEL)
+QUEUE_FRAMES = 10
 MARK = can.Message(arbitration_id=0x7FF, is_extended_id=False)
 DEMO = [sys.executable, "-m", "cutgate.runtime.cli", "demo", "--json"]
 
@@ -102,23 +103,22 @@ def test_an_interface_that_fails_in_mid_cut_stops_both_sides_and_once_it_is_back
 
 @contextmanager
 def crowded(interface: str) -> Iterator[list[int]]:
-    """Another node that fills the transmit queue again and again with the least urgent frames; how often it has."""
-    ended, fills = threading.Event(), [0]
+    """Another node that fills the transmit queue again and again with the least urgent frames; how often it found it full."""
+    ended, refusals = threading.Event(), [0]
 
     def fill() -> None:
         with open_bus("socketcan", interface) as bus:
             while not ended.wait(0.02):
-                fills[0] += 1
                 try:
-                    while True:
+                    for _ in range(2 * QUEUE_FRAMES):  # where they leave as fast as they come it never is
                         bus.send(MARK, timeout=0)
                 except can.CanTimeoutError:
-                    pass
+                    refusals[0] += 1
 
     thread = threading.Thread(target=fill)
     thread.start()
     try:
-        yield fills
+        yield refusals
     finally:
         ended.set()
         thread.join()
@@ -128,11 +128,11 @@ def crowded(interface: str) -> Iterator[list[int]]:
 def test_a_full_transmit_queue_holds_up_neither_upload_nor_cut(tmp_path, narrow_interface, capsys, fd):
     with Rig(tmp_path, "socketcan", narrow_interface) as rig:
         slow_down(narrow_interface, "200kbit")  # ten frames in 6 ms: a third of the time the queue is full
-        with crowded(narrow_interface) as fills:
+        with crowded(narrow_interface) as refusals:
             run, sim = rig.run(fd=fd), rig.sim(scale=FAST, fd=fd)
             run.line("permitted:")
-        # Each filling ended with one frame of the crowd's own that was refused: what is more was ours.
-        assert refused_frames(narrow_interface) > fills[0], "the queue was full, and nobody noticed"
+        # What was refused beside the crowd's own was ours.
+        assert refused_frames(narrow_interface) > refusals[0], "the queue was full, and nobody noticed"
         slow_down(narrow_interface, WIRE)
         rig.begin(sim, run)
         assert run.exit() == 0
@@ -149,12 +149,12 @@ def test_a_queue_that_another_node_fills_while_it_cuts_holds_up_neither_cut_nor_
             narrow_interface, "100kbit"
         )  # ten frames in 13 ms: filled each 20 ms the queue is seldom empty
         before = refused_frames(narrow_interface)
-        with crowded(narrow_interface) as fills:
-            rig.until(lambda: fills[0] > 100)
+        with crowded(narrow_interface) as refusals:
+            rig.until(lambda: refusals[0] > 100)
             run.say("stop")
             assert run.exit() == 3
-        # Each filling ended with one frame of the crowd's own that was refused: what is more was ours.
-        assert refused_frames(narrow_interface) - before > fills[0]
+        # What was refused beside the crowd's own was ours.
+        assert refused_frames(narrow_interface) - before > refusals[0]
         rig.bus.single(ControllerFault, lambda fault: fault.cause is StopCause.OPERATOR_STOP)
         assert rig.at_rest(sim) == "INHIBITED (OPERATOR_STOP)"
         assert_sound(rig.logs()[-1], capsys)

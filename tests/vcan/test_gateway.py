@@ -60,11 +60,10 @@ def test_through_a_gateway_that_alters_nothing_a_session_cuts(rig, two_buses, fa
     ("kind", "how", "causes"),
     [
         (RuntimeHeartbeat, LAST_BIT, {StopCause.CORRUPTION}),
-        (ControllerHeartbeat, "AND:L:000.7.0000000000000000", {StopCause.CORRUPTION}),
         (RuntimeHeartbeat, f"SET:I:{IDS[ControllerHeartbeat]:x}.0.0000000000000000", {StopCause.SECOND_NODE}),
         (Progress, "SET:I:7F0.0.0000000000000000", {StopCause.TRACKING_DEVIATION}),
     ],
-    ids=["data", "length", "the receiver's identifier", "an identifier that nobody knows"],
+    ids=["data", "the receiver's identifier", "an identifier that nobody knows"],
 )
 def test_a_cut_in_which_a_gateway_begins_to_alter_frames_stops_for_the_right_cause(
     rig, two_buses, far, capsys, kind, how, causes

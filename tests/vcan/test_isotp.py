@@ -17,7 +17,6 @@ from cutgate.protocol.transfer import (
     BLOCK_FRAMES,
     FD_FRAME_BYTES,
     FRAME_BYTES,
-    PADDING,
     PAYLOAD_BYTES_MAX,
     Transfer,
 )
@@ -51,6 +50,8 @@ PADS, IS_PADDED, PADDED_TO_LENGTH, PADDED_WITH = 0x04, 0x08, 0x10, 0x20
 """Of linux/can/isotp.h: what is sent is padded; what is received must be, to the right length, with the right byte."""
 BIT_RATE_SWITCH = 0x01
 ANNOUNCED_MAX = 10
+PADDING = 0xCC
+"""As docs/protocol.md has it."""
 PATH = bytes(range(256)) * 60
 BLOCK = (FRAME_BYTES - 2) + BLOCK_FRAMES * (FRAME_BYTES - 1)
 FD_BLOCK = (FD_FRAME_BYTES - 2) + BLOCK_FRAMES * (FD_FRAME_BYTES - 1)

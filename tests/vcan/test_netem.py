@@ -53,12 +53,12 @@ def test_a_wire_that_only_takes_its_time_holds_up_no_session(rig, wire, far, cap
 
 
 def test_a_cut_in_which_every_frame_comes_twice_goes_on_to_its_end(rig, wire, far, capsys):
-    sim, run = rig.cutting(scale=FAST, **far)
+    sim, run = rig.cutting(scale=FAST / 3, **far)
     for end in wire:
         disturb(end, "duplicate", "100%")
     assert_cut(rig, sim, run, capsys)
     heard = [bytes(m.data) for m in rig.bus.frames if is_kind(m, RuntimeHeartbeat)]
-    assert heard[-1] == heard[-2], "the wire duplicates nothing"
+    assert len(set(heard)) < len(heard), "the wire duplicates nothing"
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,9 @@ test-slow: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "slow and not long" --ignore tests/vcan
 
 # A million random segments against the dense reference on all cores, 10 000 plans cut by the simulated arm, 2000 runs of fault
-# injection over both loops, the large worlds of the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and CUTGATE_SEED change the first two.
+# injection over both loops, a campaign of 10 000 scenarios, an hour of cutting under what is tolerated, every mistake in the
+# tables, the large worlds of the exploration (3.3 GB), a log cut at every byte; CUTGATE_SEGMENTS, CUTGATE_FAULT_RUNS and
+# CUTGATE_SEED change how many segments and runs, and which.
 test-long: $(READY)
 	$(BIN)/python -m pytest -m long -s --timeout=0 -p no:cacheprovider tests/runtime/verification tests/fault_injection tests/exploration \
 		tests/firmware_sim tests/runtime/audit tests/system/test_kill_anywhere.py

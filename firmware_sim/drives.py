@@ -213,7 +213,7 @@ class DrivenArm:
             self.state = self._drives.brake(self.state, dt_s)
         self._time_s += dt_s
         self._commanded.append((self._time_s, command))
-        while len(self._commanded) > 1 and self._commanded[1][0] <= self._time_s - self._drives.lag_s:
+        while self._commanded[1][0] <= self._time_s - self._drives.lag_s:  # the last one is of now
             self._commanded.popleft()
         return Visited(self.seen.leg, self.seen.segment, self.state.joints)
 

@@ -86,7 +86,7 @@ class MechanicalLimits:
         q0, q1, q2, q3, q4 = (readings + np.array(self.arm.offset)).T
         low, high = self.lower, self.upper
         stretched, folded = (low[1], high[1]) if self.arm.right else (high[1], low[1])
-        turned = np.clip(q0 - math.pi, low[0], high[0]), np.clip(q0 + math.pi, low[0], high[0])
+        turned = np.maximum(q0 - math.pi, low[0]), np.minimum(q0 + math.pi, high[0])
         bent = np.full_like(q1, low[1]), np.full_like(q1, high[1])
         here = self._wrist(q0, q1)
         outer = self._nearest(here, turned, lambda shoulder: self._wrist(shoulder, stretched))

@@ -447,3 +447,30 @@ def test_an_arm_without_mass_stands_where_it_is_whatever_its_power():
     arm.power(on=False)
     arm.power(on=True)
     assert arm.state is before
+
+
+@pytest.mark.parametrize(("dt_s", "parts"), [(0.02, 4), (0.1, 20), (0.003, 1)])
+def test_the_drives_hear_the_command_every_5_ms_of_the_plant_while_it_goes_on(dt_s, parts, monkeypatch):
+    arm, heard = dynamic(), []
+    follow = arm.driven.follow
+    monkeypatch.setattr(arm.driven, "follow", lambda *command: heard.append(command[2]) or follow(*command))
+    arm.move(dt_s, moving=True, cutter=True)
+    assert heard == [pytest.approx(dt_s / parts)] * parts
+    still = begun()
+    asked = []
+    part = still._part
+    monkeypatch.setattr(still, "_part", lambda gap_s, **how: asked.append(gap_s) or part(gap_s, **how))
+    still.move(dt_s, moving=True, cutter=True)
+    assert asked == [dt_s], "without mass a cycle is one part"
+
+
+def test_a_start_is_one_of_an_arm_that_stands_where_its_encoders_say():
+    arm = moved(dynamic(), 50)
+    reading = arm.reading
+    arm.begin(GIVEN)
+    assert arm.driven.at_rest
+    assert arm.state == PlantState(reading) == arm.seen
+
+
+def test_an_arm_that_has_not_cut_came_near_to_nothing():
+    assert PlantArm(HOLDINGS).distances.least == {}

@@ -23,3 +23,7 @@ def test_the_sensor_tells_of_what_is_no_less_than_its_threshold():
     assert not BoneMotion(1.0, 0.199).is_seen
     told = BoneMotion(1.0, 0.199).told()
     assert told == "the bone has moved by 0.199 mm, less than the 0.2 mm of which its sensor tells"
+
+
+def test_a_motion_that_was_asked_for_stays_the_same():
+    assert BoneMotion.__dataclass_params__.frozen

@@ -9,13 +9,21 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cutgate.firmware_sim.drives import BANDWIDTH_RAD_S
 from cutgate.protocol.records import UNIT
-from tests.firmware_sim.verified_plans import least_while_cutting, random_plan, shifted, too_near
+from tests.firmware_sim.verified_plans import (
+    least_while_cutting,
+    least_with_mass,
+    random_plan,
+    shifted,
+    too_near,
+)
 from tests.seeds import seeds
 
 PLANS = 50
 """Of each seed."""
 LONG_PLANS = 10_000
+MASS_PLANS = 20
 ROUNDING = 1e-6
 """mm, deg: the last digits of either side."""
 CLOSE = 0.02
@@ -101,3 +109,19 @@ def test_an_arm_within_its_residual_comes_nearer_by_no_more_than_twice_that():
         nearest = [b - distance for _, distance, b in too_near(plan, least, ROUNDING)]
         seen = max(seen, *(gap / residual_mm for gap in nearest), 0.0)
     assert seen > 0.5
+
+
+def test_an_arm_with_mass_comes_nearer_by_no_more_than_it_is_behind():
+    """Its path tolerance: what the wrist centre, at most twice as fast as the tip, and a joint go in the drives' lag."""
+    followed, feed_mm_s, lag_s = 0, 20.0, 2.0 / BANDWIDTH_RAD_S
+    for plan in drawn(2)[:MASS_PLANS]:
+        done = least_with_mass(plan, feed_mm_s)
+        if done is not None:
+            least, fastest_deg_s = done
+            followed += 1
+            assert (
+                too_near(plan, least, 2.0 * feed_mm_s * lag_s, 2.0 * fastest_deg_s * lag_s + ROUNDING) == []
+            )
+            if len(plan.path) > 2:
+                assert least != least_while_cutting(plan)
+    assert followed > MASS_PLANS / 2

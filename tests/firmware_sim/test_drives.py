@@ -11,6 +11,7 @@ from cutgate.firmware_sim.drives import (
     CYCLE_S,
     RAMPS_S,
     SETTLES_S,
+    TIME_SCALE_MAX,
     TRIPS_MM,
     TRIPS_RAD,
     DrivenArm,
@@ -167,6 +168,47 @@ def test_the_drives_have_the_acceleration_limits_of_the_arm_or_such_as_fit_its_s
     assert Drives.of(LIMITS).acceleration == pytest.approx(tuple(LIMITS.speed / RAMPS_S))
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_at_its_acceleration_limit_a_joint_goes_as_one_that_is_pushed_so_hard(side):
+    """Towards a command far away: from its own speed, at 5 rad/s2, whichever way."""
+    state = DriveState(*[tuple(JointMotion(joint, side * 0.1) for joint in HOME)] * 2)
+    far = at(HOME, (side * 1e4,) * 5, 1.0)
+    after = LIMITED.follow(state, far, far, 0.02)
+    for joint, home, limit in zip(after.actual, HOME, LIMITED.acceleration, strict=True):
+        pushed = side * limit
+        assert joint.speed == pytest.approx(side * 0.1 + pushed * 0.02)
+        assert joint.position == pytest.approx(home + side * 0.1 * 0.02 + pushed * 0.02**2 / 2.0)
+
+
+def test_a_joint_that_passes_its_command_at_speed_does_not_stand_there():
+    for position, speed in ((0.0, 1e-3), (1e-3, 0.0), (0.0, 2e-6), (2e-6, 0.0)):
+        state = DriveState(*[(JointMotion(0.0, 0.0),) * 4 + (JointMotion(position, speed),)] * 2)
+        after = UNLIMITED.follow(state, (0.0,) * 5, (0.0,) * 5, 1e-9)
+        assert after.actual[4] != JointMotion(0.0, 0.0)
+    state = DriveState(*[(JointMotion(0.5e-6, 0.5e-6),) * 5] * 2)
+    assert UNLIMITED.follow(state, (0.0,) * 5, (0.0,) * 5, 1e-9) == DriveState.standing((0.0,) * 5)
+
+
+def test_a_drive_that_trips_says_how_far_behind_it_is():
+    ideal = DriveState.standing((0.0,) * 5).ideal
+    for joint, by, told in (
+        (3, math.radians(1.25), "the drive of q3 is 1.250 deg behind"),
+        (2, 2.5, "2.500 mm behind"),
+    ):
+        actual = tuple(JointMotion(by if one == joint else 0.0, 0.0) for one in range(5))
+        assert told in LIMITED.tripped(DriveState(actual, ideal))
+
+
+def test_the_constants_are_those_of_the_manual():
+    assert (BANDWIDTH_RAD_S, RAMPS_S, SETTLES_S, TIME_SCALE_MAX) == (40.0, 0.2, 2.0, 10.0)
+
+
+@pytest.mark.parametrize("kind", [DriveState, Drives])
+def test_states_and_drives_are_values(kind):
+    assert kind.__dataclass_params__.frozen
+    assert "__slots__" in vars(kind)
+
+
 # ---------------------------------------------------------------- the arm behind its command
 
 
@@ -199,6 +241,21 @@ def test_an_arm_without_a_command_settles_in_bounded_work_and_then_does_nothing(
     assert arm.settle(command, 3600.0) == ()
 
 
+def test_settling_is_following_a_command_that_stands():
+    one, other = driven(), driven()
+    command = PlantState(at(HOME, (0.001,) * 5, 1.0))
+    one.follow(HOME, command, CYCLE_S)
+    other.follow(HOME, command, CYCLE_S)
+    visited = one.settle(command, 10.0 * CYCLE_S)
+    assert visited == tuple(other.follow(command.joints, command, CYCLE_S) for _ in range(10))
+
+
+def test_an_arm_at_rest_settles_where_another_command_stands():
+    arm, command = driven(), PlantState(at(HOME, (0.001,) * 5, 1.0))
+    assert len(arm.settle(command, CYCLE_S)) == 1
+    assert arm.state != DriveState.standing(HOME)
+
+
 def test_an_arm_that_loses_power_stands_off_its_command_until_it_is_told_where_it_stands():
     arm, joints = driven(), HOME
     for _ in range(40):
@@ -229,3 +286,16 @@ def test_weak_drives_have_a_part_of_their_acceleration():
     arm = driven()
     arm.weaken(0.1)
     assert arm._drives.acceleration == pytest.approx([0.1 * limit for limit in LIMITED.acceleration])
+
+
+def test_an_arm_of_fewer_joints_is_none():
+    short = DriveState.standing(HOME).actual[:4]
+    for state in (DriveState(short, short), DriveState(short, DriveState.standing(HOME).ideal)):
+        for wrong in (
+            lambda state=state: LIMITED.follow(state, HOME, HOME, CYCLE_S),
+            lambda state=state: LIMITED.brake(state, CYCLE_S),
+        ):
+            with pytest.raises(ValueError, match="zip"):
+                wrong()
+    with pytest.raises(ValueError, match="zip"):
+        LIMITED.tripped(DriveState(short, DriveState.standing(HOME).ideal))

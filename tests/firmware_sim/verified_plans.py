@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cutgate.firmware_sim.approach import BoundApproach
-from cutgate.firmware_sim.kinematics import calibrated_arm, inverse
-from cutgate.firmware_sim.mechanical import Approached, LeastDistances, MechanicalLimits
+from cutgate.firmware_sim.drives import CYCLE_S, Drives, DriveState
+from cutgate.firmware_sim.kinematics import Joints, calibrated_arm, inverse, largest_rotation
+from cutgate.firmware_sim.mechanical import IN_MM, Approached, LeastDistances, MechanicalLimits
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState, StoredPath
 from cutgate.protocol.records import Calibration, Limits, Path, PathCodes
 from cutgate.runtime.verification import certified
@@ -18,6 +19,10 @@ from tests.runtime.verification.random_paths import random_path
 
 FASTEST = 1e4
 """deg/s, mm/s: the feed alone sets the pace, so that no place is left out for a joint's speed."""
+
+
+ACCELERATION = (5.0, 5.0, 1000.0, 10.0, 10.0)
+"""rad/s2, mm/s2: the example robot's."""
 
 
 class Plan(NamedTuple):
@@ -74,6 +79,15 @@ def random_plan(rng: np.random.Generator, segments: int) -> Plan | None:
     return Plan(limits, calibration, Path.quantised(drawn.tips_mm, drawn.axes, **header, **turns), verdict)
 
 
+def _at_its_start(plan: Plan) -> tuple[StoredPath, BoundApproach, Joints]:
+    """The plan as the arm executes it, and the joints at its first pose."""
+    path = StoredPath.of(plan.path.body())
+    arm = calibrated_arm(plan.calibration, tool_mm=path.tool_length_mm, elbow=path.elbow)
+    q0, q1, q2, q3, q4 = inverse(arm, path.pose(0))
+    first = (q0 + math.tau * path.q0_turns, q1, q2, q3 + math.tau * path.roll_turns, q4)
+    return path, BoundApproach(first, first, first, 0, 0, 1.0), first
+
+
 def least_while_cutting(plan: Plan, true: Calibration | None = None) -> dict[str, Approached]:
     """How near the true arm comes to each boundary: it cuts the plan to its end by the calibration that is reported.
 
@@ -81,11 +95,7 @@ def least_while_cutting(plan: Plan, true: Calibration | None = None) -> dict[str
         plan: what is cut.
         true: the arm as it is; the reported one where not given.
     """
-    path = StoredPath.of(plan.path.body())
-    arm = calibrated_arm(plan.calibration, tool_mm=path.tool_length_mm, elbow=path.elbow)
-    q0, q1, q2, q3, q4 = inverse(arm, path.pose(0))
-    first = (q0 + math.tau * path.q0_turns, q1, q2, q3 + math.tau * path.roll_turns, q4)
-    approach = BoundApproach(first, first, first, 0, 0, 1.0)
+    path, approach, first = _at_its_start(plan)
     plant, state = Plant(plan.limits, plan.calibration), PlantState(first, Leg.CUT)
     distances = LeastDistances(MechanicalLimits.of(plan.limits, plan.calibration, true or plan.calibration))
     distances.add((first,), 0)
@@ -99,20 +109,55 @@ def least_while_cutting(plan: Plan, true: Calibration | None = None) -> dict[str
     return distances.least
 
 
-def too_near(plan: Plan, least: dict[str, Approached], tolerance: float) -> list[tuple[str, float, float]]:
+def least_with_mass(plan: Plan, feed_mm_s: float) -> tuple[dict[str, Approached], float] | None:
+    """As ``least_while_cutting``, of an arm whose joints follow by drives; None where one of them trips.
+
+    Args:
+        plan: what is cut.
+        feed_mm_s: at another feed.
+
+    Returns:
+        How near it comes to each boundary, and the highest speed of a turning joint, deg/s.
+    """
+    path, approach, first = _at_its_start(plan)
+    path.feed_mm_s = feed_mm_s
+    plant, state = Plant(plan.limits, plan.calibration), PlantState(first, Leg.CUT)
+    drives = Drives(ACCELERATION)
+    driven = DriveState.standing(first)
+    distances = LeastDistances(MechanicalLimits.of(plan.limits, plan.calibration, plan.calibration))
+    fastest_rad_s = 0.0
+    while driven.joints != state.joints or state.leg is Leg.CUT:
+        before = state.joints
+        if state.leg is Leg.CUT:
+            state = plant.advance(state, path, approach, dt_s=CYCLE_S, moving=True, cutter=True).state
+        if state.leg is not Leg.CUT:
+            state = replace(state, joints=before)  # the last part of a cycle is beyond the cut
+        fastest_rad_s = max(fastest_rad_s, largest_rotation(before, state.joints) / CYCLE_S)
+        driven = drives.follow(driven, before, state.joints, CYCLE_S)
+        distances.add((driven.joints,), state.segment)
+        if drives.tripped(driven):
+            return None
+    return distances.least, math.degrees(fastest_rad_s)
+
+
+def too_near(
+    plan: Plan, least: dict[str, Approached], tolerance: float, tolerance_deg: float | None = None
+) -> list[tuple[str, float, float]]:
     """The boundaries that the arm came nearer to than was certified, less the tolerance; with both values.
 
     Args:
         plan: what was cut.
         least: how near the arm came to each.
-        tolerance: mm, and deg.
+        tolerance: mm, and deg if no other is given.
+        tolerance_deg: of roll and pitch.
     """
     return [
         (name, least[name].distance, boundary.certified)
         for name, boundary in plan.verdict.boundaries.items()
         if name in least
         and boundary.certified is not None
-        and not least[name].distance >= boundary.certified - tolerance
+        and not least[name].distance
+        >= boundary.certified - (tolerance if name in IN_MM or tolerance_deg is None else tolerance_deg)
     ]
 
 

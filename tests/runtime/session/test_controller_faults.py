@@ -1,6 +1,7 @@
 """How a session ends whose controller has a fault: both loops in virtual time, each fault by its name."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -231,3 +232,16 @@ def test_a_weak_drive_trips_and_an_arm_without_mass_has_none(pair):
     assert pair.end() is Phase.STOPPED
     assert pair.state.cause is StopCause.TRACKING_DEVIATION
     assert any("the drive of q" in line for line in pair.said)
+
+
+# ---------------------------------------------------------------- the arm as it is
+
+
+def test_an_arm_that_stands_where_it_may_not_is_stopped_by_its_limit_switch_whatever_it_reports(pair):
+    """45 deg of the shoulder: every reading is what was verified."""
+    reported = records.Calibration.parse(pair.job.calibration)
+    true = replace(reported, joint_offset_u=(-45 * records.UNIT, *reported.joint_offset_u[1:]))
+    pair.power_up(true_calibration=true)
+    assert pair.end() is Phase.STOPPED
+    assert (pair.state.cause, pair.controller.cause) == (StopCause.LIMIT_EXCEEDED, StopCause.LIMIT_EXCEEDED)
+    assert any("the arm stopped by itself: limit switch of the true arm: q0 = " in line for line in pair.said)

@@ -513,9 +513,7 @@ class Pair:
             log = create(
                 self.directory / "logs",
                 log_id=self.log_id.hex(),
-                opened=OpenInfo(
-                    "cutgate 0.1.0", VERIFIER, options, transitions_sha256=transitions_sha256()
-                ),
+                opened=OpenInfo("cutgate 0.1.0", VERIFIER, options, transitions_sha256=transitions_sha256()),
                 disk=self.disk,
                 clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
             )

@@ -460,12 +460,13 @@ class Rig:
         fd: bool = False,
         fresh: bool = False,
         ready: bool = True,
+        more: Sequence[str] = (),
     ) -> Child:
-        """The simulated controller, ready for a session unless told otherwise."""
+        """The simulated controller, with these options besides, ready for a session unless told otherwise."""
         options = ["--robot", str(robot), "--key", str(self.folder / key), "--time-scale", str(scale)]
         options += [f"--joints={joints}"] if joints is not None else []
         options += [word for fault in faults for word in ("--fault", fault)]
-        options += ["--fd"] * fd
+        options += ["--fd"] * fd + list(more)
         child = self._start(
             "controller", "cutgate.firmware_sim", ["sim", *options, *self._where], fresh=fresh
         )

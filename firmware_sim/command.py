@@ -25,9 +25,11 @@ from cutgate.config.terminal import typed
 from cutgate.firmware_sim import memory
 from cutgate.firmware_sim.arm import middle_of
 from cutgate.firmware_sim.arrivals import NONCE_BYTES
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.drives import TIME_SCALE_MAX
 from cutgate.firmware_sim.fault_language import MessageFault, parse_fault
-from cutgate.firmware_sim.faults import FaultSpec
+from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.faulty_bus import FaultyBus
 from cutgate.firmware_sim.kinematics import Joints, as_joints, limit_text
 from cutgate.firmware_sim.loop import NS_PER_US, Options, Process
@@ -38,7 +40,7 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.frames import FRAMES, TRANSFER_IDS, FrameError, joint_frames
 from cutgate.protocol.parameters import counts_nearest
 from cutgate.protocol.port import Port
-from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Limits, Side, joints_to_memory
+from cutgate.protocol.records import PLANT_SPEED_PERMILLE_MAX, Calibration, Limits, Side, joints_to_memory
 from cutgate.protocol.states import StopCause
 
 LISTEN_S: Final = 0.6
@@ -46,6 +48,7 @@ LISTEN_S: Final = 0.6
 TRANSFER_TIMEOUT_S: Final = 2.0
 FAULTS_TOLD: Final = 10
 """So often each fault of a message is shown on the screen."""
+SLOW_MS_MAX: Final = 10_000
 
 
 class RefusedError(Exception):
@@ -160,7 +163,50 @@ def _options(options: argparse.Namespace, robot: Robot, faults: tuple[FaultSpec,
         )
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
     joints = _joints(options.joints, limits_record(robot))
-    return Options(options.time_scale, faults=faults, hold_roll_rad=hold, joints=joints)
+    if not options.dynamics and any(fault.name is FaultName.WEAK_DRIVE for fault in faults):
+        raise RefusedError(f"--fault: {FaultName.WEAK_DRIVE} needs drives; add --dynamics")
+    if options.dynamics and not options.time_scale <= TIME_SCALE_MAX:
+        raise RefusedError(
+            f"--time-scale is {options.time_scale:g}, must be at most {TIME_SCALE_MAX:g} with --dynamics: the drives of a "
+            "plant that is faster take more steps than a cycle has time for"
+        )
+    return Options(
+        options.time_scale,
+        faults=faults,
+        hold_roll_rad=hold,
+        joints=joints,
+        true_calibration=_true_calibration(options.true_calibration, robot),
+        dynamics=options.dynamics,
+        bone_motion=_bone_motion(options.bone_motion),
+        slow_s=_slow_s(options.slow_ms),
+    )
+
+
+def _bone_motion(text: str | None) -> BoneMotion | None:
+    try:
+        return None if text is None else BoneMotion.parse(text)
+    except ValueError as error:
+        raise RefusedError(f"--bone-motion: {error}") from None
+
+
+def _slow_s(slow_ms: float) -> float:
+    if not 0.0 < slow_ms <= SLOW_MS_MAX:
+        raise RefusedError(f"--slow-ms is {slow_ms:g}, must be more than 0 and at most {SLOW_MS_MAX}")
+    return slow_ms / 1000.0
+
+
+def _true_calibration(file: Path | None, robot: Robot) -> Calibration | None:
+    """The calibration of the arm as it is: of a robot file that is the other one's but for links and calibration."""
+    if file is None:
+        return None
+    true = load_robot(file).value
+    for name, record in (("[limits]", limits_record), ("[tool]", tool_record)):
+        if record(true) != record(robot):
+            raise RefusedError(
+                f"--true-calibration: {file}: {name} is not that of --robot, and only [arm] and [calibration] are taken "
+                f"from this file; write the {name} of --robot into it"
+            )
+    return calibration_record(true)
 
 
 def _joints(text: str | None, limits: Limits) -> Joints:
@@ -246,6 +292,28 @@ def _parser() -> argparse.ArgumentParser:
         "--joints",
         metavar="q0,q1,q2,q3,q4",
         help="where the arm stands at power-up, deg and mm (write --joints=...); default the middle of the limits",
+    )
+    parser.add_argument(
+        "--dynamics",
+        action="store_true",
+        help="the joints follow their command by drives with mass, and brake along the path instead of standing at once",
+    )
+    parser.add_argument(
+        "--bone-motion",
+        metavar="SECONDS,MM",
+        help="the bone moves by itself so long after a cut was started; its sensor tells of 0.2 mm and more",
+    )
+    parser.add_argument(
+        "--slow-ms",
+        type=float,
+        default=1000.0 * Options().slow_s,
+        help=f"how late each cycle is with the fault {FaultName.SLOW}; default 30",
+    )
+    parser.add_argument(
+        "--true-calibration",
+        type=Path,
+        metavar="FILE",
+        help="a robot.toml whose [arm] and [calibration] are those of the arm as it is; what is reported stays --robot's",
     )
     parser.add_argument(
         "--fault",

@@ -4,6 +4,7 @@ from dataclasses import replace
 from enum import StrEnum
 
 from cutgate.firmware_sim.faults import narrower
+from cutgate.firmware_sim.mechanical import LeastDistances, distances_text
 from cutgate.firmware_sim.state import BoneMoved, Controller, Event, Identity, InputsChanged, LimitsChanged
 from cutgate.protocol.states import Refusal, StopCause
 
@@ -50,6 +51,16 @@ def state_line(controller: Controller) -> str:
 def executed_line(segments: int, speed_ratio: float) -> str:
     """What the arm has done, once it stands at the start joints again."""
     return f"{segments} segments executed, peak joint speed {speed_ratio:.0%} of its limit"
+
+
+def distance_lines(distances: LeastDistances) -> list[str]:
+    """How near the true arm came to its limits while it cut, and how far it was from where its joints have it."""
+    lines = [f"least distances of the true arm in the cut: {distances_text(distances.least)}"]
+    if distances.off_mm > 0.0:
+        lines.append(
+            f"the true wrist centre was up to {distances.off_mm:.3f} mm from where the reported calibration has it"
+        )
+    return lines
 
 
 def refusal_line(refusal: Refusal, identity: Identity) -> str:

@@ -98,6 +98,27 @@ FAULT_TABLE: Final[dict[FaultName | MessageAction, FaultRow]] = {
     FaultName.DRIFT: FaultRow("q0 creeps away from where the controller believes it to be, 1 deg/s"),
     FaultName.FREEZE: FaultRow("the reported joints stand still while the arm goes on"),
     FaultName.RUSH: FaultRow("the plant runs three times as fast as it says"),
+    FaultName.BONE_MOTION: FaultRow("the bone moves by 1 mm, and its sensor tells"),
+    FaultName.POWER_LOSS: FaultRow(
+        "power is lost for a second: the brakes stop the arm, nothing is sent, then everything but its memory is new"
+    ),
+    FaultName.TORN_WRITE: FaultRow(
+        "power is lost in the middle of the next writing of its memory, which is what it was"
+    ),
+    FaultName.UNANSWERED_WRITE: FaultRow(
+        "power is lost after the next writing of its memory, before anything is answered"
+    ),
+    FaultName.FLIP_LIMIT_BIT: FaultRow("one stored bit of a joint limit changes"),
+    FaultName.FLIP_MEMORY_BIT: FaultRow(
+        "one bit of its memory's file changes, which it finds when it is powered up again"
+    ),
+    FaultName.SLOW: FaultRow("each cycle of the control loop is late from now on, by `--slow-ms`"),
+    FaultName.HUNG: FaultRow("the control loop stands still for good"),
+    FaultName.SECOND_CONTROLLER: FaultRow("another node says a controller's heartbeat, without the key"),
+    FaultName.SECOND_RUNTIME: FaultRow("another node says a runtime's heartbeat, without the key"),
+    FaultName.WEAK_DRIVE: FaultRow(
+        "the drives have a hundredth of their acceleration left; needs `--dynamics`"
+    ),
 }
 """Every fault there is: those of a message, then those of the controller."""
 

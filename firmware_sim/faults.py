@@ -1,7 +1,7 @@
 """Faults the simulated controller can be told to have, each at a stated moment.
 
 ``NAME@STATE`` happens once, when the controller first reaches that state, e.g. ``flip-path-bit@permitted``. What goes
-wrong with the arm and with what the controller holds is done here; ``hang``, ``silent`` and ``reboot`` are the loop's.
+wrong with the arm and with what the controller holds is done here, as what another node says; the rest is the loop's.
 """
 
 from collections.abc import Iterable
@@ -10,10 +10,14 @@ from enum import StrEnum
 
 from cutgate.firmware_sim.arm import PlantArm
 from cutgate.firmware_sim.plant import StoredPath
+from cutgate.firmware_sim.reports import heartbeat
 from cutgate.firmware_sim.state import Controller
 from cutgate.protocol import records
+from cutgate.protocol.e2e import COUNTER_MODULUS
+from cutgate.protocol.frames import ControllerHeartbeat, RuntimeHeartbeat, encode_frame
+from cutgate.protocol.link import Link
 from cutgate.protocol.path import PathHeader
-from cutgate.protocol.states import ControllerState
+from cutgate.protocol.states import ControllerState, RuntimeCode
 
 
 class FaultName(StrEnum):
@@ -37,6 +41,28 @@ class FaultName(StrEnum):
     """The reported joints stand still while the arm goes on."""
     RUSH = "rush"
     """The plant runs three times as fast as it says, within its joint speed limits."""
+    BONE_MOTION = "bone-motion"
+    """The bone moves by 1 mm, and its sensor tells."""
+    POWER_LOSS = "power-loss"
+    """Power is lost for a second: the brakes stop the arm, nothing is sent, then everything but its memory is new."""
+    TORN_WRITE = "torn-write"
+    """Power is lost in the middle of the next writing of its memory, which is what it was."""
+    UNANSWERED_WRITE = "unanswered-write"
+    """Power is lost after the next writing of its memory, before anything is answered."""
+    FLIP_LIMIT_BIT = "flip-limit-bit"
+    """One stored bit of a joint limit changes."""
+    FLIP_MEMORY_BIT = "flip-memory-bit"
+    """One bit of its memory's file changes, which it finds when it is powered up again."""
+    SLOW = "slow"
+    """Each cycle of the control loop is late from now on."""
+    HUNG = "hung"
+    """The control loop stands still for good."""
+    SECOND_CONTROLLER = "second-controller"
+    """Another node says a controller's heartbeat, without the key."""
+    SECOND_RUNTIME = "second-runtime"
+    """Another node says a runtime's heartbeat, without the key."""
+    WEAK_DRIVE = "weak-drive"
+    """The drives have a hundredth of their acceleration left."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +129,10 @@ def happen(name: FaultName, controller: Controller, arm: PlantArm, now_s: float)
             return replace(controller, holdings=replace(holdings, path=last_bit_flipped(holdings.path)))
         case FaultName.CHANGE_LIMIT:
             return replace(controller, holdings=replace(holdings, limits=narrower(holdings.limits)))
+        case FaultName.FLIP_LIMIT_BIT:
+            return replace(controller, holdings=replace(holdings, limits=one_bit_off(holdings.limits)))
+        case FaultName.WEAK_DRIVE:
+            arm.weaken()
         case FaultName.OFF_START:
             arm.push_aside()
         case FaultName.DRIFT:
@@ -121,6 +151,25 @@ def narrower(limits: bytes) -> bytes:
     before = records.Limits.parse(limits)
     upper = (before.q_max_u[0] - records.UNIT, *before.q_max_u[1:])
     return replace(before, q_max_u=upper).body()
+
+
+def one_bit_off(limits: bytes) -> bytes:
+    """The limits with another lowest bit of the upper one of q0."""
+    before = records.Limits.parse(limits)
+    return replace(before, q_max_u=(before.q_max_u[0] ^ 1, *before.q_max_u[1:])).body()
+
+
+def masquerade(name: FaultName, controller: Controller, link: Link) -> tuple[int, bytes]:
+    """Identifier and bytes of a heartbeat as another node says it that has heard the bus and has no key.
+
+    Its counter is the next one and its checksum fits: nothing but the tag is wrong.
+    """
+    frame: ControllerHeartbeat | RuntimeHeartbeat
+    if name is FaultName.SECOND_CONTROLLER:
+        frame, counter = heartbeat(controller), link.counter + 1
+    else:
+        frame, counter = RuntimeHeartbeat(RuntimeCode.CUT, controller.epoch), link.echo + 1
+    return encode_frame(frame, counter % COUNTER_MODULUS, link.tag)
 
 
 def last_bit_flipped(path: bytes) -> bytes:

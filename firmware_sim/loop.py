@@ -11,6 +11,7 @@ import select
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Final, assert_never
 
@@ -20,11 +21,13 @@ from cutgate.config.terminal import CommandReader
 from cutgate.firmware_sim import arrivals, console, faults, memory, reports
 from cutgate.firmware_sim.arm import PlantArm
 from cutgate.firmware_sim.arrivals import NONCE_BYTES
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec
 from cutgate.firmware_sim.kinematics import Joints
 from cutgate.firmware_sim.state import (
     AbortTransfers,
+    BoneMoved,
     CloseLink,
     Controller,
     ControllerSession,
@@ -53,6 +56,11 @@ from cutgate.protocol.port import Port
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
 
 HANG_S: Final = 1.0
+POWERLESS_S: Final = 1.0
+DARK_CYCLE_S: Final = 0.02
+"""So often a controller without power, or one that hangs, is looked at: its arm may still be coming to rest."""
+FAULT_MM: Final = 1.0
+"""So far the bone moves by a fault."""
 NS_PER_US: Final = 1000
 
 
@@ -63,6 +71,10 @@ class Options:
     ``time_scale``: seconds of the plant in one of the clock, announced in whole thousandths;
     ``joints``: where the arm stands at power-up, rad and mm;
     ``late_wait_s``: until when a frame waits that the bus holds back, for injected delays.
+    ``true_calibration``: the arm as it is, where it is another one than is reported;
+    ``dynamics``: whether the joints follow their command by drives with mass;
+    ``bone_motion``: how the bone moves by itself while it is cut;
+    ``slow_s``: how late each cycle is with the fault that makes it slow.
     """
 
     time_scale: float = 1.0
@@ -71,6 +83,14 @@ class Options:
     hold_roll_rad: float | None = None
     joints: Joints | None = None
     late_wait_s: Callable[[], float] = lambda: math.inf
+    true_calibration: records.Calibration | None = None
+    dynamics: bool = False
+    bone_motion: BoneMotion | None = None
+    slow_s: float = 0.03
+
+
+class PowerLostError(Exception):
+    """Nothing of this cycle goes on."""
 
 
 class Process:
@@ -120,7 +140,11 @@ class Process:
         self._random = random
         self._sleep = sleep
         self._faults = Faults(options.faults)
-        self._silent = False
+        self._silent = self._slow = False
+        self._dark_until_s: float | None = None
+        """Without power, or hanging, until then; None while it works."""
+        self._cuts_write: FaultName | None = None
+        self._bone_motion = options.bone_motion
         self._undelivered = ""
         self._refused_opens: set[Refusal] = set()
         """Shown since the state last changed: an OPEN may be anybody's, and come again and again."""
@@ -132,6 +156,8 @@ class Process:
             joints=options.joints,
             hold_roll_rad=options.hold_roll_rad,
             time_scale=options.time_scale,
+            true_calibration=options.true_calibration,
+            dynamics=options.dynamics,
         )
 
     # ------------------------------------------------------------ the loop
@@ -145,6 +171,8 @@ class Process:
             poller.register(self._console_descriptor, select.POLLIN)
         while True:
             ready = {descriptor for descriptor, _ in poller.poll(1000.0 * self._wait_s())}
+            if wake in ready and self._dark_until_s is not None:
+                return
             if wake in ready:
                 self._feed(FaultArisen(StopCause.OPERATOR_QUIT))
                 self.port.flush_last()
@@ -163,8 +191,15 @@ class Process:
         Raises:
             can.CanError: the bus failed.
         """
+        if self._dark_until_s is not None:
+            self._stay_dark(ready, self._dark_until_s)
+            return
+        if self._slow:
+            self._sleep(self._options.slow_s)
         try:
             self._run_cycle(ready)
+        except PowerLostError:
+            self._lose_power()
         except can.CanError:
             self._feed(FaultArisen(StopCause.BUS_FAILED))
             raise
@@ -180,10 +215,13 @@ class Process:
         for item in cycle.read():
             self._item(item)
         self._read_console(ready)
+        self._sense_bone(cycle.now_s)
         self._continue_check()
         self._feed(Tick())
         self._move(cycle.gap_s)
         self._inject()
+        if self._dark_until_s is not None:
+            return
         self._speak(cycle.now_s)
         if not self._silent:
             self.port.flush()
@@ -201,6 +239,8 @@ class Process:
         self._remember(self.controller.memory)
 
     def _wait_s(self) -> float:
+        if self._dark_until_s is not None:
+            return DARK_CYCLE_S
         if self.upload.check is not None:
             return 0.0
         wait_s = self._cycle.wait_s(None if self._link_open else self._next_announce_s)
@@ -307,6 +347,8 @@ class Process:
         self._refused_opens.clear()
         line = console.state_line(self.controller)
         if isinstance(event, PathFinished):
+            for text in console.distance_lines(self.arm.distances):
+                self._say(text)
             line += f": {console.executed_line(self.arm.executed, self.arm.speed_ratio)}"
         self._say(line)
 
@@ -329,6 +371,7 @@ class Process:
             case Persist(memory=wanted):
                 if not self._silent:
                     self.port.leave_now()
+                self._lose_power_writing(wanted)
                 self._feed(Persisted(wanted) if self._remember(wanted) else PersistFailed())
             case _:
                 assert_never(effect)
@@ -376,16 +419,17 @@ class Process:
 
     def _measure(self) -> None:
         """Where the arm stands, for PERMIT, START and the end of the retract."""
-        self._feed(JointsMeasured(records.joints_to_counts(self.arm.state.joints)))
+        self._feed(JointsMeasured(records.joints_to_counts(self.arm.reading)))
 
     def _move(self, gap_s: float) -> None:
         if self.controller.state is not ControllerState.CUTTING:
+            self.arm.settle(gap_s)
             return
         fault = self.arm.move(gap_s, moving=self.controller.may_move, cutter=self.controller.cutting_mode)
         if fault is not None:
             self._say(f"the arm stopped by itself: {fault.detail}")
             self._feed(FaultArisen(fault.cause))
-        elif self.arm.state.done:
+        elif self.arm.done:
             self._measure()
             self._feed(PathFinished())
 
@@ -404,7 +448,7 @@ class Process:
         endpoint.send_frame(reports.heartbeat(self.controller), now_s)
         for frame in joint_frames(self.arm.reported(self._clock())):
             endpoint.send_frame(frame, now_s)
-        progress = reports.progress(self.controller, self.arm.state)
+        progress = reports.progress(self.controller, self.arm.seen)
         if progress is not None:
             endpoint.send_frame(progress, now_s)
 
@@ -424,24 +468,102 @@ class Process:
             self._happen(name)
 
     def _happen(self, name: FaultName) -> None:
-        match name:
-            case FaultName.HANG:
-                self._sleep(HANG_S)
-            case FaultName.SILENT:
-                self._silent = True
-            case FaultName.REBOOT:
-                self._reboot()
-            case _:
-                self.controller = faults.happen(name, self.controller, self.arm, self._clock())
+        own = self._own_faults.get(name)
+        if own is not None:
+            own()
+        else:
+            self.controller = faults.happen(name, self.controller, self.arm, self._clock())
+
+    @property
+    def _own_faults(self) -> dict[FaultName, Callable[[], None]]:
+        """What goes wrong with the loop, its bus, its sensors or its memory; the rest is not its own."""
+
+        def becomes(name: str, value: object) -> Callable[[], None]:
+            return partial(setattr, self, name, value)
+
+        return {
+            FaultName.HANG: partial(self._sleep, HANG_S),
+            FaultName.SLOW: becomes("_slow", value=True),
+            FaultName.HUNG: becomes("_dark_until_s", math.inf),
+            FaultName.SILENT: becomes("_silent", value=True),
+            FaultName.REBOOT: self._reboot,
+            FaultName.POWER_LOSS: self._lose_power,
+            FaultName.TORN_WRITE: becomes("_cuts_write", FaultName.TORN_WRITE),
+            FaultName.UNANSWERED_WRITE: becomes("_cuts_write", FaultName.UNANSWERED_WRITE),
+            FaultName.FLIP_MEMORY_BIT: partial(memory.flip_bit, self._memory),
+            FaultName.BONE_MOTION: partial(self._move_bone, BoneMotion(0.0, FAULT_MM)),
+            FaultName.SECOND_CONTROLLER: partial(self._hear_stranger, FaultName.SECOND_CONTROLLER),
+            FaultName.SECOND_RUNTIME: partial(self._hear_stranger, FaultName.SECOND_RUNTIME),
+        }
+
+    def _hear_stranger(self, name: FaultName) -> None:
+        """Another node says this: everybody on the bus hears it, this side as well."""
+        can_id, data = faults.masquerade(name, self.controller, self.port.endpoint.link)
+        message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+        with contextlib.suppress(can.CanTimeoutError):
+            self.port.bus.send(message, timeout=0)
+        for item in self.port.endpoint.receive(can_id, data, now_s=self._clock()):
+            self._item(item)
+
+    def _sense_bone(self, now_s: float) -> None:
+        motion, cutting = self._bone_motion, self.controller.state is ControllerState.CUTTING
+        if motion is not None and cutting and now_s - self.controller.started_at_s >= motion.after_s:
+            self._bone_motion = None
+            self._move_bone(motion)
+
+    def _move_bone(self, motion: BoneMotion) -> None:
+        self._say(motion.told())
+        if motion.is_seen:
+            self._feed(BoneMoved())
+
+    # ------------------------------------------------------------ without power
+
+    def _lose_power_writing(self, wanted: Memory) -> None:
+        """With such a fault: in the middle of writing, or after it."""
+        name, self._cuts_write = self._cuts_write, None
+        if name is FaultName.TORN_WRITE:
+            memory.cut_short(self._memory, wanted)
+            raise PowerLostError
+        if name is FaultName.UNANSWERED_WRITE:
+            self._remember(wanted)
+            raise PowerLostError
+
+    def _lose_power(self, until_s: float | None = None) -> None:
+        """Nothing is sent or heard, the brakes are on; power comes back after a while, or then."""
+        self._dark_until_s = self._clock() + POWERLESS_S if until_s is None else until_s
+        self.port.endpoint.end_session()
+        self.port.endpoint.abort()
+        self.upload.void()
+        self.arm.power(on=False)
+
+    def _stay_dark(self, ready: Collection[int], until_s: float) -> None:
+        """What comes in is lost. Nothing commands the arm; what was commanded before, its drives carry out or brake."""
+        self._cycle.begin()
+        self.port.discard()
+        if self._commands is not None and self._commands.descriptor in ready:
+            self._commands.read()
+        self.arm.settle(self._cycle.gap_s)
+        if self._cycle.now_s >= until_s:
+            self._dark_until_s = None
+            self._say("power is back")
+            self._reboot()
 
     def _reboot(self) -> None:
+        """Power-up; one whose memory cannot be believed does not come up."""
         old = self.controller
         self.port.endpoint.end_session()
         self.upload.void()
+        self.arm.power(on=True)
+        try:
+            remembered = memory.load(self._memory, now_us=time.time_ns() // NS_PER_US)
+        except memory.ControllerMemoryError as error:
+            self._say(f"the controller does not start: {error}")
+            self._lose_power(math.inf)
+            return
         self.controller = Controller.powered_up(
             old.identity,
             replace(old.holdings, path=None, ends=None),
-            memory.load(self._memory, now_us=time.time_ns() // NS_PER_US),
+            remembered,
             self._random(NONCE_BYTES),
         )
         self.arm.load(self.controller.holdings)

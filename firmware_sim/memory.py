@@ -6,11 +6,12 @@ earlier version wrote is read as well: what it withdrew stays withdrawn, and not
 
 import hashlib
 import json
+import os
 from pathlib import Path
 from typing import Any, Final
 
 from cutgate.config.constants import REGISTRATIONS_MAX
-from cutgate.config.durable import replace_durably
+from cutgate.config.durable import create_ours, replace_durably
 from cutgate.config.load import InputError
 from cutgate.config.ours import read_ours
 from cutgate.firmware_sim.state import Memory
@@ -147,3 +148,24 @@ def save(path: Path, memory: Memory) -> None:
         raise ControllerMemoryError(
             f"{path}: the memory cannot be written: {error}; free or replace the disk"
         ) from None
+
+
+# ---------------------------------------------------------------- what a fault makes of it
+
+
+def cut_short(path: Path, memory: Memory) -> None:
+    """As ``save`` whose power is lost half way: the file is what it was, and half of the new one lies beside it."""
+    data = json.dumps(_document(SCHEMA, _content(memory))).encode("ascii")
+    descriptor = create_ours(path.with_name(f".{path.name}.{os.urandom(8).hex()}.new"))
+    try:
+        os.write(descriptor, data[: len(data) // 2])
+    finally:
+        os.close(descriptor)
+
+
+def flip_bit(path: Path) -> None:
+    """Another lowest bit of the byte in the middle of the file, if there is one."""
+    if path.exists():
+        data = bytearray(read_ours(path, BYTES_MAX))
+        data[len(data) // 2] ^= 1
+        replace_durably(path, bytes(data))

@@ -160,6 +160,14 @@ class PlantFault:
     detail: str
 
 
+class Visited(NamedTuple):
+    """A place at which the arm was, at the end of a part of a leg that it took at once."""
+
+    leg: Leg
+    segment: int
+    joints: Joints
+
+
 class Advance(NamedTuple):
     """What one step did.
 
@@ -169,6 +177,7 @@ class Advance(NamedTuple):
         speed_ratio: the highest joint speed in the step over its limit, in the plant's time; at most 1.
         slowed: whether the joint speed limits held the feed below the planned one.
         fault: why the arm stopped by itself, None if it did not.
+        visited: where it was in the step, in order, the last of them where it is now; empty if it stood.
     """
 
     state: PlantState
@@ -176,6 +185,7 @@ class Advance(NamedTuple):
     speed_ratio: float
     slowed: bool
     fault: PlantFault | None
+    visited: tuple[Visited, ...] = ()
 
 
 class _Stretch(NamedTuple):
@@ -281,6 +291,7 @@ class _Motion:
         self._completed = state.segment
         self._ratio = 0.0
         self._slowed = False
+        self._visited: list[Visited] = []
 
     def run(self, left_s: float) -> Advance:
         """Move for that many seconds of the plant."""
@@ -301,7 +312,8 @@ class _Motion:
         except BlockError as error:
             fault = PlantFault(StopCause.PATH_CHANGED, str(error))
         state = replace(self._state, moving=fault is None and not self._state.done)
-        return Advance(state, range(self._begin, self._completed), self._ratio, self._slowed, fault)
+        executed = range(self._begin, self._completed)
+        return Advance(state, executed, self._ratio, self._slowed, fault, tuple(self._visited))
 
     @property
     def _place(self) -> str:
@@ -386,6 +398,7 @@ class _Motion:
         self._ratio = max(self._ratio, step.speed_ratio)
         self._slowed = self._slowed or step.slowed
         self._state = replace(self._state, joints=step.joints, fraction=step.fraction)
+        self._visited.append(Visited(self._state.leg, self._state.segment, step.joints))
         if step.fraction == 1.0:
             self._state = self._next_stretch(self._state)
 

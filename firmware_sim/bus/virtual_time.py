@@ -22,7 +22,7 @@ from cutgate.firmware_sim.bus.states import state_frame
 
 NOT_PACED: Final = Rates(10**15)
 """Frames take no time at all."""
-TURN_S: Final = 0.0005
+TURN_S: Final = 0.001
 """What a turn of a loop takes, about as on a machine: one that never waits must not keep time from passing."""
 START_S: Final = 1000.0
 _NS: Final = 1_000_000_000

@@ -65,6 +65,10 @@ def pytest_configure(config: pytest.Config) -> None:
     )
     config.addinivalue_line(
         "markers",
+        "cutgate_wire(bitrate, fd=None, queue=10): the bus of this test models the wire at this rate (docs/bus.md)",
+    )
+    config.addinivalue_line(
+        "markers",
         "cutgate_expect(*names, may=()): one of these must be found by the health check; those of may are allowed",
     )
     path = config.getoption("--cutgate-matrix")
@@ -142,7 +146,7 @@ def cutgate_rig(
 
     folder = tmp_path / "cutgate"
     folder.mkdir()
-    rig = HilRig(folder, cutgate_files, cutgate_faults)
+    rig = HilRig(folder, cutgate_files, cutgate_faults, _wire(request.node))
     _expectations(request.node)  # a marker that nobody understands is told before anything is started
     request.node.stash[_RIG] = rig
     try:
@@ -202,6 +206,18 @@ def cutgate_virtual(
 
 
 # ---------------------------------------------------------------- after a test
+
+
+def _wire(item: pytest.Item) -> list[str]:
+    """How the bus is served, of the nearest marker."""
+    marker = item.get_closest_marker("cutgate_wire")
+    if marker is None:
+        return []
+    options = {**dict(zip(("bitrate", "fd", "queue"), marker.args, strict=False)), **marker.kwargs}
+    if "bitrate" not in options or not options.keys() <= {"bitrate", "fd", "queue"} or len(marker.args) > 3:
+        pytest.fail('cutgate_wire takes bitrate, fd and queue, for example cutgate_wire("1M")', pytrace=False)
+    given = {name: str(value) for name, value in options.items() if value is not None}
+    return [part for name, value in given.items() for part in (f"--{name}", value)]
 
 
 def _expectations(item: pytest.Item) -> list[Any]:

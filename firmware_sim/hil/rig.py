@@ -20,6 +20,7 @@ from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.config.interpreter import program
 from cutgate.config.refusal import InputError
 from cutgate.config.screen import printable
+from cutgate.firmware_sim.bus.ask import counts, let_err
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.fault_language import Fault, MessageFault, parse_fault
 from cutgate.firmware_sim.faulty_bus import FaultyBus
@@ -71,6 +72,25 @@ class HilBus:
         faulty = FaultyBus(bus, (one for one in read if isinstance(one, MessageFault)), side=side)
         self._opened.append(faulty)
         return faulty
+
+    def inject(self, error: str, **of: int) -> str:
+        """Let errors of the wire come, on a bus that has one (``cutgate_wire``); what the hub answers.
+
+        Args:
+            error: which one, as ``cutgate bus inject`` names it.
+            **of: ``identifier``, ``sender``, ``receiver``, ``skip``, ``count``, as there.
+
+        Raises:
+            ValueError: the hub refuses; the text says why.
+        """
+        answer = let_err(Path(self.channel), {"error": error, **of})
+        if answer.startswith("refused"):
+            raise ValueError(answer)
+        return answer
+
+    def counts(self) -> dict[str, Any]:
+        """What the hub has counted since it began, as ``cutgate bus stat --json`` prints it."""
+        return counts(Path(self.channel))
 
     def close(self) -> None:
         """Every node that was opened here leaves."""
@@ -182,14 +202,17 @@ class HilRig:
         folder: of the test, new and empty; logs, frames and what the programs said are kept there.
         files: what sessions read.
         faults: of the test's markers.
+        wire: how the bus is served, as ``cutgate bus serve`` takes it; without it frames are carried at once.
 
     Attributes:
         faults_used: those that a controller was started with.
         findings: what the health check has found, once the rig is closed.
     """
 
-    def __init__(self, folder: Path, files: HilFiles, faults: Sequence[Fault]) -> None:
-        self.folder, self.files, self.faults = folder, files, tuple(faults)
+    def __init__(
+        self, folder: Path, files: HilFiles, faults: Sequence[Fault], wire: Sequence[str] = ()
+    ) -> None:
+        self.folder, self.files, self.faults, self.wire = folder, files, tuple(faults), tuple(wire)
         self.sessions: list[HilSession] = []
         self.controllers: list[HilProcess] = []
         self.faults_used: list[Fault] = []
@@ -208,7 +231,7 @@ class HilRig:
             # Not in the test's folder: a socket's path has at most 107 bytes.
             place = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="cutgate-"))
             path, candump = Path(place) / "bus.sock", self.folder / "bus.candump.log"
-            self._stack.enter_context(hub_process(path, log=candump))
+            self._stack.enter_context(hub_process(path, *self.wire, log=candump))
             self._bus = HilBus(str(path), candump)
         return self._bus
 

@@ -85,6 +85,7 @@ class OpenInfo:
     account: str | None = None
     host: str | None = None
     operator: str | None = None
+    transitions_sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -504,6 +505,7 @@ class _Begun:
             log_id=self.log_id,
             software=opened.software,
             verifier=opened.verifier,
+            transitions_sha256=opened.transitions_sha256,
             numpy=np.__version__,
             cpu_dispatch=cpu_dispatch(),
             candump=candump,

@@ -99,6 +99,8 @@ class AuditOpen(AuditRecord):
     log_id: str
     software: str
     verifier: str
+    transitions_sha256: str | None = None
+    """Of the frozen tables that this program's steps are held against; absent in logs before them."""
     numpy: str
     cpu_dispatch: tuple[str, ...]
     """SIMD extensions numpy found; with another set its last bits may differ."""

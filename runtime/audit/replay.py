@@ -9,7 +9,7 @@ is held against that verdict. A log in which a verdict was changed and the whole
     result.outcome is Outcome.IDENTICAL
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -31,6 +31,8 @@ from cutgate.runtime.audit.recomputed.inputs import (
     model_of,
     typed,
 )
+from cutgate.runtime.audit.recomputed.steps import Steps
+from cutgate.runtime.audit.recomputed.transitions import transitions, transitions_sha256
 from cutgate.runtime.audit.recomputed.verdict import (
     Verify,
     boundary_differences,
@@ -109,6 +111,7 @@ def _replay(log: Log, verify: Verify, verifier: str, found: _Findings) -> None:
     else:
         found.notes.append("the session ended before a verdict: there is nothing to compute again")
     found.differences += _enabled(log, opened[0], found)
+    found.differences += _steps(log, opened[0], found)
 
 
 def _decided(
@@ -181,6 +184,26 @@ def _enabled(log: Log, opened: records.AuditOpen, found: _Findings) -> Iterator[
             yield from ledger.permit(model_of(records.AuditPermit, data))
     if ledger.enabling:
         yield from approved(log, inputs_of(log))
+
+
+def _steps(log: Log, opened: records.AuditOpen, found: _Findings) -> Iterator[str]:
+    """Every recorded step is a transition of the tables, by the tables as they were frozen."""
+    if opened.transitions_sha256 != transitions_sha256():
+        which = "names none" if opened.transitions_sha256 is None else "names those of another version"
+        found.notes.append(f"the steps were not held against the tables of transitions: record 0 {which}")
+        return
+    steps = Steps(transitions())
+    heard: dict[str, Callable[[bytes], Iterator[str]]] = {
+        records.AuditSession.TOPIC: steps.opened,
+        records.AuditController.TOPIC: lambda data: steps.controller(model_of(records.AuditController, data)),
+        records.AuditFault.TOPIC: lambda data: steps.fault(model_of(records.AuditFault, data)),
+        records.AuditPermit.TOPIC: lambda data: steps.permit(model_of(records.AuditPermit, data)),
+        records.AuditOperator.TOPIC: lambda data: steps.operator(model_of(records.AuditOperator, data)),
+        records.AuditDecision.TOPIC: lambda data: steps.decision(model_of(records.AuditDecision, data)),
+        records.AuditClose.TOPIC: lambda data: steps.closed(model_of(records.AuditClose, data)),
+    }
+    for topic, data in log.each(*heard):
+        yield from heard[topic](data)
 
 
 def _configuration(log: Log, opened: records.AuditOpen) -> bytes:

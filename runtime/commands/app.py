@@ -41,7 +41,10 @@ COMMANDS: Final = {
         "controller_side",
         "The simulated controller (cutgate sim --help). Exit code: 0, or 2 on bad input, key or bus.",
     ),
-    "bus": ("controller_side", "The local virtual CAN bus: bus serve [--socket S] [--log FILE]."),
+    "bus": (
+        "controller_side",
+        "The local virtual CAN bus: bus serve, bus stat (load, queues, errors), bus inject (errors on demand).",
+    ),
     "conform": (
         "conform",
         "Show that a controller refuses what it must. Its plant must be disconnected; see docs/controllers.md.",

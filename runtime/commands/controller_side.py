@@ -25,7 +25,7 @@ def sim(context: typer.Context) -> None:
 
 
 def bus(context: typer.Context) -> None:
-    """The local virtual CAN bus: bus serve [--socket S] [--log FILE]."""
+    """The local virtual CAN bus: bus serve, bus stat (load, queues, errors), bus inject (errors on demand)."""
     _become("bus", context.args)
 
 

@@ -186,7 +186,7 @@ class Journal:
                 from_state=before.phase,
                 to_state=after.phase,
                 disposition="acknowledged" if _shown(before, event, after) else _disposition(effects),
-                effects=tuple(_effect_name(effect) for effect in effects),
+                effects=tuple(effect_name(effect) for effect in effects),
                 permissives=tuple(audit.PermissiveValue.of(permissive) for permissive in shown),
                 first_out=None if after.cause is StopCause.NONE else after.cause.name,
                 reason=plain(_reason(event, effects) or after.reason) or None,
@@ -516,7 +516,8 @@ def _disposition(effects: tuple[Effect, ...]) -> audit.Disposition:
     return "decided"
 
 
-def _effect_name(effect: Effect) -> str:
+def effect_name(effect: Effect) -> str:
+    """What an effect is called in the log."""
     match effect:
         case Send(record=record):
             return f"send {type(record).__name__}"

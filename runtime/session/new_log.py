@@ -11,6 +11,7 @@ from cutgate.runtime.audit import names
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.log import AuditLog, OpenInfo
 from cutgate.runtime.audit.names import READING
+from cutgate.runtime.audit.recomputed.transitions import transitions_sha256
 from cutgate.runtime.plan.registrations.foreign import Converted
 from cutgate.runtime.plan.toolpath.languages import language_of
 from cutgate.runtime.plan.toolpath.model import as_words
@@ -62,6 +63,7 @@ def new_log(
             plain(user(os.getuid())),
             plain(gethostname()),
             operator,
+            transitions_sha256(),
         ),
         key_file=named,
         chunk_period_s=settings.chunk_period_ms / 1000,

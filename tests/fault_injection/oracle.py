@@ -26,8 +26,10 @@ from cutgate.protocol.frames import (
 from cutgate.protocol.records import Side
 from cutgate.protocol.states import WITHDRAWING, ControllerState, RuntimeCode, StopCause
 from cutgate.runtime.audit.inspect import Log, Status, read_log
-from cutgate.runtime.audit.replay import ReplayOutcome
+from cutgate.runtime.audit.replay import ReplayOutcome, replay
 from cutgate.runtime.interlock.state import OperatorCommand, Phase, Send
+from cutgate.runtime.session.job import VERIFIER
+from cutgate.runtime.verification import certified
 from tests.fault_injection.tap import SENDER, Tap
 from tests.runtime.session.pair import KEY, Pair
 
@@ -122,6 +124,7 @@ class Oracle:
         heard_in: how many sessions had been opened when a motion or a withdrawal was heard of last.
         moved_us: only a registration later than this counts: the bone's last motion, or an authentic barrier; since 1970.
         wrong: what must never be, and was.
+        steps: decisions of logs that were held against the tables.
     """
 
     pair: Pair
@@ -134,6 +137,7 @@ class Oracle:
     moved_us: int = records.NO_TIME
     wrong: list[str] = field(default_factory=list)
     moved: int = 0
+    steps: int = 0
     ends: list[Phase] = field(default_factory=list)
     commands: set[str] = field(default_factory=set)
     _sent: int = 0
@@ -408,6 +412,7 @@ class Oracle:
             log = read_log(pair.log.path.read_bytes()[: pair.disk.durable])
             if log.report.status is Status.TAMPERED:
                 self.wrong.append(f"an unfinished log is {log.report.reasons}")
+            self._decided_again(log)
             return
         log = pair.read()
         if log.report.status is not Status.OK:
@@ -416,8 +421,14 @@ class Oracle:
         if len(causes) > 1:
             self.wrong.append(f"several first causes: {causes}")
         self._acknowledgements(log)
-        if pair.replayed().outcome is ReplayOutcome.DIFFERS:
-            self.wrong.append(f"replayed differently: {pair.replayed().differences}")
+        self._decided_again(log)
+
+    def _decided_again(self, log: Log) -> None:
+        """As far as it goes: same verdict, nothing enabled without it, every step a transition of the tables."""
+        found = replay(log, certified.verify, verifier=VERIFIER)
+        if found.outcome is ReplayOutcome.DIFFERS:
+            self.wrong.append(f"replayed differently: {found.differences}")
+        self.steps += len(log.of("/audit/decision"))
 
     def _acknowledgements(self, log: Log) -> None:
         named = self.pair.state.session

@@ -8,7 +8,8 @@ import pytest
 
 from cutgate.firmware_sim.approach import own_ends
 from cutgate.firmware_sim.arm import DRIFT_DEG_S, OFF_START_DEG, RUSH, PlantArm, middle_of
-from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.drives import BANDWIDTH_RAD_S
+from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm, forward, inverse
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.plant import Leg, Plant, PlantState
 from cutgate.firmware_sim.state import Holdings
@@ -256,3 +257,220 @@ def test_the_speed_of_a_rushing_arm_is_judged_by_the_time_scale_that_it_says():
     arm = begun()
     arm.rush()
     assert arm.move(0.01, moving=True, cutter=True).cause is StopCause.LIMIT_EXCEEDED
+
+
+# ---------------------------------------------------------------- the arm as it is
+
+
+def test_how_near_the_true_arm_came_is_kept_of_the_cut_alone():
+    """Entry, exit and the joint lines are verified for themselves, and lie above the path."""
+    arm = begun()
+    while arm.state.leg < Leg.CUT:
+        assert arm.distances.least == {}
+        moved(arm, dt_s=0.001)
+    while not arm.state.done:
+        moved(arm)
+    least = arm.distances.least
+    slide = [pose[2] for pose in _cut_readings()]
+    assert least["bottom"].distance == pytest.approx(min(slide) - LIMITS.q_min[2], abs=0.01)
+    assert least["top"].distance == pytest.approx(LIMITS.q_max[2] - max(slide), abs=0.01)
+    assert least["bottom"].segment == len(PATH) - 2
+    arm.begin(GIVEN)
+    assert arm.distances.least == {}
+
+
+def _cut_readings():
+    """Reported joints at every pose of the path."""
+    arm = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    path = begun().path
+    return [inverse(arm, path.pose(index)) for index in range(len(path))]
+
+
+def test_a_limit_switch_stops_an_arm_that_stands_further_than_is_reported():
+    """5 deg of the shoulder: the readings are inside of their limits, the arm is not."""
+    true = replace(CALIBRATED, joint_offset_u=(-5 * records.UNIT, *CALIBRATED.joint_offset_u[1:]))
+    limits = replace(LIMITS, q_min_u=(-50 * records.UNIT, *LIMITS.q_min_u[1:]))
+    assert math.degrees(min(joints[0] for joints in _cut_readings())) > -49.0
+    for calibration, expected in ((CALIBRATED, None), (true, StopCause.LIMIT_EXCEEDED)):
+        arm = PlantArm(
+            replace(WITH_PATH, limits=limits.body()), joints=AT_START, true_calibration=calibration
+        )
+        arm.begin(GIVEN)
+        fault = None
+        while fault is None and not arm.state.done:
+            fault = arm.move(DT_S, moving=True, cutter=True)
+        assert (fault.cause if fault else None) is expected
+        if fault:
+            assert fault.detail.startswith("limit switch of the true arm: q0 = ")
+
+
+def test_an_arm_that_drifts_trips_its_limit_switch():
+    limits = replace(LIMITS, q_max_u=(-30 * records.UNIT, *LIMITS.q_max_u[1:]))
+    arm = PlantArm(replace(WITH_PATH, limits=limits.body()), joints=AT_START)
+    arm.begin(GIVEN)
+    arm.drift(0.0)
+    for after_s, cause in ((10.0, None), (20.0, StopCause.LIMIT_EXCEEDED)):
+        arm.reported(after_s)
+        fault = arm.move(DT_S, moving=True, cutter=True)
+        assert (fault.cause if fault else None) is cause
+
+
+# ---------------------------------------------------------------- with mass
+
+
+def dynamic(**options):
+    limits = replace(LIMITS, acceleration_u=tuple(5 * speed for speed in LIMITS.speed_u))
+    arm = PlantArm(replace(WITH_PATH, limits=limits.body()), joints=AT_START, dynamics=True, **options)
+    arm.begin(replace(GIVEN, approach=replace(GIVEN.approach, speed_percent=25)))
+    return arm
+
+
+def test_an_arm_with_mass_follows_its_command_to_the_end_and_is_done_when_it_stands():
+    arm, off = dynamic(), []
+    while not arm.state.done:
+        moved(arm)
+        off.append(max(abs(a - b) for a, b in zip(arm.reading, arm.state.joints, strict=True)))
+    assert not arm.done
+    assert 0.001 < max(off) < 2.0
+    cycles = 0
+    while not arm.done:
+        moved(arm)
+        cycles += 1
+    assert 5 < cycles < 50
+    assert arm.reading == arm.measured == arm.state.joints == pytest.approx(AT_START)
+    assert (arm.executed, arm.seen) == (len(PATH) - 1, arm.state)
+
+
+def test_an_arm_with_mass_keeps_its_distances_but_for_what_it_rounds_off():
+    """By no more than it is behind."""
+    arms = dynamic(), begun()
+    for arm in arms:
+        while not arm.done:
+            moved(arm)
+    with_mass, without = (arm.distances.least for arm in arms)
+    assert with_mass.keys() == without.keys()
+    behind_mm = PATH.feed_mm_s * 2.0 / BANDWIDTH_RAD_S
+    assert all(with_mass[name].distance >= without[name].distance - behind_mm for name in without)
+    assert with_mass != without
+
+
+def test_an_arm_with_mass_that_may_not_move_any_more_brakes_along_its_path():
+    """From 10 mm/s in 175 ms, and in half a mm; then it stands at its command exactly."""
+    arm = dynamic()
+    while arm.state.leg is not Leg.CUT:
+        moved(arm)
+    moved(arm, 100)
+    command, start = arm.state.joints, arm.reading
+    kinematics = calibrated_arm(CALIBRATED, tool_mm=TOOL_MM, elbow="right")
+    moving = []
+    for _ in range(40):
+        before = arm.reading
+        assert arm.move(DT_S, moving=False, cutter=False) is None
+        moving.append(arm.reading != before)
+    assert arm.state.joints == command == arm.reading
+    assert moving[:3] == [True] * 3
+    assert not moving[-1]
+    braked_mm = math.dist(forward(kinematics, start).tip, forward(kinematics, command).tip)
+    assert braked_mm == pytest.approx(PATH.feed_mm_s * 2.0 / BANDWIDTH_RAD_S, rel=0.02)
+
+
+def test_a_stop_that_voids_the_path_brakes_all_the_same():
+    arm = moved(dynamic(), 50)
+    arm.load(replace(WITH_PATH, path=None))
+    for _ in range(50):
+        before = arm.reading
+        arm.settle(DT_S)
+        assert arm.measured == arm.reading
+    assert before == arm.reading == arm.state.joints
+
+
+def test_an_arm_without_mass_has_nothing_to_settle():
+    arm = moved(begun(), 50)
+    before = arm.reading
+    arm.settle(DT_S)
+    assert arm.reading == arm.measured == arm.state.joints == before
+    assert arm.seen is arm.state
+
+
+def test_a_drive_of_which_too_much_is_asked_stops_the_arm():
+    """On the approach at the whole of its speed limits, with a tenth of the usual acceleration."""
+    arm = PlantArm(
+        replace(
+            WITH_PATH, limits=replace(LIMITS, acceleration_u=tuple(v // 2 for v in LIMITS.speed_u)).body()
+        ),
+        joints=AT_START,
+        dynamics=True,
+    )
+    arm.begin(GIVEN)
+    fault = None
+    while fault is None:
+        fault = arm.move(DT_S, moving=True, cutter=True)
+    assert fault.cause is StopCause.TRACKING_DEVIATION
+    assert fault.detail.startswith("the drive of q")
+
+
+def test_with_mass_it_can_be_pushed_aside_and_frozen_as_without():
+    arm = moved(dynamic(), 20)
+    q0 = arm.state.joints[0]
+    arm.freeze()
+    assert arm.frozen == arm.reading
+    arm.push_aside()
+    assert arm.reading == arm.state.joints
+    assert math.degrees(arm.reading[0] - q0) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("scale", [0.5, 4.0])
+def test_the_time_scale_of_an_arm_with_mass_is_that_of_its_plant(scale):
+    slow, scaled = moved(dynamic(), 10, scale * DT_S), moved(dynamic(time_scale=scale), 10)
+    assert scaled.reading == pytest.approx(slow.reading)
+
+
+def test_weak_drives_and_power_are_those_of_an_arm_with_mass():
+    arm = moved(dynamic(), 20)
+    arm.weaken()
+    assert arm.driven._drives.acceleration[0] == pytest.approx(0.01 * 5 * LIMITS.speed[0])
+    arm.power(on=False)
+    assert not arm.driven.powered
+    for _ in range(200):
+        arm.settle(DT_S)
+    assert arm.reading != arm.state.joints
+    arm.power(on=True)
+    assert arm.driven.powered
+    assert arm.driven.at_rest
+    assert arm.state == PlantState(arm.reading)
+
+
+def test_an_arm_without_mass_stands_where_it_is_whatever_its_power():
+    arm = moved(begun(), 20)
+    before = arm.state
+    arm.weaken()
+    arm.power(on=False)
+    arm.power(on=True)
+    assert arm.state is before
+
+
+@pytest.mark.parametrize(("dt_s", "parts"), [(0.02, 4), (0.1, 20), (0.003, 1)])
+def test_the_drives_hear_the_command_every_5_ms_of_the_plant_while_it_goes_on(dt_s, parts, monkeypatch):
+    arm, heard = dynamic(), []
+    follow = arm.driven.follow
+    monkeypatch.setattr(arm.driven, "follow", lambda *command: heard.append(command[2]) or follow(*command))
+    arm.move(dt_s, moving=True, cutter=True)
+    assert heard == [pytest.approx(dt_s / parts)] * parts
+    still = begun()
+    asked = []
+    part = still._part
+    monkeypatch.setattr(still, "_part", lambda gap_s, **how: asked.append(gap_s) or part(gap_s, **how))
+    still.move(dt_s, moving=True, cutter=True)
+    assert asked == [dt_s], "without mass a cycle is one part"
+
+
+def test_a_start_is_one_of_an_arm_that_stands_where_its_encoders_say():
+    arm = moved(dynamic(), 50)
+    reading = arm.reading
+    arm.begin(GIVEN)
+    assert arm.driven.at_rest
+    assert arm.state == PlantState(reading) == arm.seen
+
+
+def test_an_arm_that_has_not_cut_came_near_to_nothing():
+    assert PlantArm(HOLDINGS).distances.least == {}

@@ -18,6 +18,7 @@ from cutgate.config.bus import RuntimeDirectoryError
 from cutgate.config.load import SHIPPED
 from cutgate.firmware_sim import __main__ as entry
 from cutgate.firmware_sim import command, memory
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.state import Memory
 from cutgate.protocol.codes import fingerprint
 from cutgate.protocol.frames import IDS, RuntimeHeartbeat
@@ -145,6 +146,67 @@ def test_the_arm_stands_where_joints_say_and_else_in_the_middle(given):
     ]
     assert shown[0] == pytest.approx([-10.5, 70, 250, 20, 55])
     assert shown[1] == pytest.approx([0, 72.5, 250, 0, 55])
+
+
+def _true_file(given, old, new):
+    """A copy of the robot file with another text in the place of this one."""
+    file = Path(given[0][1]).with_name("true.toml")
+    text = ROBOT.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    return str(file)
+
+
+def test_the_true_arm_may_be_another_one_than_is_reported(given):
+    arguments, processes = given
+    file = _true_file(given, "upper_link_mm = 450.0", "upper_link_mm = 448.0")
+    assert command.main([*arguments, "--true-calibration", file]) == command.OK
+    assert command.main(arguments) == command.OK
+    (other, _), (same, _) = processes
+    assert (other.arm.mechanical.arm.upper_mm, other.arm.plant.calibration.upper_mm) == (448.0, 450.0)
+    assert same._options.true_calibration is None
+    assert same.arm.mechanical.arm == same.arm.mechanical.believed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [("length_mm = 160.0", "length_mm = 150.0", "[tool]"), ("[-80.0, 80.0]", "[-80.0, 70.0]", "[limits]")],
+)
+def test_of_the_true_arm_only_links_and_calibration_may_be_others(given, capfd, old, new, named):
+    arguments, _ = given
+    file = _true_file(given, old, new)
+    refused(capfd, [*arguments, "--true-calibration", file], file, f"{named} is not that of --robot")
+
+
+def test_the_joints_have_mass_where_that_is_asked_for(given, capfd):
+    arguments, processes = given
+    assert command.main([*arguments, "--dynamics", "--time-scale", "10"]) == command.OK
+    assert command.main(arguments) == command.OK
+    assert [process.arm.driven is not None for process, _ in processes] == [True, False]
+    capfd.readouterr()
+    refused(
+        capfd,
+        [*arguments, "--dynamics", "--time-scale", "10.001"],
+        "--time-scale is 10.001, must be at most 10",
+    )
+
+
+def test_a_weak_drive_needs_drives(given, capfd):
+    arguments, _ = given
+    refused(capfd, [*arguments, "--fault", "weak-drive@cutting"], "weak-drive needs drives; add --dynamics")
+    assert command.main([*arguments, "--fault", "weak-drive@cutting", "--dynamics"]) == command.OK
+
+
+def test_the_bone_moves_and_cycles_are_late_as_is_asked_for(given, capfd):
+    arguments, processes = given
+    assert command.main([*arguments, "--bone-motion", "2.5,1", "--slow-ms", "80"]) == command.OK
+    assert command.main(arguments) == command.OK
+    asked = [(process._options.bone_motion, process._options.slow_s) for process, _ in processes]
+    assert asked == [(BoneMotion(2.5, 1.0), 0.08), (None, 0.03)]
+    capfd.readouterr()
+    refused(capfd, [*arguments, "--bone-motion", "2.5"], "--bone-motion: '2.5' must be SECONDS,MM")
+    for slow in ("0", "-1", "nan", "10001"):
+        refused(capfd, [*arguments, f"--slow-ms={slow}"], "must be more than 0 and at most 10000")
 
 
 def test_every_boot_has_a_nonce_of_its_own(given):

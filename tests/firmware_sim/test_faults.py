@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec, happen
+from cutgate.firmware_sim.faults import FaultName, Faults, FaultSpec, happen, masquerade
 from cutgate.firmware_sim.plant import BlockError, StoredPath
-from cutgate.protocol.records import UNIT, block_of_pose
-from cutgate.protocol.states import ControllerState
+from cutgate.firmware_sim.reports import heartbeat
+from cutgate.protocol.e2e import intact
+from cutgate.protocol.frames import DATA_IDS, IDS, ControllerHeartbeat, RuntimeHeartbeat, decode_frame
+from cutgate.protocol.records import UNIT, Limits, block_of_pose
+from cutgate.protocol.states import ControllerState, RuntimeCode
 from tests.altering import altered
 from tests.firmware_sim.arms import PATH, pocket
 from tests.firmware_sim.controllers import LIMITS, LOADED, POWERED_UP
@@ -73,6 +76,7 @@ class RecordingArm:
         (FaultName.DRIFT, ("drift", 77.0)),
         (FaultName.FREEZE, ("freeze",)),
         (FaultName.RUSH, ("rush",)),
+        (FaultName.WEAK_DRIVE, ("weaken",)),
     ],
 )
 def test_what_is_wrong_with_the_arm_the_controller_does_not_notice(name, asked):
@@ -81,7 +85,23 @@ def test_what_is_wrong_with_the_arm_the_controller_does_not_notice(name, asked):
     assert arm.asked == [asked]
 
 
-@pytest.mark.parametrize("name", [FaultName.HANG, FaultName.SILENT, FaultName.REBOOT])
+LOOPS_OWN = (
+    FaultName.HANG,
+    FaultName.SILENT,
+    FaultName.REBOOT,
+    FaultName.BONE_MOTION,
+    FaultName.POWER_LOSS,
+    FaultName.TORN_WRITE,
+    FaultName.UNANSWERED_WRITE,
+    FaultName.FLIP_MEMORY_BIT,
+    FaultName.SLOW,
+    FaultName.HUNG,
+    FaultName.SECOND_CONTROLLER,
+    FaultName.SECOND_RUNTIME,
+)
+
+
+@pytest.mark.parametrize("name", LOOPS_OWN)
 def test_what_the_loop_does_itself_changes_nothing_here(name):
     arm = RecordingArm()
     assert happen(name, LOADED, arm, 77.0) == LOADED
@@ -92,6 +112,31 @@ def test_a_changed_limit_is_one_degree_narrower_and_nothing_else():
     after = happen(FaultName.CHANGE_LIMIT, LOADED, RecordingArm(), 77.0)
     upper = (LIMITS.q_max_u[0] - UNIT, *LIMITS.q_max_u[1:])
     assert after == altered(LOADED, "holdings.limits", replace(LIMITS, q_max_u=upper).body())
+
+
+def test_a_flipped_bit_of_a_limit_is_another_digest_and_a_limit_all_the_same():
+    after = happen(FaultName.FLIP_LIMIT_BIT, LOADED, RecordingArm(), 77.0)
+    found = Limits.parse(after.holdings.limits)
+    assert found == replace(LIMITS, q_max_u=(LIMITS.q_max_u[0] ^ 1, *LIMITS.q_max_u[1:]))
+    assert after == altered(LOADED, "holdings.limits", found.body())
+
+
+class HeardLink:
+    """A link in a session, as far as who listens to its bus knows it."""
+
+    counter, echo, tag = 255, 40, 0x12345678
+
+
+def test_who_says_the_heartbeat_of_another_node_has_all_of_it_but_the_tag():
+    link = HeardLink()
+    can_id, data = masquerade(FaultName.SECOND_CONTROLLER, LOADED, link)
+    assert (can_id, data[2]) == (IDS[ControllerHeartbeat], 0)
+    assert intact(data, DATA_IDS[can_id], link.tag)
+    assert decode_frame(can_id, data) == heartbeat(LOADED)
+    can_id, data = masquerade(FaultName.SECOND_RUNTIME, LOADED, link)
+    assert (can_id, data[2]) == (IDS[RuntimeHeartbeat], 41)
+    assert intact(data, DATA_IDS[can_id], link.tag)
+    assert decode_frame(can_id, data) == RuntimeHeartbeat(RuntimeCode.CUT, LOADED.epoch)
 
 
 @pytest.mark.parametrize("path", [PATH, pocket(poses=500, length_mm=1200.0)])

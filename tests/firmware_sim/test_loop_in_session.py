@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import os
 import time
 from dataclasses import replace
 
@@ -11,9 +12,12 @@ import pytest
 
 from cutgate.firmware_sim import memory, reports
 from cutgate.firmware_sim.approach import own_ends
+from cutgate.firmware_sim.bone import BoneMotion
 from cutgate.firmware_sim.console import ConsoleCommand
 from cutgate.firmware_sim.faults import FaultName, FaultSpec
 from cutgate.firmware_sim.kinematics import as_joints, calibrated_arm
+from cutgate.firmware_sim.loop import DARK_CYCLE_S
+from cutgate.firmware_sim.mechanical import distances_text
 from cutgate.firmware_sim.path_check import PathCheck
 from cutgate.firmware_sim.state import FaultArisen, Memory, OpenLink
 from cutgate.protocol import records
@@ -84,6 +88,10 @@ class Runtime:
 
     def frames(self, kind):
         return [i.frame for i in self.items if isinstance(i, Accepted) and isinstance(i.frame, kind)]
+
+    def heard_frames(self, kind):
+        self.hear()
+        return self.frames(kind)
 
     def step(self, by_s=STEP_S):
         """One cycle of the controller, and what it says to it."""
@@ -208,6 +216,7 @@ def _entry_u():
 
 
 START_U = _entry_u()
+FAST = replace(LIMITS, acceleration_u=tuple(5 * speed for speed in LIMITS.speed_u))
 
 
 @pytest.fixture
@@ -468,10 +477,21 @@ def test_a_whole_life_ends_where_it_began(runtime):
     assert one.bench.shown[-1] == (
         f"state DONE: 20 segments executed, peak joint speed {ratio:.0%} of its limit"
     )
+    assert one.bench.shown[-2] == (
+        f"least distances of the true arm in the cut: {distances_text(one.process.arm.distances.least)}"
+    )
     one.items.clear()
     one.run(0.1)
     assert one.frames(Progress)[-1] == Progress(19, 65535)
     assert one.controller.measured_u == START_U
+
+
+def test_an_arm_that_is_another_one_than_is_reported_says_so_after_the_cut(runtime):
+    true = replace(NOMINAL, upper_link_error_u=2 * records.UNIT)
+    one = runtime(time_scale=20.0, true_calibration=true).open().load().permit(START_U).start().run(5.0)
+    assert one.controller.state is ControllerState.DONE
+    told = "the true wrist centre was up to 2.000 mm from where the reported calibration has it"
+    assert told in one.bench.shown
 
 
 @pytest.mark.parametrize(
@@ -704,3 +724,160 @@ def test_a_limit_that_changes_unnoticed_is_held_and_stops_nothing(runtime):
     one.process._happen(FaultName.CHANGE_LIMIT)
     assert records.Limits.parse(one.controller.holdings.limits).q_max_u[0] == LIMITS.q_max_u[0] - records.UNIT
     assert one.controller.state is ControllerState.OPEN
+
+
+# ---------------------------------------------------------------- without power
+
+
+def dark(one, until_s=None):
+    """A controller that has just lost its power."""
+    one.process._happen(FaultName.POWER_LOSS)
+    if until_s is not None:
+        one.process._dark_until_s = until_s
+    return one
+
+
+def test_without_power_nothing_is_said_or_heard_and_afterwards_it_is_another_boot(runtime):
+    one = runtime().open().load()
+    dark(one)
+    one.items.clear()
+    one.endpoint.send_frame(RuntimeStop(StopCode.STOP, StopCause.OPERATOR_STOP), one.clock.now_s)
+    one.run(0.9)
+    assert one.items == []
+    assert one.controller.cause is StopCause.NONE
+    assert one.process._wait_s() == DARK_CYCLE_S
+    one.process._random = b"m".__mul__
+    one.run(0.2)
+    assert one.bench.shown[-1] == "power is back"
+    assert one.controller.announce_nonce == b"m" * 16
+    assert one.controller.holdings.path is None
+    assert one.controller.cause is StopCause.NONE
+
+
+def test_what_is_typed_without_power_is_lost(runtime):
+    one = dark(runtime().open())
+    os.write(one.bench.typing, b"bone-motion\n")
+    descriptor = one.process._console_descriptor
+    one.process.run_cycle()
+    one.process.run_cycle({descriptor})
+    assert one.process._commands.read() == []
+    one.run(1.2)
+    assert one.controller.cause is StopCause.NONE
+
+
+def test_a_controller_without_a_console_can_lose_its_power_as_well(runtime):
+    one = dark(runtime(typed=False).open()).run(1.2)
+    assert one.bench.shown[-1] == "power is back"
+
+
+def test_a_program_that_is_to_end_without_power_says_no_last_words(runtime):
+    one = dark(runtime().open())
+    os.write(one.bench.waking, b"\0")
+    one.process.run(one.bench.wake)
+    assert one.bench.bus.sent == []
+    assert one.controller.cause is StopCause.NONE
+
+
+def test_a_controller_whose_memory_cannot_be_believed_does_not_come_up_and_leaves_it_as_it_is(runtime):
+    one = runtime().open()
+    one.process.act(ConsoleCommand.BONE_MOTION)
+    one.process._happen(FaultName.FLIP_MEMORY_BIT)
+    damaged = one.bench.file.read_bytes()
+    dark(one).run(5.0)
+    assert one.bench.shown[-2] == "power is back"
+    assert one.bench.shown[-1].startswith(f"the controller does not start: {one.bench.file}: ")
+    assert one.process._dark_until_s == math.inf
+    assert one.bench.file.read_bytes() == damaged
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"), [(FaultName.TORN_WRITE, False), (FaultName.UNANSWERED_WRITE, True)]
+)
+def test_power_can_be_lost_while_the_memory_is_written(runtime, name, kept):
+    """Once: the writing after that is one as any other."""
+    one = runtime().open()
+    one.process._happen(name)
+    os.write(one.bench.typing, b"bone-motion\n")
+    one.process.run_cycle({one.process._console_descriptor})
+    assert ControllerFault(FaultCode.STOPPED, StopCause.BONE_MOVED) in one.heard_frames(ControllerFault)
+    assert one.process._dark_until_s == pytest.approx(one.clock.now_s + 1.0)
+    assert memory.load(one.bench.file, now_us=0) == (
+        Memory(frozenset({PLACE}), withdrawal_due=True) if kept else Memory()
+    )
+    one.run(1.2)
+    one.process.act(ConsoleCommand.BONE_MOTION)
+    assert memory.load(one.bench.file, now_us=0).withdrawal_due
+
+
+def test_a_loop_that_hangs_for_good_does_nothing_more(runtime):
+    one = runtime(faults=(FaultSpec.parse("hung@open"),)).open()
+    one.items.clear()
+    one.run(5.0)
+    assert one.items == []
+    assert one.bench.shown == ["state OPEN", "fault injected: hung"]
+
+
+def test_a_slow_loop_is_late_in_every_cycle(runtime):
+    one = runtime(faults=(FaultSpec.parse("slow@open"),), slow_s=0.07).open()
+    before = len(one.bench.slept)
+    one.run(0.05)
+    assert one.bench.slept[before:] == [0.07] * 10
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        (FaultName.SECOND_CONTROLLER, StopCause.SECOND_NODE),
+        (FaultName.SECOND_RUNTIME, StopCause.AUTHENTICATION_FAILED),
+    ],
+)
+def test_what_another_node_says_is_on_the_bus_if_it_has_room_and_heard_here(runtime, name, cause):
+    one = runtime().open()
+    one.process._happen(name)
+    message = one.bench.bus.sent[0]
+    beat = {FaultName.SECOND_CONTROLLER: ControllerHeartbeat, FaultName.SECOND_RUNTIME: RuntimeHeartbeat}
+    assert message.arbitration_id == IDS[beat[name]]
+    assert (one.controller.state, one.controller.cause) == (ControllerState.FAULT, cause)
+    other = runtime().open()
+    other.bench.bus.room = 0
+    other.process._happen(name)
+    assert other.controller.cause is cause
+
+
+@pytest.mark.parametrize(("by_mm", "cause"), [(1.0, StopCause.BONE_MOVED), (0.1, StopCause.NONE)])
+def test_the_bone_moves_once_so_long_after_the_start(runtime, by_mm, cause):
+    one = runtime(bone_motion=BoneMotion(0.3, by_mm)).open().load().permit(START_U).run(1.0).start()
+    while one.clock.now_s - one.controller.started_at_s < 0.29:
+        assert not any("the bone" in line for line in one.bench.shown)
+        one.step()
+    one.run(0.05)
+    assert one.controller.cause is cause
+    one.run(0.5)
+    assert sum("the bone has moved" in line for line in one.bench.shown) == 1
+
+
+def test_a_bone_that_moves_by_a_fault_is_told(runtime):
+    one = runtime(faults=(FaultSpec.parse("bone-motion@open"),)).open()
+    assert "the bone has moved by 1 mm" in one.bench.shown
+    assert one.controller.cause is StopCause.BONE_MOVED
+
+
+def test_the_drives_of_an_arm_with_mass_settle_whatever_the_state(runtime):
+    one = runtime(dynamics=True, limits=FAST).open().load().permit(START_U).start().run(0.5)
+    assert one.process.arm.reading != one.process.arm.state.joints
+    heard = one.endpoint.link.sample.joints
+    assert heard == pytest.approx(one.process.arm.reading, abs=0.02)
+    one.process.act(ConsoleCommand.RELEASE)
+    command = one.process.arm.state.joints
+    one.run(1.0)
+    assert one.process.arm.reading == one.process.arm.state.joints == command
+
+
+def test_the_brakes_of_an_arm_with_mass_stop_it_where_it_is(runtime):
+    one = runtime(dynamics=True, limits=FAST).open().load().permit(START_U).start().run(0.5)
+    command = one.process.arm.state.joints
+    dark(one).run(0.5)
+    place = one.process.arm.reading
+    assert place != command
+    one.run(1.0)
+    assert one.process.arm.reading == place == one.process.arm.state.joints

@@ -287,3 +287,41 @@ def test_a_disk_that_fails_leaves_the_old_memory(file, monkeypatch):
         memory.save(file, Memory())
     monkeypatch.undo()
     assert load(file) == REMEMBERED
+
+
+# ---------------------------------------------------------------- what a fault makes of it
+
+
+def test_a_writing_that_is_cut_short_leaves_what_there_was_and_half_of_the_new_one_beside_it(file):
+    memory.save(file, REMEMBERED)
+    memory.cut_short(file, Memory())
+    assert load(file) == REMEMBERED
+    (torn,) = file.parent.glob(f".{file.name}.*.new")
+    assert stat.S_IMODE(torn.stat().st_mode) == 0o600
+    memory.save(file, Memory())
+    whole = file.read_bytes()
+    assert torn.read_bytes() == whole[: len(whole) // 2]
+    assert load(file) == Memory()
+
+
+def test_where_nothing_was_remembered_a_writing_that_is_cut_short_leaves_nothing(file):
+    memory.cut_short(file, REMEMBERED)
+    assert not file.exists()
+    assert load(file) == Memory()
+
+
+def test_a_flipped_bit_is_one_and_is_found(file):
+    memory.save(file, REMEMBERED)
+    before = file.read_bytes()
+    memory.flip_bit(file)
+    after = file.read_bytes()
+    assert [(at, a ^ b) for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b] == [
+        (len(before) // 2, 1)
+    ]
+    with pytest.raises(ControllerMemoryError):
+        load(file)
+
+
+def test_of_no_file_no_bit_flips(file):
+    memory.flip_bit(file)
+    assert not file.exists()

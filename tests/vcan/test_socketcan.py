@@ -8,7 +8,7 @@ import can
 import pytest
 
 from cutgate.config.bus import LatchingSocketcanBus, default_interface, has_socketcan, open_bus
-from tests.vcan.conftest import ip
+from tests.vcan.interfaces import ip
 
 pytestmark = [
     pytest.mark.processes,

@@ -119,8 +119,8 @@ class Medium:
         self.nodes: dict[int, Node] = {}
         self._queue_frames = queue_frames
         self._restart_ns = restart_ns
-        self._waiting_off: set[Node] = set()
-        """Those that are bus-off and wait for their way back."""
+        self._off: dict[Node, int] = {}
+        """Those that are bus-off and wait for their way back, and since when they do."""
         self._injections: list[Injection] = []
         self._on_wire: _OnWire | None = None
         self._idle_ns = 0
@@ -315,20 +315,13 @@ class Medium:
         yield Changed(at_ns, node.number, node.state, node.counters)
         if node.state is NodeState.BUS_OFF:
             node.queue.clear()  # what it held is lost, and it has been told
-            node.restart_ns = None if self._restart_ns is None else at_ns + self._restart_ns
-            if node.restart_ns is not None:
-                self._waiting_off.add(node)
+            if self._restart_ns is not None:
+                self._off[node] = at_ns + self._restart_ns
             node.recessive = RECOVERY_BITS // _RECESSIVE_BITS
-
-    def _off(self) -> Iterator[tuple[Node, int]]:
-        """Those that wait for their way back, and since when."""
-        for node in self._waiting_off:
-            if node.restart_ns is not None:
-                yield node, node.restart_ns
 
     def _count_recessive(self, start_ns: int) -> Iterator[Event]:
         """A frame begins: eleven recessive bits were there behind the last one, and as often as the bus was idle for."""
-        for node, restart_ns in list(self._off()):
+        for node, restart_ns in list(self._off.items()):
             if restart_ns <= start_ns:
                 idle = (start_ns - max(self._idle_ns, restart_ns)) // self._eleven_ns
                 node.recessive -= 1 + max(0, idle)
@@ -337,22 +330,23 @@ class Medium:
 
     def _recovery_ns(self) -> int | None:
         """When the next node comes back, if nobody sends."""
-        if not self._waiting_off:
-            return None
         return min(
-            (max(self._idle_ns, restart) + node.recessive * self._eleven_ns for node, restart in self._off()),
+            (
+                max(self._idle_ns, restart) + node.recessive * self._eleven_ns
+                for node, restart in self._off.items()
+            ),
             default=None,
         )
 
     def _recover(self, now_ns: int) -> Iterator[Event]:
         """Whoever has seen enough recessive bits by now, on a bus on which nobody sends."""
-        for node, restart_ns in list(self._off()):
+        for node, restart_ns in list(self._off.items()):
             if max(self._idle_ns, restart_ns) + node.recessive * self._eleven_ns <= now_ns:
                 yield from self._back(node, now_ns)
 
     def _back(self, node: Node, now_ns: int) -> Iterator[Event]:
-        node.counters, node.restart_ns, node.ready_ns = Counters(), None, now_ns
-        self._waiting_off.discard(node)
+        node.counters, node.ready_ns = Counters(), now_ns
+        del self._off[node]
         yield Changed(now_ns, node.number, node.state, node.counters)
         yield QueueRoom(node.number, node.depth)
 
@@ -367,7 +361,7 @@ class Medium:
             for number, node in self.nodes.items()
             if not node.leaving or node in sending or (node.queue and stay)
         }
-        self._waiting_off.intersection_update(self.nodes.values())
+        self._off = {node: since_ns for node, since_ns in self._off.items() if node.number in self.nodes}
 
 
 def _numbers(nodes: Iterable[Node]) -> tuple[int, ...]:

@@ -44,8 +44,7 @@ class Node:
         counters: its error counters.
         ready_ns: before this it does not begin to send.
         leaving: it has left; what it has queued still goes.
-        restart_ns: when a node that is bus-off begins to wait for its way back; None: never.
-        recessive: so many times eleven recessive bits it must still see then.
+        recessive: so many times eleven recessive bits a node that is bus-off must still see.
     """
 
     number: int
@@ -56,7 +55,6 @@ class Node:
     tally: Tally = field(default_factory=Tally)
     ready_ns: int = 0
     leaving: bool = False
-    restart_ns: int | None = None
     recessive: int = 0
 
     @property

@@ -161,6 +161,8 @@ def test_what_a_client_had_queued_still_goes_when_it_has_left(paced, clock):
     assert (delivery.receivers, delivery.own, rest) == ((12, 13), (), [])
     assert paced.client_of(node) is None
     assert paced.client_of(paced.numbers()[12]) == 12
+    assert paced.node_of(12).name == "client 12"
+    assert paced.now_ns() == clock.now_ns
 
 
 def test_whoever_takes_the_bus_for_himself_is_named_once(paced, clock, said):

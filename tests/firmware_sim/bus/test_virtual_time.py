@@ -137,6 +137,18 @@ def test_a_node_comes_back_after_its_pause():
         bus.shutdown()
 
 
+def test_filters_leave_out_what_they_do_not_name_and_no_error(time):
+    one, two = time.join("one"), time.join("two")
+    two.set_filters([{"can_id": 2, "can_mask": 0x7FF, "extended": False}])
+    for number in (1, 2, 3):
+        one.send(message(number))
+    assert two.recv(1.0).arbitration_id == 2
+    assert two.recv(0.1) is None
+    assert two.fileno() != one.fileno()
+    time.leave(two.number)
+    time.leave(two.number)
+
+
 def test_unpaced_a_frame_takes_no_time():
     time = VirtualTime()
     one, two = time.join("one"), time.join("two")

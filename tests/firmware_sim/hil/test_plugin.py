@@ -243,3 +243,38 @@ def test_each_worker_has_a_controller_of_its_own(pytester):
     assert "2 tests with sessions, 1 different faults, 0 tests failed." in (pytester.path / "m.md").read_text(
         "utf-8"
     )
+
+
+WIRED = """
+    import pytest
+
+    @pytest.mark.cutgate_wire("1M", queue=10)
+    def test_a_cut_survives_errors_of_the_wire(
+        cutgate_bus, cutgate_controller, cutgate_session, cutgate_operator
+    ):
+        cutgate_bus.open()  # somebody acknowledges, whoever else is there
+        cutgate_controller()
+        for skip in (0, 50, 100):
+            assert cutgate_bus.inject("bit", skip=skip) == "to come: 1 x bit"
+        cutgate_operator.cut()
+        assert cutgate_session.ended() == 0
+        counts = cutgate_bus.counts()
+        assert (counts["bitrate_bit_s"], counts["error_frames"]) == (1_000_000, 3)
+        with pytest.raises(ValueError, match="sender is 99"):
+            cutgate_bus.inject("bit", sender=99)
+
+    @pytest.mark.cutgate_wire(fd="5M")
+    def test_a_marker_without_a_bit_rate(cutgate_bus):
+        pass
+
+    def test_at_once_there_is_no_wire(cutgate_bus):
+        assert cutgate_bus.counts()["paced"] is False
+"""
+
+
+@pytest.mark.processes
+def test_a_bus_can_be_one_that_models_the_wire(pytester):
+    pytester.makepyfile(WIRED)
+    done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
+    done.assert_outcomes(passed=2, errors=1)
+    done.stdout.fnmatch_lines(["*cutgate_wire takes bitrate, fd and queue, for example*"])

@@ -43,6 +43,7 @@ from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
 from cutgate.runtime.audit.log import Clock as LogClock
+from cutgate.runtime.audit.recomputed.transitions import transitions_sha256
 from cutgate.runtime.audit.replay import Replay, replay
 from cutgate.runtime.audit.written import LostError
 from cutgate.runtime.interlock.phases import ENDED
@@ -518,7 +519,7 @@ class Pair:
             log = create(
                 self.directory / "logs",
                 log_id=self.log_id.hex(),
-                opened=OpenInfo("cutgate 0.1.0", VERIFIER, options),
+                opened=OpenInfo("cutgate 0.1.0", VERIFIER, options, transitions_sha256=transitions_sha256()),
                 disk=self.disk,
                 clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
             )

@@ -5,7 +5,9 @@ from hashlib import sha256
 
 import pytest
 
+from cutgate.firmware_sim.drives import BANDWIDTH_RAD_S
 from cutgate.firmware_sim.faults import FaultName
+from cutgate.firmware_sim.plant import Leg
 from cutgate.firmware_sim.reports import announcement
 from cutgate.protocol import records
 from cutgate.protocol.frames import ControllerFault, ControllerHeartbeat
@@ -123,6 +125,42 @@ def test_an_unknown_word_at_the_controller_is_answered(pair):
     pair.controller_terminal.type("dance")
     pair.run_cycle()
     assert "'dance' is no command here; say one of hold, release," in pair.said[-1]
+
+
+# ---------------------------------------------------------------- an arm with mass
+
+
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_an_arm_with_mass_cuts_to_its_end_within_the_usual_tolerances(pair, scale):
+    pair.power_up(time_scale=scale, dynamics=True)
+    assert pair.end(limit_s=60.0) is Phase.DONE
+    assert pair.process.arm.reading == pair.process.arm.state.joints
+
+
+@pytest.mark.parametrize("word", ["stop", "estop"])
+def test_an_arm_with_mass_stands_a_stated_time_after_it_may_not_move_any_more(pair, word):
+    """Its command stands in the cycle of the stop; the drives take 7 / bandwidth, and 0.5 mm at 10 mm/s."""
+    pair.power_up(time_scale=1.0, dynamics=True)
+    pair.to(Phase.CUTTING).until(lambda: pair.process.arm.seen.leg is Leg.CUT, limit_s=30.0).run(1.0)
+    arm = pair.process.arm
+    (pair.terminal if word == "stop" else pair.controller_terminal).type(word)
+    pair.until(lambda: not pair.controller.may_move, limit_s=0.1)
+    command, before = arm.state.joints, arm.reading
+    assert before != command
+    pair.run(7.0 / BANDWIDTH_RAD_S)
+    assert arm.state.joints == command
+    off = [abs(a - b) for a, b in zip(arm.reading, command, strict=True)]
+    assert all(left <= 0.01 * abs(a - b) + 1e-6 for left, a, b in zip(off, before, command, strict=True))
+    pair.run(0.5)
+    assert arm.reading == command
+    assert pair.end() is Phase.STOPPED
+
+
+def test_what_the_operator_stops_while_the_arm_has_mass_is_told_as_ever(pair):
+    pair.power_up(time_scale=1.0, dynamics=True)
+    pair.to(Phase.CUTTING).run(1.0).say("stop")
+    assert pair.end() is Phase.STOPPED
+    assert pair.state.cause is StopCause.OPERATOR_STOP
 
 
 # ---------------------------------------------------------------- opening

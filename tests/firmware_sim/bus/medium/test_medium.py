@@ -259,9 +259,11 @@ def test_on_a_busy_bus_each_frame_counts_once_towards_the_way_back():
     medium = bus(3, restart_ns=10**6)
     medium.inject(Injection(E.BIT, senders=frozenset({1}), count=32))
     medium.offer(1, of(5), 0)
+    now_ns, frames = 0, 0
     while medium.nodes[1].state is not S.BUS_OFF:
-        medium.advance(medium.next_ns)
-    now_ns, frames = medium.nodes[1].restart_ns, 0
+        now_ns = medium.next_ns
+        medium.advance(now_ns)
+    now_ns += 10**6
     medium.advance(now_ns)
     while medium.nodes[1].state is S.BUS_OFF:
         while medium.offer(2, of(5, bytes(8)), now_ns):
@@ -299,6 +301,13 @@ def test_a_node_that_leaves_with_nobody_left_is_forgotten():
     all_of(medium)
     assert not medium.nodes
     assert medium.next_ns is None
+
+
+def test_a_node_that_leaves_while_it_is_off_does_not_come_back():
+    medium = bus(2, restart_ns=10**9)
+    gone_off(medium)
+    medium.leave(1)
+    assert not all_of(medium)
 
 
 def test_talkers_are_bounded(monkeypatch):

@@ -272,9 +272,8 @@ WIRED = """
 """
 
 
-@pytest.mark.processes
-def test_a_bus_can_be_one_that_models_the_wire(pytester):
+def test_a_bus_can_be_one_that_models_the_wire(pytester, within):
     pytester.makepyfile(WIRED)
-    done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
+    done = within()
     done.assert_outcomes(passed=2, errors=1)
     done.stdout.fnmatch_lines(["*cutgate_wire takes bitrate, fd and queue, for example*"])

@@ -13,6 +13,7 @@ from cutgate.firmware_sim.hil.inputs import write_files
 from cutgate.firmware_sim.hil.rig import HilRig
 
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.processes
 
 SESSIONS = """
     import pytest
@@ -40,11 +41,10 @@ SESSIONS = """
 """
 
 
-@pytest.mark.processes
-def test_sessions_are_judged_kept_where_they_fail_and_told_in_the_matrix(pytester):
+def test_sessions_are_judged_kept_where_they_fail_and_told_in_the_matrix(pytester, within):
     pytester.makepyfile(test_it=SESSIONS)
     options = ["--cutgate-artefacts", "kept", "--cutgate-matrix", "matrix.md", "--junitxml", "junit.xml"]
-    done = pytester.runpytest_inprocess("-p", "no:cacheprovider", *options)
+    done = within(*options)
     done.assert_outcomes(passed=2, failed=1)
     done.stdout.fnmatch_lines(
         ["health check:", "  TRACKING_DEVIATION: *", "*cutgate artefacts*", "*kept*test_health_fails_it*"]
@@ -75,14 +75,16 @@ def test_sessions_are_judged_kept_where_they_fail_and_told_in_the_matrix(pyteste
         ("cutgate_faults('lose Heartbeat')", "*cutgate_faults: *message must be one of ControllerFault*"),
     ],
 )
-def test_a_marker_that_nobody_understands_is_refused_before_anything_is_started(pytester, marker, text):
+def test_a_marker_that_nobody_understands_is_refused_before_anything_is_started(
+    pytester, within, marker, text
+):
     pytester.makepyfile(f"import pytest\n@pytest.mark.{marker}\ndef test(cutgate_session): pass")
-    done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
+    done = within()
     done.assert_outcomes(errors=1)
     done.stdout.fnmatch_lines([text])
 
 
-def test_faults_are_those_of_all_markers_in_their_order(pytester):
+def test_faults_are_those_of_all_markers_in_their_order(pytester, within):
     pytester.makepyfile(
         """
         import pytest
@@ -93,25 +95,22 @@ def test_faults_are_those_of_all_markers_in_their_order(pytester):
             assert list(map(str, cutgate_faults)) == ["hang@open", "lose any", "repeat any x2"]
         """
     )
-    pytester.runpytest_inprocess("-p", "no:cacheprovider", "--strict-markers").assert_outcomes(passed=1)
+    within("--strict-markers").assert_outcomes(passed=1)
 
 
-def test_a_test_that_asks_for_nothing_gets_nothing(pytester):
+def test_a_test_that_asks_for_nothing_gets_nothing(pytester, within):
     pytester.makepyfile("def test(): pass")
     for options in ((), ("-p", "no:cutgate")):
-        done = pytester.runpytest_inprocess("-p", "no:cacheprovider", *options)
+        done = within(*options)
         done.assert_outcomes(passed=1)
-    pytester.runpytest_inprocess("-p", "no:cutgate", "--cutgate-matrix", "m.md").stderr.fnmatch_lines(
-        ["*unrecognized arguments*"]
-    )
+    within("-p", "no:cutgate", "--cutgate-matrix", "m.md").stderr.fnmatch_lines(["*unrecognized arguments*"])
 
 
-def test_a_matrix_is_a_page_or_a_table(pytester):
-    done = pytester.runpytest_inprocess("--cutgate-matrix", "matrix.pdf")
+def test_a_matrix_is_a_page_or_a_table(pytester, within):
+    done = within("--cutgate-matrix", "matrix.pdf")
     done.stderr.fnmatch_lines(["*--cutgate-matrix is 'matrix.pdf', must end in .html or .md"])
 
 
-@pytest.mark.processes
 def test_whoever_has_cutgate_installed_pays_nothing_for_the_plugin():
     asked = "import sys, pytest, json; before = set(sys.modules); import cutgate.firmware_sim.hil.plugin; "
     asked += "print(json.dumps(sorted(set(sys.modules) - before)))"
@@ -148,9 +147,9 @@ CASES = """
 """
 
 
-def test_each_case_is_an_item_that_passes_fails_or_is_skipped_with_its_reason(pytester):
+def test_each_case_is_an_item_that_passes_fails_or_is_skipped_with_its_reason(pytester, within):
     pytester.makepyfile(CASES)
-    done = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs", "--junitxml", "junit.xml")
+    done = within("-rs", "--junitxml", "junit.xml")
     done.assert_outcomes(passed=1, failed=1, skipped=len(NAMES) - 2)
     done.stdout.fnmatch_lines(
         [f"FAIL: {NAMES[1]} (docs/protocol.md*", "  sent *", "  expected *", "  came      ACCEPTED"]
@@ -166,14 +165,14 @@ def test_each_case_is_an_item_that_passes_fails_or_is_skipped_with_its_reason(py
 CONFORM = ["--pyargs", "cutgate.firmware_sim.hil.conform_tests", "-p", "no:cacheprovider", "-k", "wrong"]
 
 
-def test_a_controller_is_named_whole_and_its_plant_is_disconnected(pytester):
-    done = pytester.runpytest_inprocess(*CONFORM, "--cutgate-interface", "cutgate", "-x")
+def test_a_controller_is_named_whole_and_its_plant_is_disconnected(pytester, within):
+    done = within(*CONFORM, "--cutgate-interface", "cutgate", "-x")
     done.stdout.fnmatch_lines(
         ["*--cutgate-channel, --cutgate-key, --cutgate-plant-disconnected is not given*"]
     )
 
 
-def test_a_bus_that_is_not_there_is_said_in_a_line(pytester):
+def test_a_bus_that_is_not_there_is_said_in_a_line(pytester, within):
     new_key_file(pytester.path / "site.key", bytes(range(32)))
     named = [
         "--cutgate-interface",
@@ -183,7 +182,7 @@ def test_a_bus_that_is_not_there_is_said_in_a_line(pytester):
         "--cutgate-key",
         "site.key",
     ]
-    done = pytester.runpytest_inprocess(*CONFORM, *named, "--cutgate-plant-disconnected", "-x")
+    done = within(*CONFORM, *named, "--cutgate-plant-disconnected", "-x")
     done.stdout.fnmatch_lines(["*no hub is serving there: start one with `cutgate bus serve`*"])
     done.stdout.no_fnmatch_line("*Traceback*")
 
@@ -205,8 +204,8 @@ TARGET = """
 """
 
 
-@pytest.mark.processes
-def test_cases_are_played_with_the_controller_that_options_name(pytester, tmp_path):
+@pytest.mark.slow
+def test_cases_are_played_with_the_controller_that_options_name(pytester, within, tmp_path):
     (tmp_path / "target").mkdir()
     files = write_files(tmp_path / "target")
     rig = HilRig(tmp_path / "target", files, ())
@@ -215,13 +214,13 @@ def test_cases_are_played_with_the_controller_that_options_name(pytester, tmp_pa
         named = ["--cutgate-interface", rig.bus.interface, "--cutgate-channel", rig.bus.channel]
         named += ["--cutgate-key", files.key, "--cutgate-site", files.site, "--cutgate-plant-disconnected"]
         chosen = [*CONFORM[:-1], "version or approved or nothing", *named]
-        done = pytester.runpytest_inprocess(*chosen, "-rs")
+        done = within(*chosen, "-rs")
         done.assert_outcomes(passed=3, skipped=1, deselected=len(NAMES) - 4)
         done.stdout.fnmatch_lines(
             ["SKIPPED*NOT RUN: needs the approved robot file; name it with --cutgate-robot"]
         )
         approved = [*CONFORM[:-1], "approved", *named, "--cutgate-robot", files.robot]
-        pytester.runpytest_inprocess(*approved).assert_outcomes(passed=1, deselected=len(NAMES) - 1)
+        within(*approved).assert_outcomes(passed=1, deselected=len(NAMES) - 1)
         done = pytester.runpytest_subprocess(*chosen, "-n", "2")
         done.stdout.fnmatch_lines(
             ["*several workers would speak to one controller; run these tests with -n 0*"]
@@ -232,7 +231,6 @@ def test_cases_are_played_with_the_controller_that_options_name(pytester, tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.processes
 def test_each_worker_has_a_controller_of_its_own(pytester):
     pytester.makeconftest(TARGET)
     pytester.makepyfile(test_sessions=SESSIONS.split("    def test_health", maxsplit=1)[0])
@@ -274,9 +272,8 @@ WIRED = """
 """
 
 
-@pytest.mark.processes
-def test_a_bus_can_be_one_that_models_the_wire(pytester):
+def test_a_bus_can_be_one_that_models_the_wire(pytester, within):
     pytester.makepyfile(WIRED)
-    done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
+    done = within()
     done.assert_outcomes(passed=2, errors=1)
     done.stdout.fnmatch_lines(["*cutgate_wire takes bitrate, fd and queue, for example*"])

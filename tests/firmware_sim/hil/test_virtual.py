@@ -147,15 +147,15 @@ SUITE = """
 """
 
 
-def test_cases_of_the_negative_suite_take_no_time(pytester):
+@pytest.mark.processes
+def test_cases_of_the_negative_suite_take_no_time(pytester, within):
     pytester.makepyfile(SUITE)
-    done = pytester.runpytest_inprocess(
-        "-p", "no:cacheprovider", "-k", "version or approved or expires or nothing or silent"
-    )
+    done = within("-k", "version or approved or expires or nothing or silent")
     done.assert_outcomes(passed=6, deselected=len(NAMES) + 1 - 6)
 
 
 @pytest.mark.slow
-def test_the_whole_negative_suite_passes_in_virtual_time(pytester):
+@pytest.mark.processes
+def test_the_whole_negative_suite_passes_in_virtual_time(pytester, within):
     pytester.makepyfile(SUITE)
-    pytester.runpytest_inprocess("-p", "no:cacheprovider").assert_outcomes(passed=len(NAMES) + 1)
+    within().assert_outcomes(passed=len(NAMES) + 1)

@@ -13,6 +13,7 @@ from pathlib import Path
 from random import Random
 
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.fault_language import ACTIONS
 from cutgate.protocol.states import LATCHING, StopCause
 from cutgate.runtime.interlock.state import Job, Phase
 from cutgate.runtime.session.job import InputFiles
@@ -181,7 +182,12 @@ def _count(tally: Tally, play: Play, phase: Phase | None, cause: StopCause) -> N
         play.oracle.wrong.append(f"the log is incomplete though the disk answers: {pair.paths.reason}")
     tally.logs[log] += 1
     for text in play.injection.fell:
-        begins, name = _NOTED.fullmatch(text).groups()  # type: ignore[union-attr]
+        noted = _NOTED.fullmatch(text)
+        if noted is None:  # which faults were drawn stands before what happened
+            continue
+        begins, name = noted[1], noted[2]
+        action = name.partition(" ")[0]
+        name = action if action in ACTIONS else name  # of a line of the fault language, what it does
         if begins:
             tally.began[name] += 1
         elif not name.startswith(("session ", "it clears")):

@@ -19,12 +19,13 @@ AT_ONCE ?= 4
 unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
 	$(PYTEST) $(BY_FILE) --numprocesses auto -m "not processes and not slow and not long$(if $(BRIEF), and not no_cover)" $(if $(BRIEF),$(BRIEFLY))
-	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long and not browser" --ignore tests/vcan
+	$(PYTEST) --dist worksteal --numprocesses $(AT_ONCE) -m "processes and not slow and not long and not browser" --ignore tests/vcan \
+		$(if $(BRIEF),--ignore tests/firmware_sim/hil/test_plugin.py)
 	$(if $(BRIEF),,$(PYTEST) -m "browser and not slow and not long" tests/browser)
 
 # A browser draws in software on every core and writes its profile: sessions beside it would wait for processor and disk.
 # With BRIEF=1, on a second Python, it is left out, and what repeats one act hundreds of times, and whole sessions in virtual
-# time with every error and fault, which are the same on any.
+# time with every error and fault, which are the same on any, and tests of tests, which are sessions once more.
 BRIEFLY := --ignore tests/errors --ignore tests/fault_injection
 
 # All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,

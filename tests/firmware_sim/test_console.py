@@ -1,11 +1,13 @@
 """The person at the controller: every operator command, and every line that is read there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from cutgate.firmware_sim import console
 from cutgate.firmware_sim.console import ConsoleCommand
+from cutgate.firmware_sim.mechanical import Approached
 from cutgate.firmware_sim.state import BoneMoved, Inputs, InputsChanged, LimitsChanged
 from cutgate.protocol import records
 from cutgate.protocol.states import ControllerState, Refusal, StopCause
@@ -90,3 +92,18 @@ def test_a_refusal_says_what_the_person_at_the_controller_can_do(refusal, line):
 def test_every_refusal_is_named():
     for refusal in Refusal:
         assert console.refusal_line(refusal, POWERED_UP.identity).startswith(f"refused: {refusal.name}")
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "more"),
+    [
+        (0.0, []),
+        (0.25, ["the true wrist centre was up to 0.250 mm from where the reported calibration has it"]),
+    ],
+)
+def test_the_least_distances_of_a_cut_are_told_with_units_and_segments(off_mm, more):
+    least = {"outer": Approached(12.5, 3), "roll": Approached(4.25, 7)}
+    assert console.distance_lines(SimpleNamespace(least=least, off_mm=off_mm)) == [
+        "least distances of the true arm in the cut: outer 12.500 mm (segment 3), roll 4.250 deg (segment 7)",
+        *more,
+    ]

@@ -25,8 +25,8 @@ test: $(READY)
 
 # A browser draws in software on every core and writes its profile: sessions beside it would wait for processor and disk.
 # With BRIEF=1, on a second Python, it is left out, and what repeats one act hundreds of times, and whole sessions in virtual
-# time with every error and fault, which are the same on any, and tests of tests, which are sessions once more.
-BRIEFLY := --ignore tests/errors --ignore tests/fault_injection
+# time with every error and fault and the worlds of the exploration, which are the same on any; pages; and tests of tests.
+BRIEFLY := $(addprefix --ignore tests/,errors exploration fault_injection docs mutation)
 
 # All that make test leaves out for its time: branch coverage, as a whole and of each deciding module by its own tests,
 # a sample of mutants, larger worlds, the packages' index, the wheel, real SocketCAN.

@@ -13,7 +13,7 @@ from tools.mutation.mutants import OPERATORS, mutants
 from tools.mutation.run import all_mutants, complaints, listed, sample, strangers
 
 SAMPLE = 12
-MODULES = 12
+MODULES = 6
 
 
 def chosen() -> list[str]:

@@ -117,7 +117,7 @@ def _withdrawing(state: Interlock) -> Iterator[Interlock]:
                 builders.view(C.CUTTING),
                 builders.view(C.INHIBITED, cause=StopCause.BONE_MOVED),
             ):
-                for sent in (frozenset({StopCause.OPERATOR_STOP}), frozenset(StopCause)):
+                for sent in (frozenset({StopCause.PROTOCOL_VIOLATION}), frozenset(StopCause)):
                     yield replace(
                         state,
                         withdraw_due=due,

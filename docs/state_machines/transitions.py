@@ -60,7 +60,7 @@ CONTROLLERS_MAX: Final = 2000
 # ---------------------------------------------------------------- the runtime's interlock
 
 
-def _states(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
+def states_of(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
     """One state of this phase in which everything holds, and others that differ from it in what the handlers ask.
 
     With each, whether heartbeats are to come in every view.
@@ -70,6 +70,7 @@ def _states(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
     approved, log = sound.collected, sound.log
     collecting: tuple[dict[str, Any], ...] = (
         {"collected": interlock_state.Collected()},
+        {"collected": interlock_state.Collected(), "held_on": StopCause.BONE_MOVED},
         {"collected": replace(approved, limits=None)},
         {"collected": replace(approved, calibration=None)},
         {"collected": replace(approved, tool=None)},
@@ -85,6 +86,7 @@ def _states(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
         {"controller": loaded},
         {"controller": latched, "acknowledged": StopCause.SECOND_NODE},
         {"held_on": StopCause.BONE_MOVED},
+        {"held_on": StopCause.BONE_MOVED, "joints_u": None},
         {"stored": None},
         {"stored": None, "joints_u": None},
         {"joints_u": None},
@@ -92,6 +94,7 @@ def _states(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
         {"stored": _REFUSED},
         {"witness": None, "controller": loaded},
         {"witness": builders.MISSED, "controller": loaded},
+        {"witness": builders.MISSED, "log": replace(log, writable=False)},
         {"verdict": replace(builders.VERDICT, admissible=False)},
         {"witness": builders.MISSED, "verdict": replace(builders.VERDICT, to_confirm=("CUT_TINY",))},
         {"verdict": replace(builders.VERDICT, to_confirm=("CUT_TINY",)), "controller": loaded},
@@ -100,12 +103,21 @@ def _states(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
         {"heartbeat_fresh": False},
     )
     for changes in (*(collecting if phase in _BEFORE_UPLOAD else ()), *others):
-        yield replace(sound, **changes), phase is Phase.ADMITTED and changes.keys() & _ASKED != set()
+        yield replace(sound, **changes), _every_view(phase, changes)
     if phase in MOVING:
         for began_s in (builders.NOW, builders.NOW - 0.05):
             yield replace(sound, tracking=builders.monitor(began_s)), True
     if phase is Phase.STOPPING:
         yield from ((state, True) for state in _withdrawing(sound))
+
+
+def _every_view(phase: Phase, changes: dict[str, Any]) -> bool:
+    """Whether these changes and a heartbeat decide together: on a permit, a Withdraw, or what is listed of permissives."""
+    asks = phase is Phase.ADMITTED and changes.keys() & _ASKED != set()
+    listed = (phase is Phase.COLLECTING and changes.get("collected") == interlock_state.Collected()) or (
+        phase is Phase.FINISHING and "joints_u" in changes
+    )
+    return asks or listed or "held_on" in changes
 
 
 def _withdrawing(state: Interlock) -> Iterator[Interlock]:
@@ -117,7 +129,7 @@ def _withdrawing(state: Interlock) -> Iterator[Interlock]:
                 builders.view(C.CUTTING),
                 builders.view(C.INHIBITED, cause=StopCause.BONE_MOVED),
             ):
-                for sent in (frozenset({StopCause.OPERATOR_STOP}), frozenset(StopCause)):
+                for sent in (frozenset({StopCause.PROTOCOL_VIOLATION}), frozenset(StopCause)):
                     yield replace(
                         state,
                         withdraw_due=due,
@@ -131,7 +143,7 @@ def _withdrawing(state: Interlock) -> Iterator[Interlock]:
                     )
 
 
-def _events(state: Interlock, *, every_view: bool) -> Iterator[tuple[Any, float]]:
+def events_of(state: Interlock, *, every_view: bool) -> Iterator[tuple[Any, float]]:
     """Events and how long after the state they come, s; heartbeats in every view, or the one of a sound controller."""
     other_nonce = replace(builders.ANNOUNCE, announce_nonce=b"another nonce 16")
     verdict = replace(builders.VERDICT, request=state.token)
@@ -228,7 +240,7 @@ Key = tuple[str, str, tuple[str, ...], str, str]
 """Condition, next phase, effects, first cause and permissives."""
 
 
-def _row(before: Interlock, event: Any, now_s: float) -> tuple[Key, HeartbeatView | None]:
+def row_of(before: Interlock, event: Any, now_s: float) -> tuple[Key, HeartbeatView | None]:
     """One step as a row has it, and the view of a heartbeat."""
     after, effects = builders.step(before, event, now_s)
     text, view, opened = NAMES[type(event)](event), None, ""
@@ -270,9 +282,9 @@ def runtime_rows() -> list[dict[str, Any]]:
     """The interlock's rows, those of several phases together."""
     plain: dict[tuple[str, Key], set[HeartbeatView | None]] = defaultdict(set)
     for phase in Phase:
-        for state, every_view in _states(phase):
-            for event, after_s in _events(state, every_view=every_view):
-                key, view = _row(state, event, builders.NOW + after_s)
+        for state, every_view in states_of(phase):
+            for event, after_s in events_of(state, every_view=every_view):
+                key, view = row_of(state, event, builders.NOW + after_s)
                 plain[str(phase), key].add(view)
     _need_no_more(plain)
     phases: dict[tuple[Key, tuple[tuple[str, ...], ...] | None], list[str]] = defaultdict(list)

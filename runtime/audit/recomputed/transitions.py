@@ -158,7 +158,7 @@ class StepTaken(NamedTuple):
     def __str__(self) -> str:
         """In words."""
         left = ", ".join(self.leaves) or "nothing"
-        return f"to {self.to}, {left} leaves, first cause {self.first_out}"
+        return f"to {self.to}, {left} leaves, first cause {self.first_out}, permissives {self.permissives}"
 
 
 class TransitionRow(NamedTuple):

@@ -148,8 +148,8 @@ def test_a_decision_names_its_number_phase_and_event():
     found = wrong(*until(9), decision(10, ("permitting", "permitted"), "reply ACCEPTED to permit"))
     assert found == [
         (
-            "decision 10, permitting on reply ACCEPTED to permit: to permitted, nothing leaves, first cause kept; the table "
-            "has to permitting, nothing leaves, first cause kept"
+            "decision 10, permitting on reply ACCEPTED to permit: to permitted, nothing leaves, first cause kept, "
+            "permissives none; the table has to permitting, nothing leaves, first cause kept, permissives none"
         )
     ]
 
@@ -250,7 +250,7 @@ def test_a_controller_that_is_held_lets_nothing_be_collected():
     assert found == [
         (
             "decision 2, opening on session opened: to collecting, OpenLink, SeekWitness, send Collect leaves, first cause "
-            "kept; the table has to held, OpenLink, SeekWitness leaves, first cause kept"
+            "kept, permissives none; the table has to held, OpenLink, SeekWitness leaves, first cause kept, permissives none"
         )
     ]
 

@@ -105,8 +105,10 @@ def test_candump_sees_what_every_socket_sees_and_decode_reads_it(recorded, capsy
     )
     assert single == Counter(FRAMES[m.arbitration_id].__name__ for m in seen if m.arbitration_id in FRAMES)
     assert {"Open", "Opened", "Permit", "Start", "PathBlock"} <= {message["message"] for message in told}
-    opened = next(number for number, message in enumerate(told) if message["message"] == "Open")
-    assert not [m for m in told[opened:] if m["notes"]]  # before, the controller announced itself to nobody
+    names = [message["message"] for message in told]
+    session = told[names.index("Open") : names.index("RuntimeStop")]
+    # Before and after it the controller announces itself to nobody.
+    assert not [message for message in session if message["notes"]]
 
 
 def test_what_the_runtime_said_enables_nothing_when_it_is_played_to_the_controller_again(folder, recorded):

@@ -107,6 +107,8 @@ def states_of(phase: Phase) -> Iterator[tuple[Interlock, bool]]:
     if phase in MOVING:
         for began_s in (builders.NOW, builders.NOW - 0.05):
             yield replace(sound, tracking=builders.monitor(began_s)), True
+        # The arm is where it must be when a deadline passes: that alone stops it.
+        yield replace(sound, tracking=builders.monitor(builders.NOW + LATE_S)), False
     if phase is Phase.STOPPING:
         yield from ((state, True) for state in _withdrawing(sound))
 

@@ -15,34 +15,17 @@ import pytest
 if TYPE_CHECKING:
     from cutgate.firmware_sim.fault_language import Fault
     from cutgate.firmware_sim.hil.child import HilProcess
-    from cutgate.firmware_sim.hil.conform import ConformCase, ConformSuite, ConformTarget
     from cutgate.firmware_sim.hil.inputs import HilFiles
     from cutgate.firmware_sim.hil.rig import HilBus, HilClock, HilOperator, HilRig, HilSession
     from cutgate.firmware_sim.hil.virtual import VirtualRig
 
 _RIG = pytest.StashKey["HilRig"]()
 _ROW = "cutgate_matrix_row"
-_CASE = "cutgate_conform_case"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Options of the controller under test, and of what is kept."""
+    """Options of what is kept."""
     group = parser.getgroup("cutgate", "hardware in the loop (cutgate)")
-    group.addoption(
-        "--cutgate-interface", metavar="NAME", help="python-can interface of the controller under test"
-    )
-    group.addoption("--cutgate-channel", metavar="NAME", help="its channel")
-    group.addoption("--cutgate-key", type=Path, metavar="FILE", help="its pre-shared key")
-    group.addoption(
-        "--cutgate-robot", type=Path, metavar="FILE", help="the approved robot file, which it must report"
-    )
-    group.addoption(
-        "--cutgate-site", type=Path, metavar="FILE", help="site file: heartbeat, time-out, reply time"
-    )
-    group.addoption("--cutgate-fd", action="store_true", help="bulk records in CAN FD frames")
-    group.addoption(
-        "--cutgate-plant-disconnected", action="store_true", help="you say: its axes and cutter have no power"
-    )
     group.addoption(
         "--cutgate-artefacts",
         type=Path,
@@ -266,66 +249,3 @@ def _conclude(item: pytest.Item, *, failed: bool) -> list[str]:
         kept = rig.artefacts(item.config.getoption("--cutgate-artefacts"), item.nodeid)
         item.add_report_section("call", "cutgate artefacts", "\n".join(kept))
     return trouble
-
-
-# ---------------------------------------------------------------- the negative suite
-
-
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One item for each case of the negative suite."""
-    if _CASE in metafunc.fixturenames:
-        from cutgate.firmware_sim.hil.conform import NAMES  # noqa: PLC0415
-
-        metafunc.parametrize(_CASE, NAMES, indirect=True, scope="function")
-
-
-@pytest.fixture(scope="session")
-def cutgate_conform_target(request: pytest.FixtureRequest) -> ConformTarget:
-    """The controller under test, as the options name it. Override it to bring your own.
-
-    It fails where an option is missing, or where several workers would speak to one controller.
-    """
-    from cutgate.firmware_sim.hil.conform import ConformTarget  # noqa: PLC0415
-
-    option = request.config.getoption
-    needed = ("--cutgate-interface", "--cutgate-channel", "--cutgate-key", "--cutgate-plant-disconnected")
-    missing = [name for name in needed if not option(name)]
-    if missing:
-        pytest.fail(
-            f"the controller under test: {', '.join(missing)} is not given; name it, and disconnect its plant first "
-            "(docs/controllers.md)",
-            pytrace=False,
-        )
-    if getattr(request.config, "workerinput", {}).get("workercount", 1) > 1:
-        raise pytest.UsageError(
-            "several workers would speak to one controller; run these tests with -n 0 or -n 1"
-        )
-    return ConformTarget(
-        option("--cutgate-interface"),
-        option("--cutgate-channel"),
-        option("--cutgate-key"),
-        robot=option("--cutgate-robot"),
-        site=option("--cutgate-site"),
-        fd=option("--cutgate-fd"),
-    )
-
-
-@pytest.fixture(scope="session")
-def cutgate_conform_suite(cutgate_conform_target: ConformTarget) -> Iterator[ConformSuite]:
-    """The suite in front of that controller, for all cases of this process."""
-    from cutgate.config.refusal import InputError  # noqa: PLC0415
-    from cutgate.firmware_sim.hil.conform import in_front_of  # noqa: PLC0415
-
-    try:
-        with in_front_of(cutgate_conform_target) as suite:
-            yield suite
-    except InputError as error:
-        pytest.fail(str(error), pytrace=False)
-
-
-@pytest.fixture
-def cutgate_conform_case(request: pytest.FixtureRequest, cutgate_conform_suite: ConformSuite) -> ConformCase:
-    """One case of the negative suite; a test calls it."""
-    from cutgate.firmware_sim.hil.conform import ConformCase  # noqa: PLC0415
-
-    return ConformCase(cutgate_conform_suite, request.param)

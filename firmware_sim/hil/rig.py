@@ -18,7 +18,6 @@ import can
 
 from cutgate.config.bus import LOCAL_INTERFACE, open_bus
 from cutgate.config.interpreter import program
-from cutgate.config.refusal import InputError
 from cutgate.config.screen import printable
 from cutgate.firmware_sim.bus.ask import counts, let_err
 from cutgate.firmware_sim.console import ConsoleCommand
@@ -31,9 +30,6 @@ from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.firmware_sim.hil.inputs import HilFiles
 from cutgate.protocol.states import StopCause
 from cutgate.protocol.wire import Side
-from cutgate.runtime.audit.inspect import Status
-from cutgate.runtime.audit.reading import reading
-from cutgate.runtime.interlock.state import OperatorCommand
 
 TIME_SCALE: Final = 30.0
 """At which the short path takes about a second."""
@@ -169,7 +165,7 @@ class HilOperator:
         runtime.expect("permitted:")
         self.type(ConsoleCommand.HOLD)
         runtime.expect("enabling device is held")
-        self.type(OperatorCommand.START)
+        self.type("start")
         runtime.expect("start sent$")
 
     def cut(self) -> None:
@@ -366,19 +362,49 @@ def _judged(session: HilSession, *, unfinished: bool) -> list[HealthFinding]:
     log = session.log
     if log is None:
         return findings
-    try:
-        with reading(log) as read:
-            if read.report.status is not Status.OK:
-                findings.append(HealthFinding("log", "; ".join(read.report.reasons)))
-            findings += health.of_faults(read.one_by_one("/audit/fault"))
-            findings += health.of_frames(read.one_by_one("/can/frame"))
-            findings += health.of_timing(read.one_by_one("/timing"))
-    except InputError as error:
-        findings.append(HealthFinding("log", str(error)))
+    findings += _of_log(log)
     ended_here = (
         StopCause.OPERATOR_QUIT.name if unfinished else None
     )  # that is the end of the test, not a second finding
     return [finding for finding in findings if finding.name != ended_here]
+
+
+def _of_log(log: Path) -> list[HealthFinding]:
+    """What the runtime's own programs find in the log: whether it is whole, and its records."""
+    judged = _printed("audit", "verify", str(log), "--json")
+    records = _printed("audit", "export", str(log), "--to", "jsonl")
+    try:
+        verdict = json.loads(judged)
+        read = [json.loads(line) for line in records.splitlines()]
+    except ValueError:
+        return [HealthFinding("log", f"it cannot be read: {printable((judged or records)[-500:])}")]
+    whole = verdict["status"] == "OK"
+    findings = [] if whole else [HealthFinding("log", "; ".join(verdict["reasons"]))]
+    for topic, judge in _JUDGES.items():
+        findings += judge(record["data"] for record in read if record["topic"] == topic)
+    return findings
+
+
+_JUDGES: Final = {
+    "/audit/fault": health.of_faults,
+    "/can/frame": health.of_frames,
+    "/timing": health.of_timing,
+}
+
+
+def _printed(*arguments: str) -> str:
+    """What one of the runtime's programs prints about a log; whatever it has to say where it fails."""
+    try:
+        done = subprocess.run(  # noqa: S603 - our own program
+            program("cutgate.runtime.cli", *arguments),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=REPORT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return f"{' '.join(arguments[:2])} did not end within {REPORT_S:g} s"
+    return done.stdout or done.stderr
 
 
 def _report(log: Path, page: Path) -> str:

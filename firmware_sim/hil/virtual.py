@@ -28,8 +28,6 @@ from cutgate.protocol.endpoint import Endpoint
 from cutgate.protocol.port import Port
 from cutgate.protocol.states import ControllerState
 from cutgate.protocol.wire import Side
-from cutgate.runtime.commands.conform import bench_on
-from cutgate.runtime.conform.bench import Bench
 
 CYCLE_S: Final = 0.005
 """So often the controller looks at everything, whether or not a frame has come."""
@@ -85,11 +83,15 @@ class VirtualRig:
 
     Attributes:
         time: of everything on this bus.
+        key, site: of the files, for whoever takes the runtime's place.
+        random: bytes for him that are the same in every run.
     """
 
     def __init__(self, folder: Path, files: HilFiles, faults: tuple[Fault, ...] = ()) -> None:
         self.time = VirtualTime(queue_frames=QUEUE_FRAMES)
         self._folder, self._files, self._faults = folder, files, faults
+        self.key, self.site = files.key, files.site
+        self.random = RepeatableGenerator(2)
         self._buses: list[can.BusABC] = []
         self._stands_still = False
 
@@ -133,18 +135,10 @@ class VirtualRig:
         self.time.add(bus, turn, lambda: CYCLE_S)
         return VirtualController(process, lines)
 
-    def bench(self) -> Bench:
-        """In front of a controller on this bus: a conversation to any place, and the negative suite's."""
-        site = load_site(self._files.site).value if self._files.site else Site()
-        bus = self.open("tester")
-
-        def wait(seconds: float) -> None:
-            self.time.until(lambda: bool(bus.inbox), seconds)
-
-        key = load_key(self._files.key)
-        return bench_on(
-            bus, key, site, fd=False, clock=self.time.clock, wait=wait, random=RepeatableGenerator(2)
-        )
+    def wait(self, bus: can.BusABC, seconds: float) -> None:
+        """Let time pass until this node has something to read, at most so long."""
+        assert isinstance(bus, VirtualTimeBus)  # noqa: S101 - one that was opened here
+        self.time.until(lambda: bool(bus.inbox), seconds)
 
     def close(self) -> None:
         """Everybody leaves."""

@@ -55,7 +55,7 @@ def test_one_that_ends_is_not_waited_for_to_the_end_of_time(started):
 
 def test_one_that_goes_on_is_told_so_and_one_that_ignores_its_end_is_killed(started):
     process = started(
-        "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('deaf', flush=True)\ntime.sleep(600)"
+        "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('deaf', flush=True)\nsignal.pause()"
     )
     process.expect("deaf")
     with pytest.raises(HilTimeoutError, match="did not end; it said\ndeaf"):

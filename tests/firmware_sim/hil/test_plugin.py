@@ -8,9 +8,9 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from cutgate.config.key import new_key_file
-from cutgate.firmware_sim.hil.conform import NAMES
 from cutgate.firmware_sim.hil.inputs import write_files
 from cutgate.firmware_sim.hil.rig import HilRig
+from cutgate.runtime.commands.negative_suite.items import NAMES
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.processes
@@ -162,7 +162,14 @@ def test_each_case_is_an_item_that_passes_fails_or_is_skipped_with_its_reason(py
     assert named == [f"test_conforms[{name}]" for name in NAMES]
 
 
-CONFORM = ["--pyargs", "cutgate.firmware_sim.hil.conform_tests", "-p", "no:cacheprovider", "-k", "wrong"]
+CONFORM = [
+    "--pyargs",
+    "cutgate.runtime.commands.negative_suite.tests",
+    "-p",
+    "no:cacheprovider",
+    "-k",
+    "wrong",
+]
 
 
 def test_a_controller_is_named_whole_and_its_plant_is_disconnected(pytester, within):
@@ -189,7 +196,7 @@ def test_a_bus_that_is_not_there_is_said_in_a_line(pytester, within):
 
 TARGET = """
     import pytest
-    from cutgate.firmware_sim.hil.conform import ConformTarget
+    from cutgate.runtime.commands.negative_suite.items import ConformTarget
     from cutgate.firmware_sim.hil.inputs import write_files
     from cutgate.firmware_sim.hil.rig import HilRig
 

@@ -3,12 +3,12 @@
 import pytest
 
 from cutgate.firmware_sim.hil.child import HilTimeoutError
-from cutgate.firmware_sim.hil.conform import NAMES
 from cutgate.firmware_sim.hil.inputs import write_files
 from cutgate.firmware_sim.hil.virtual import RepeatableGenerator, VirtualRig
 from cutgate.protocol import records
 from cutgate.protocol.frames import IDS, ControllerHeartbeat
 from cutgate.protocol.states import ControllerState
+from cutgate.runtime.commands.negative_suite.items import NAMES, bench_in
 
 pytest_plugins = ["pytester"]
 
@@ -38,7 +38,7 @@ def a_rig(tmp_path, files):
 def opened(rig, *faults):
     """A session that has been open for a second: the bench, and what a listener has heard, with its time."""
     listener = rig.open("listener")
-    controller, bench = rig.controller(*faults), rig.bench()
+    controller, bench = rig.controller(*faults), bench_in(rig)
     bench.hello()
     bench.open()
     bench.run(1.0)
@@ -117,14 +117,14 @@ def test_random_bytes_are_the_same_again_and_no_others_are():
 def test_it_announces_itself_as_the_simulation_that_it_is(a_rig):
     rig = a_rig()
     rig.controller(time_scale=2.0)
-    found = rig.bench().hello()
+    found = bench_in(rig).hello()
     assert isinstance(found, records.Announce)
     assert (found.serial, found.plant_speed_permille) == ("SIM-VIRTUAL", 2000)
 
 
 SUITE = """
     import pytest
-    from cutgate.firmware_sim.hil.conform import ConformSuite
+    from cutgate.runtime.commands.negative_suite.items import ConformSuite, bench_in
     from cutgate.firmware_sim.hil.inputs import write_files
     from cutgate.firmware_sim.hil.virtual import VirtualRig
 
@@ -134,7 +134,7 @@ SUITE = """
         files = write_files(folder)
         rig = VirtualRig(folder, files)
         rig.controller()
-        yield ConformSuite(rig.bench(), files.robot)
+        yield ConformSuite(bench_in(rig), files.robot)
         rig.close()
 
     def test_conforms(cutgate_conform_case):

@@ -1,4 +1,4 @@
-"""The negative suite as tests: ``pytest --pyargs cutgate.firmware_sim.hil.conform_tests --cutgate-interface ...``."""
+"""The negative suite as tests: ``pytest --pyargs cutgate.runtime.commands.negative_suite.tests --cutgate-interface ...``."""
 
 from collections.abc import Callable
 

@@ -4,8 +4,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import can
 import pytest
@@ -22,6 +23,40 @@ from cutgate.runtime.conform.table import cases
 
 NAMES: Final = tuple(case.name for case in cases())
 """Of all cases, in their order."""
+
+
+class OnVirtualBus(Protocol):
+    """A bus in virtual time, as `cutgate_virtual` is one: who takes part lets time pass while it waits."""
+
+    key: Path
+    site: Path | None
+
+    def open(self, name: str) -> can.BusABC:
+        """One more node."""
+
+    def now_s(self) -> float:
+        """Monotonic seconds of it."""
+
+    def wait(self, bus: can.BusABC, seconds: float) -> None:
+        """Let time pass until this node has something to read, at most so long."""
+
+    def random(self, size: int) -> bytes:
+        """Bytes that are the same in every run."""
+
+
+def bench_in(virtual: OnVirtualBus) -> Bench:
+    """In front of a controller on a bus in virtual time: a conversation to any place, and the negative suite's."""
+    settings = load_site(virtual.site).value if virtual.site else Site()
+    bus = virtual.open("tester")
+    return bench_on(
+        bus,
+        load_key(virtual.key),
+        settings,
+        fd=False,
+        clock=virtual.now_s,
+        wait=partial(virtual.wait, bus),
+        random=virtual.random,
+    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""The negative suite of ``cutgate conform`` as tests of pytest, for whoever builds a controller (docs/hil.md)."""

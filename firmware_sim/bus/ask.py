@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.control import SCHEMA
-from cutgate.firmware_sim.bus.peer import peer_of
+from cutgate.firmware_sim.bus.peer import UnreachableError, connected
 from cutgate.firmware_sim.bus.wire import HubKind, HubRecord, WireError
 
 ANSWER_S: Final = 2.0
@@ -44,26 +44,16 @@ def let_err(path: Path, wanted: dict[str, object]) -> str:
 
 
 def _asked(path: Path, question: HubRecord, kind: HubKind) -> str:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as sock:
-        try:
-            sock.connect(str(path))
-            stranger = peer_of(sock).stranger
-            if stranger is not None:
-                raise NotAnsweredError(
-                    f"bus {path}: the hub is not ours, {stranger}; name the socket of ours"
-                )
+    try:
+        with connected(str(path)) as sock:
             sock.send(question.pack(), socket.MSG_NOSIGNAL)
             ready = select.poll()
             ready.register(sock, select.POLLIN)
             if not ready.poll(ANSWER_S * 1000):
                 raise NotAnsweredError(f"bus {path}: the hub did not answer within {ANSWER_S:g} s")
             answer = wire.parse(sock.recv(wire.MAX_TEXT + wire.MAX_DATAGRAM))
-        except (FileNotFoundError, ConnectionRefusedError):
-            raise NotAnsweredError(
-                f"bus {path}: no hub is serving there; start one with `cutgate bus serve`, or name its --socket"
-            ) from None
-        except (OSError, WireError) as error:
-            raise NotAnsweredError(f"bus {path}: {error}") from error
+    except (UnreachableError, OSError, WireError) as error:
+        raise NotAnsweredError(f"bus {path}: {error}") from error
     if answer.kind is not kind:
         raise NotAnsweredError(f"bus {path}: {answer.data.decode(errors='replace') or answer.kind.name}")
     return answer.data.decode(errors="replace")

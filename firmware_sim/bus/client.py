@@ -13,7 +13,7 @@ import can
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.messages import frame_of, message_of
-from cutgate.firmware_sim.bus.peer import peer_of
+from cutgate.firmware_sim.bus.peer import UnreachableError, connected
 from cutgate.firmware_sim.bus.states import CONTROLLER as ERROR_CONTROLLER
 from cutgate.firmware_sim.bus.states import RECEIVE_OVERFLOW, overflow_frame
 from cutgate.firmware_sim.bus.wire import HubKind, HubRecord, WireError
@@ -233,27 +233,19 @@ def _join(path: str, hello: HubRecord) -> _Joined:
     Raises:
         can.CanInitializationError: see `VirtualBus`.
     """
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
     try:
-        sock.connect(path)
+        sock = connected(path)
+    except UnreachableError as error:
+        raise can.CanInitializationError(f"virtual bus {path}: {error}") from error
+    try:
         return _welcomed(sock, hello)
-    except (FileNotFoundError, ConnectionRefusedError):
-        refusal = "no hub is serving there: start one with `cutgate bus serve`"
-    except BlockingIOError:
-        refusal = "the hub accepts no connection, too many wait: end it and start another"
     except (OSError, WireError) as error:
-        refusal = str(error)
-    sock.close()
-    raise can.CanInitializationError(f"virtual bus {path}: {refusal}")
+        sock.close()
+        raise can.CanInitializationError(f"virtual bus {path}: {error}") from error
 
 
 def _welcomed(sock: socket.socket, hello: HubRecord) -> _Joined:
-    """Say hello. Raises WireError with the reason where this client does not join, or is not let in."""
-    stranger = peer_of(sock).stranger
-    if stranger is not None:
-        raise WireError(
-            f"the hub is not ours, {stranger}: start one with `cutgate bus serve`, or name its socket"
-        )
+    """Say hello. Raises WireError with the reason where this client is not let in."""
     sock.send(hello.pack(), socket.MSG_NOSIGNAL)
     answer = select.poll()
     answer.register(sock, select.POLLIN)

@@ -36,3 +36,31 @@ def peer_of(sock: socket.socket) -> Peer:
     data = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     process, uid, _group = _CREDENTIALS.unpack(data)
     return Peer(process, uid)
+
+
+class UnreachableError(Exception):
+    """No hub of ours can be spoken to there; the message says why, and what to do."""
+
+
+def connected(path: str) -> socket.socket:
+    """A connection to the hub at `path`, which is run by this process's own user; it never blocks.
+
+    Raises:
+        UnreachableError: nobody serves there, or somebody else, or no connection is accepted.
+    """
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+    try:
+        sock.connect(path)
+        stranger = peer_of(sock).stranger
+    except (FileNotFoundError, ConnectionRefusedError):
+        reason = "no hub is serving there: start one with `cutgate bus serve`, or name its socket"
+    except BlockingIOError:
+        reason = "the hub accepts no connection, too many wait: end it and start another"
+    except OSError as error:
+        reason = str(error)
+    else:
+        if stranger is None:
+            return sock
+        reason = f"the hub is not ours, {stranger}: start one with `cutgate bus serve`, or name its socket"
+    sock.close()
+    raise UnreachableError(reason)

@@ -18,14 +18,9 @@ from cutgate.firmware_sim import command
 from cutgate.firmware_sim.bus import wire
 from cutgate.firmware_sim.bus.client import ERROR_CONTROLLER, VirtualBus
 from cutgate.firmware_sim.hil.hub import hub_process
+from tests.firmware_sim.bus.every_bus import WAIT_S, frame, received
 
 pytestmark = pytest.mark.processes
-
-WAIT_S = 20.0
-
-
-def frame(number: int, data: bytes = b"", **options):
-    return can.Message(arbitration_id=number, data=data, is_extended_id=False, **options)
 
 
 def numbered(count: int):
@@ -34,15 +29,6 @@ def numbered(count: int):
 
 def contents(messages):
     return [(m.arbitration_id, bytes(m.data)) for m in messages]
-
-
-def receive(bus, count):
-    got = []
-    while len(got) < count:
-        message = bus.recv(WAIT_S)
-        assert message is not None, f"{len(got)} of {count} frames"
-        got.append(message)
-    return got
 
 
 def test_any_python_can_program_joins_by_interface_and_channel(virtual_bus):
@@ -90,7 +76,7 @@ def test_fd_frames_reach_only_clients_opened_with_fd(virtual_bus, join):
     sender, classic, flexible = join(virtual_bus, fd=True), join(virtual_bus), join(virtual_bus, fd=True)
     sender.send(frame(0x1, bytes(64), is_fd=True))
     sender.send(frame(0x2))
-    assert [m.arbitration_id for m in receive(flexible, 2)] == [1, 2]
+    assert [m.arbitration_id for m in received(flexible, 2)] == [1, 2]
     assert classic.recv(WAIT_S).arbitration_id == 2
 
 
@@ -132,7 +118,7 @@ def test_all_clients_see_one_order(virtual_bus, join):
     threads = [threading.Thread(target=send_all, args=(index,)) for index in range(senders)]
     for thread in threads:
         thread.start()
-    seen = [contents(receive(bus, count * senders)) for bus in buses]
+    seen = [contents(received(bus, count * senders)) for bus in buses]
     for thread in threads:
         thread.join()
     assert seen[0] == seen[1] == seen[2]
@@ -147,7 +133,7 @@ def test_twenty_thousand_frames_arrive_complete_and_in_order(virtual_bus, join):
     sent = numbered(20_000)
     thread = threading.Thread(target=lambda: [sender.send(message) for message in sent])
     thread.start()
-    got = receive(receiver, len(sent))
+    got = received(receiver, len(sent))
     thread.join()
     assert contents(got) == contents(sent)
     assert receiver.lost_frames == 0
@@ -166,7 +152,7 @@ def test_a_hub_killed_in_mid_traffic_raises_at_every_client_every_time(place, jo
         for bus in (one, two):
             for _ in range(3):
                 with pytest.raises(can.CanOperationError, match=r"hub .* has ended"):
-                    receive(bus, 2)
+                    received(bus, 2)
         for bus in (one, idle):
             for _ in range(2):
                 with pytest.raises(can.CanOperationError, match="has ended"):
@@ -213,7 +199,7 @@ def test_filters_work_as_on_every_bus(virtual_bus, join):
     sender, receiver = join(virtual_bus), join(virtual_bus, can_filters=[{"can_id": 2, "can_mask": 0x7FF}])
     for number in (1, 2, 3, 2):
         sender.send(frame(number))
-    assert [m.arbitration_id for m in receive(receiver, 2)] == [2, 2]
+    assert [m.arbitration_id for m in received(receiver, 2)] == [2, 2]
 
 
 def fill(bus):
@@ -238,7 +224,7 @@ def test_send_gives_up_when_the_hub_does_not_take_frames_and_the_bus_lives_on(pl
             with pytest.raises(can.CanTimeoutError, match="did not take the frame"):
                 sender.send(frame(1), timeout=timeout)
         hub.send_signal(signal.SIGCONT)
-        assert len(receive(receiver, sent)) == sent
+        assert len(received(receiver, sent)) == sent
         sender.send(frame(2))
         assert receiver.recv(WAIT_S).arbitration_id == 2
 
@@ -382,5 +368,5 @@ def test_a_frame_sent_while_the_queue_is_full_leaves_as_soon_as_there_is_room(pl
         thread = threading.Thread(target=lambda: sender.send(frame(2)))
         thread.start()
         hub.send_signal(signal.SIGCONT)
-        assert receive(receiver, sent + 1)[-1].arbitration_id == 2
+        assert received(receiver, sent + 1)[-1].arbitration_id == 2
         thread.join(WAIT_S)

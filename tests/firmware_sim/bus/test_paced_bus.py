@@ -20,17 +20,13 @@ from cutgate.firmware_sim.bus.medium.bits import frame_bits
 from cutgate.firmware_sim.bus.messages import frame_of
 from cutgate.firmware_sim.bus.serve import main
 from cutgate.firmware_sim.hil.hub import hub_process
+from tests.firmware_sim.bus.every_bus import WAIT_S, frame
 from tests.firmware_sim.bus.test_bus import false_hub, fill
 
 pytestmark = pytest.mark.processes
 
-WAIT_S = 20.0
 SLOW = ("--bitrate", "10k")
 """A frame takes 11 ms: a test has time to look."""
-
-
-def frame(number=1, data=b"", **options):
-    return can.Message(arbitration_id=number, data=data, is_extended_id=False, **options)
 
 
 @pytest.fixture
@@ -214,7 +210,7 @@ def test_what_is_wrong_on_the_command_line_is_named(place, capfd, arguments, why
 
 def test_without_a_hub_there_is_nothing_to_count(place, capfd):
     assert main(["stat", "--socket", str(place / "none.sock")]) == 2
-    assert "no hub is serving there; start one with `cutgate bus serve`" in capfd.readouterr().err
+    assert "no hub is serving there: start one with `cutgate bus serve`" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

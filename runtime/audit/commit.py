@@ -136,6 +136,9 @@ class Committer:
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._events: deque[Event] = deque()
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._begin()
+
+    def _begin(self) -> None:
         # A daemon: a disk that never answers must not keep the process from ending.
         self._thread = Thread(target=self._run, name="audit-commit", daemon=True)
         self._thread.start()
@@ -176,15 +179,24 @@ class Committer:
     # ------------------------------------------------------------ the thread
 
     def _run(self) -> None:
+        while not self._done(self._next()):
+            pass
+
+    def _done(self, jobs: Sequence[Job]) -> bool:
+        """Do the jobs; whether they were the last: the log is closed, or has failed."""
         try:
-            while not self._work(self._next()):
-                pass
+            ended = self._work(jobs)
         except Exception as error:  # noqa: BLE001 - a thread must not die while its owner believes it runs
             self._report(LogFailed(_reason(error)))
             self.discard()
-        for file in (self._log, self._frames):
-            with contextlib.suppress(OSError):  # the outcome is reported already; this only frees the number
-                self._disk.close(file.descriptor)
+            ended = True
+        if ended:
+            for file in (self._log, self._frames):
+                with contextlib.suppress(
+                    OSError
+                ):  # the outcome is reported already; this only frees the number
+                    self._disk.close(file.descriptor)
+        return ended
 
     def _next(self) -> list[Job]:
         """All jobs that wait, at least one: a slow disk syncs once for many."""
@@ -277,3 +289,18 @@ def _reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno is not None:
         return f"{os.strerror(error.errno)} (error {error.errno})"
     return f"{type(error).__name__}: {error}"
+
+
+class InTurn(Committer):
+    """The same without a thread: a job is done as it is handed over, for sessions in virtual time."""
+
+    def _begin(self) -> None:
+        self._ended = False
+
+    def submit(self, job: Job) -> None:
+        """Do a job; whoever hands it over waits for the disk."""
+        self._ended = self._ended or self._done([job])
+
+    def join(self, timeout_s: float) -> bool:  # noqa: ARG002 - nothing is waited for
+        """Whether the last job was done."""
+        return self._ended

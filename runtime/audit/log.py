@@ -167,6 +167,7 @@ class AuditLog:
         disk: Disk | None = None,
         clock: Clock | None = None,
         chunk_period_s: float = CONSTANTS["chunk_period_ms"].default / 1000,
+        committer: Callable[[Disk, LogFiles], Committer] = Committer,
     ) -> Self:
         """Lock the directory, make the files and write record 0. Waits for the disk; call it before a session.
 
@@ -182,6 +183,7 @@ class AuditLog:
             disk: the disk operations.
             clock: the clocks.
             chunk_period_s: the longest time a record waits in memory.
+            committer: who writes and syncs the files.
 
         Raises:
             InputError: the directory cannot be used, another session holds it, what decides in it is not ours or not
@@ -214,7 +216,7 @@ class AuditLog:
             writer=writer,
             signer=begun.signer,
             held=held,
-            committer=Committer(disk, files),
+            committer=committer(disk, files),
             locked=locked,
             clock=clock,
             chunk_period_s=chunk_period_s,

@@ -45,7 +45,7 @@ from cutgate.runtime.interlock.state import Interlock
 from cutgate.runtime.plan.registrations.declared import Declared
 from cutgate.runtime.plan.toolpath.model import ARC_TOLERANCE_MM, AXIS_TOLERANCE_DEG, Reading
 from cutgate.runtime.session.check import Check
-from cutgate.runtime.session.conduct import conduct
+from cutgate.runtime.session.conduct import Given, conduct
 from cutgate.runtime.session.interruption import signals_wake
 from cutgate.runtime.session.job import InputFiles, make_job, read_files, utc_now
 from cutgate.runtime.session.new_log import new_log
@@ -167,20 +167,8 @@ def run(
             if against:
                 view.note(against)
             state = Interlock(replace(job, withdrawal=against))
-            session, paths = conduct(
-                files,
-                check,
-                state,
-                secret,
-                bus,
-                name,
-                log,
-                view,
-                signals,
-                log_id=log_id,
-                listed=listed,
-                fd=fd,
-            )
+            given = Given(files, check, state, secret, bus, name, log, log_id, listed, fd)
+            session, paths = conduct(given, view, signals)
         finally:
             bus.shutdown()
         if not json:

@@ -195,11 +195,24 @@ class Session:
             self._give_up(error)
             raise
 
+    @property
+    def wait_s(self) -> float:
+        """So long the next cycle may wait for something to arrive; 0 while this side's own check goes on."""
+        return 0.0 if self._verifying.busy else self._cycle.wait_s()
+
     def _wait(self, wake: int) -> set[int]:
+        return self.ready(wake, self.wait_s)
+
+    def ready(self, wake: int, wait_s: float = 0.0) -> set[int]:
+        """Descriptors that can be read, as soon as any can.
+
+        Args:
+            wake: as for `run`.
+            wait_s: for so long it is waited.
+        """
         if self._polls_worker and not self._verifying.listening:
             self._polls_worker = False
             self._poller.unregister(self._worker.fileno())
-        wait_s = 0.0 if self._verifying.busy else self._cycle.wait_s()
         ready = {descriptor for descriptor, _ in self._poller.poll(wait_s * 1000.0)}
         if wake in ready:
             os.read(wake, 4096)

@@ -2,14 +2,17 @@
 
 import importlib.resources
 import os
+from collections.abc import Callable
 from pathlib import Path
 from socket import gethostname
 from typing import Final
 
 from cutgate.config.ours import user
 from cutgate.runtime.audit import names
+from cutgate.runtime.audit.commit import Committer, LogFiles
 from cutgate.runtime.audit.configuration import SIMULATED
-from cutgate.runtime.audit.log import AuditLog, OpenInfo
+from cutgate.runtime.audit.disk import Disk
+from cutgate.runtime.audit.log import AuditLog, Clock, OpenInfo
 from cutgate.runtime.audit.names import READING
 from cutgate.runtime.audit.recomputed.transitions import transitions_sha256
 from cutgate.runtime.plan.registrations.foreign import Converted
@@ -35,6 +38,8 @@ def new_log(
     *,
     log_id: bytes,
     log_key: Path | None = None,
+    clock: Clock | None = None,
+    committer: Callable[[Disk, LogFiles], Committer] = Committer,
 ) -> AuditLog:
     """A new log, in a directory that is locked from now on. Waits for the disk.
 
@@ -47,6 +52,8 @@ def new_log(
         operator: who runs the session, as he calls himself.
         log_id: names it, 16 random bytes.
         log_key: the file of the directory's key; else as site.toml says, or where its first session has put it.
+        clock: of the computer, if none is given.
+        committer: who writes and syncs the files.
 
     Raises:
         InputError: as ``AuditLog.create``.
@@ -66,6 +73,8 @@ def new_log(
             transitions_sha256(),
         ),
         key_file=named,
+        clock=clock,
+        committer=committer,
         chunk_period_s=settings.chunk_period_ms / 1000,
     )
     prepared = files.prepared

@@ -38,7 +38,7 @@ from cutgate.protocol.states import StopCause
 from cutgate.protocol.times import since_1970_us
 from cutgate.runtime.audit import log as audit_log
 from cutgate.runtime.audit import names
-from cutgate.runtime.audit.commit import Committer, Job, LogFailed, LogFiles
+from cutgate.runtime.audit.commit import InTurn, Job, LogFailed, LogFiles
 from cutgate.runtime.audit.configuration import SIMULATED
 from cutgate.runtime.audit.inspect import Log
 from cutgate.runtime.audit.log import AuditLog, OpenInfo, Paths
@@ -115,18 +115,13 @@ class Disk(WatchedDisk):
         return self.synced.get(self.log, 0) if self.log is not None else 0
 
 
-class TurnByTurn(Committer):
+class TurnByTurn(InTurn):
     """The commit thread's work, done when the disk answers in virtual time instead of in a thread."""
 
     def __init__(self, disk: Disk, files: LogFiles) -> None:
         super().__init__(disk, files)
-        self._thread.join()
         self._disk_in_time = disk
         self._waiting: deque[tuple[float, Job]] = deque()
-        self._ended = False
-
-    def _run(self) -> None:
-        """No thread."""
 
     def submit(self, job: Job) -> None:
         self._waiting.append((self._disk_in_time.clock() + self._disk_in_time.delay_s, job))
@@ -515,13 +510,14 @@ class Pair:
     def _log(self) -> AuditLog:
         allowed_by = self.files.simulation_allowed_by
         options = ((SIMULATED, f"allowed by {allowed_by}"),) if allowed_by else ()
-        with mock.patch.multiple(audit_log, Committer=TurnByTurn, _environment=_environment):
+        with mock.patch.object(audit_log, "_environment", _environment):
             log = create(
                 self.directory / "logs",
                 log_id=self.log_id.hex(),
                 opened=OpenInfo("cutgate 0.1.0", VERIFIER, options, transitions_sha256=transitions_sha256()),
                 disk=self.disk,
                 clock=LogClock(self.clock.utc_ns, self.clock.monotonic_ns),
+                committer=TurnByTurn,
             )
         i = self.files
         assert i.prepared.registration is not None

@@ -26,10 +26,9 @@ def test_a_verification_process_that_cannot_be_started_leaves_a_closed_log(log, 
     state = SimpleNamespace(
         job=SimpleNamespace(timing=TIMING, deadlines=DEADLINES, path=b"", fd=False), phase=Phase.WAITING
     )
+    given = conduct.Given(None, None, state, bytes(32), None, "a/b", log, bytes(16), (), fd=False)
     with pytest.raises(OSError, match="temporarily unavailable"):
-        conduct.conduct(
-            None, None, state, bytes(32), None, "a/b", log, None, None, log_id=bytes(16), listed=(), fd=False
-        )
+        conduct.conduct(given, None, None)
     found = judged(log.path)
     assert found.report.status is Status.OK
     (closed,) = found.of("/audit/close")

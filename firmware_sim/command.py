@@ -162,7 +162,7 @@ def _options(options: argparse.Namespace, robot: Robot, faults: tuple[FaultSpec,
             "in whole thousandths, as it is announced"
         )
     hold = math.radians(robot.wrist.hold_roll_deg) if robot.wrist.hold_roll_when_vertical else None
-    joints = _joints(options.joints, limits_record(robot))
+    joints = joints_at_power_up(options.joints, limits_record(robot))
     if not options.dynamics and any(fault.name is FaultName.WEAK_DRIVE for fault in faults):
         raise RefusedError(f"--fault: {FaultName.WEAK_DRIVE} needs drives; add --dynamics")
     if options.dynamics and not options.time_scale <= TIME_SCALE_MAX:
@@ -209,8 +209,12 @@ def _true_calibration(file: Path | None, robot: Robot) -> Calibration | None:
     return calibration_record(true)
 
 
-def _joints(text: str | None, limits: Limits) -> Joints:
-    """Where the arm stands at power-up, q0,q1,q2,q3,q4 in deg and mm: inside the limits and what a frame reports."""
+def joints_at_power_up(text: str | None, limits: Limits) -> Joints:
+    """Where the arm stands at power-up, q0,q1,q2,q3,q4 in deg and mm; None: in the middle of its limits.
+
+    Raises:
+        RefusedError: they are outside the limits, or no frame can report them.
+    """
     try:
         joints = middle_of(limits) if text is None else _five(text)
         joint_frames(joints)

@@ -25,6 +25,16 @@ def test_an_emergency_stop_is_heard_by_everybody(
     assert faults[0].cause is StopCause.EMERGENCY_STOP
 
 
+@pytest.mark.cutgate_wire("1M", queue=10)
+@pytest.mark.cutgate_faults("silent@cutting")
+@pytest.mark.cutgate_expect("HEARTBEAT_LOST")
+def test_in_virtual_time_the_runtime_stops_within_its_time_out(cutgate_virtual, cutgate_virtual_session):
+    cutgate_virtual.controller()
+    session = cutgate_virtual_session().start()
+    assert session.ended() == 3
+    assert session.cause == "HEARTBEAT_LOST"
+
+
 @pytest.mark.cutgate_faults("delay Progress by 5..40ms p=0.2 seed=1")
 def test_late_progress_holds_up_no_cut(cutgate_controller, cutgate_session, cutgate_operator):
     cutgate_controller()

@@ -158,12 +158,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_socket(serve_)
     serve_.add_argument("--log", metavar="FILE", help="write every frame to FILE as candump -L does")
     serve_.add_argument(
-        "--bitrate", type=_rate, metavar="RATE", help="model the wire at this rate, e.g. 1M or 250k"
+        "--bitrate", type=rate_bit_s, metavar="RATE", help="model the wire at this rate, e.g. 1M or 250k"
     )
-    serve_.add_argument("--fd", type=_rate, metavar="RATE", help="of the data of FD frames, e.g. 5M")
+    serve_.add_argument("--fd", type=rate_bit_s, metavar="RATE", help="of the data of FD frames, e.g. 5M")
     serve_.add_argument(
         "--queue",
-        type=_whole(1, 10_000),
+        type=queue_frames,
         default=QUEUE_FRAMES,
         metavar="FRAMES",
         help="that each transmit queue holds, 10",
@@ -210,7 +210,8 @@ RATE_BIT_S: Final = (10_000, 8_000_000)
 _RATE: Final = re.compile(r"([0-9]{1,8})([kM]?)")
 
 
-def _rate(text: str) -> int:
+def rate_bit_s(text: str) -> int:
+    """A bit rate as people write it, bit/s. Raises argparse.ArgumentTypeError for what is none."""
     found = _RATE.fullmatch(text)
     low, high = RATE_BIT_S
     bit_s = int(found[1]) * {"": 1, "k": 1000, "M": 1_000_000}[found[2]] if found else 0
@@ -226,6 +227,11 @@ def _whole(low: int, high: int) -> Callable[[str], int]:
         return int(text)
 
     return parse
+
+
+def queue_frames(text: str) -> int:
+    """So many frames a transmit queue may hold. Raises argparse.ArgumentTypeError for any other number."""
+    return _whole(1, 10_000)(text)
 
 
 def _hexadecimal(text: str) -> int:

@@ -1,6 +1,6 @@
 """Whether a session was healthy, from its log and its outcome, and whether what was not is what a test expects. Pure."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -91,6 +91,31 @@ def of_timing(records: Iterable[Mapping[str, Any]]) -> list[HealthFinding]:
             "late-loop", f"{longest_ms:.0f} ms between two cycles, the time-out is {timeout_ms:.0f} ms"
         )
     ]
+
+
+_OF_RECORDS: Final = {"/audit/fault": of_faults, "/can/frame": of_frames, "/timing": of_timing}
+TOPICS: Final = tuple(_OF_RECORDS)
+"""Of the records that are looked at."""
+
+
+def of_log(reasons: Sequence[str], records: Iterable[tuple[str, Mapping[str, Any]]]) -> list[HealthFinding]:
+    """What a session's log says.
+
+    Args:
+        reasons: why it is not whole; empty where it is.
+        records: of it, each with its topic.
+    """
+    read = [(topic, record) for topic, record in records if topic in _OF_RECORDS]
+    findings = [HealthFinding("log", "; ".join(reasons))] if reasons else []
+    for wanted, judge in _OF_RECORDS.items():
+        findings += judge(record for topic, record in read if topic == wanted)
+    return findings
+
+
+def but_the_tests_end(findings: Iterable[HealthFinding], *, unfinished: bool) -> list[HealthFinding]:
+    """Without the stop by which a session ends that was still running when its test was over: it is one finding already."""
+    ended_here = StopCause.OPERATOR_QUIT.name if unfinished else None
+    return [finding for finding in findings if finding.name != ended_here]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cutgate.firmware_sim.hil.rig import HilBus, HilClock, HilOperator, HilRig, HilSession
     from cutgate.firmware_sim.hil.virtual import VirtualRig
 
-_RIG = pytest.StashKey["HilRig"]()
+_RIGS = pytest.StashKey["list[HilRig | VirtualRig]"]()
 _ROW = "cutgate_matrix_row"
 
 
@@ -129,9 +129,9 @@ def cutgate_rig(
 
     folder = tmp_path / "cutgate"
     folder.mkdir()
-    rig = HilRig(folder, cutgate_files, cutgate_faults, _wire(request.node))
-    _expectations(request.node)  # a marker that nobody understands is told before anything is started
-    request.node.stash[_RIG] = rig
+    options = [part for name, value in _wire(request.node).items() for part in (f"--{name}", value)]
+    rig = HilRig(folder, cutgate_files, cutgate_faults, options)
+    _judged_later(request.node, rig)
     try:
         yield rig
     finally:
@@ -170,7 +170,7 @@ def cutgate_operator(cutgate_rig: HilRig) -> HilOperator:
 
 @pytest.fixture
 def cutgate_clock() -> HilClock:
-    """Real time: ``now_s()``, ``until(condition)``."""
+    """Real time: ``now_s()``, ``until(condition)``; ``cutgate_virtual`` has virtual time's."""
     from cutgate.firmware_sim.hil.rig import HilClock  # noqa: PLC0415
 
     return HilClock()
@@ -178,29 +178,57 @@ def cutgate_clock() -> HilClock:
 
 @pytest.fixture
 def cutgate_virtual(
-    tmp_path: Path, cutgate_files: HilFiles, cutgate_faults: tuple[Fault, ...]
+    request: pytest.FixtureRequest, tmp_path: Path, cutgate_files: HilFiles, cutgate_faults: tuple[Fault, ...]
 ) -> Iterator[VirtualRig]:
-    """The simulated controller and a script in one process, in virtual time: ``controller()``, ``open()``, ``run(s)``."""
+    """A bus and a clock in virtual time, everybody on it in this process: ``controller()``, ``open()``, ``run(s)``."""
     from cutgate.firmware_sim.hil.virtual import VirtualRig  # noqa: PLC0415
 
-    rig = VirtualRig(tmp_path, cutgate_files, cutgate_faults)
-    yield rig
-    rig.close()
+    folder = tmp_path / "cutgate-virtual"
+    folder.mkdir()
+    rig = VirtualRig(folder, cutgate_files, cutgate_faults, **_timed(_wire(request.node)))
+    _judged_later(request.node, rig)
+    try:
+        yield rig
+    finally:
+        rig.close()
 
 
 # ---------------------------------------------------------------- after a test
 
 
-def _wire(item: pytest.Item) -> list[str]:
-    """How the bus is served, of the nearest marker."""
+def _judged_later(item: pytest.Item, rig: HilRig | VirtualRig) -> None:
+    """After the test it is closed and judged; a marker that nobody understands is told before anything is started."""
+    _expectations(item)
+    item.stash.setdefault(_RIGS, []).append(rig)
+
+
+def _wire(item: pytest.Item) -> dict[str, str]:
+    """Bit rates and queue of the nearest marker, as ``cutgate bus serve`` takes them; empty without one."""
     marker = item.get_closest_marker("cutgate_wire")
     if marker is None:
-        return []
+        return {}
     options = {**dict(zip(("bitrate", "fd", "queue"), marker.args, strict=False)), **marker.kwargs}
     if "bitrate" not in options or not options.keys() <= {"bitrate", "fd", "queue"} or len(marker.args) > 3:
         pytest.fail('cutgate_wire takes bitrate, fd and queue, for example cutgate_wire("1M")', pytrace=False)
-    given = {name: str(value) for name, value in options.items() if value is not None}
-    return [part for name, value in given.items() for part in (f"--{name}", value)]
+    return {name: str(value) for name, value in options.items() if value is not None}
+
+
+def _timed(wire: dict[str, str]) -> dict[str, Any]:
+    """The same for a bus in virtual time."""
+    from argparse import ArgumentTypeError  # noqa: PLC0415
+
+    from cutgate.firmware_sim.bus.medium.bits import Rates  # noqa: PLC0415
+    from cutgate.firmware_sim.bus.medium.medium import QUEUE_FRAMES  # noqa: PLC0415
+    from cutgate.firmware_sim.bus.serve import queue_frames, rate_bit_s  # noqa: PLC0415
+
+    if not wire:
+        return {}
+    try:
+        data = rate_bit_s(wire["fd"]) if "fd" in wire else None
+        rates = Rates(rate_bit_s(wire["bitrate"]), data)
+        return {"rates": rates, "queue_frames": queue_frames(wire.get("queue", str(QUEUE_FRAMES)))}
+    except ArgumentTypeError as error:
+        pytest.fail(f"cutgate_wire: {error}", pytrace=False)
 
 
 def _expectations(item: pytest.Item) -> list[Any]:
@@ -232,20 +260,26 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 
 def _conclude(item: pytest.Item, *, failed: bool) -> list[str]:
-    """What the health check says; empty for a test that has no rig."""
-    rig = item.stash.get(_RIG, None)
-    if rig is None:
+    """What the health check says; empty for a test that has no rig, or no session."""
+    rigs = item.stash.get(_RIGS, [])
+    if not rigs:
         return []
     from cutgate.firmware_sim.hil.health import unexpected  # noqa: PLC0415
+    from cutgate.firmware_sim.hil.kept import artefacts  # noqa: PLC0415
     from cutgate.firmware_sim.hil.matrix import MatrixRow  # noqa: PLC0415
 
-    rig.close()
-    trouble = unexpected(rig.findings, _expectations(item)) if rig.sessions else []
-    if rig.sessions:
-        found = tuple(dict.fromkeys(finding.name for finding in rig.findings))
-        row = MatrixRow(item.nodeid, tuple(map(str, rig.faults_used)), rig.summary, found, "")
+    for rig in rigs:
+        rig.close()
+    judged = [rig for rig in rigs if rig.sessions]
+    findings = [finding for rig in judged for finding in rig.findings]
+    trouble = unexpected(findings, _expectations(item)) if judged else []
+    if judged:
+        found = tuple(dict.fromkeys(finding.name for finding in findings))
+        used = tuple(dict.fromkeys(str(fault) for rig in judged for fault in rig.faults_used))
+        row = MatrixRow(item.nodeid, used, ", ".join(rig.summary for rig in judged), found, "")
         item.user_properties.append((_ROW, row.as_dict()))
     if failed or trouble:
-        kept = rig.artefacts(item.config.getoption("--cutgate-artefacts"), item.nodeid)
-        item.add_report_section("call", "cutgate artefacts", "\n".join(kept))
+        directory = item.config.getoption("--cutgate-artefacts")
+        lines = [line for rig in rigs for line in artefacts(rig.folder, rig.logs, directory, item.nodeid)]
+        item.add_report_section("call", "cutgate artefacts", "\n".join(lines))
     return trouble

@@ -1,15 +1,11 @@
 """What one test has started: a bus, a controller, a runtime; how it ended, and what is kept of it."""
 
-import errno
 import json
-import os
-import re
-import shutil
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -28,16 +24,11 @@ from cutgate.firmware_sim.hil.child import WAIT_S, HilProcess, HilTimeoutError, 
 from cutgate.firmware_sim.hil.health import HealthFinding
 from cutgate.firmware_sim.hil.hub import hub_process
 from cutgate.firmware_sim.hil.inputs import HilFiles
-from cutgate.protocol.states import StopCause
+from cutgate.firmware_sim.hil.kept import REPORT_S
 from cutgate.protocol.wire import Side
 
 TIME_SCALE: Final = 30.0
 """At which the short path takes about a second."""
-REPORT_S: Final = 60.0
-NAME_MAX: Final = 150
-COPIES_MAX: Final = 1000
-KEPT: Final = (".mcap", ".log", ".sig", ".html", ".txt", ".json")
-"""What is copied of a failed test, never a key."""
 
 
 @dataclass
@@ -329,31 +320,10 @@ class HilRig:
         """How the sessions of this test ended."""
         return ", ".join(session.summary for session in self.sessions)
 
-    # ------------------------------------------------------------ what is kept of a failure
-
-    def artefacts(self, directory: Path | None, name: str) -> list[str]:
-        """Report pages beside the logs, a copy of everything but keys where a directory is named; a line for each file.
-
-        Args:
-            directory: of all artefacts; None leaves them in the test's own folder.
-            name: of the test.
-        """
-        lines = []
-        for session in self.sessions:
-            log = session.log
-            if log is not None:
-                trouble = _report(log, self.folder / f"{session.logs.name}-report.html")
-                lines += [f"no report page: {trouble}"] if trouble else []
-        place = self.folder
-        if directory is not None:
-            try:
-                place = _new_folder(directory, re.sub(r"[^A-Za-z0-9_.-]+", "_", name)[-NAME_MAX:])
-                _copy(self.folder, place)
-            except OSError as error:  # the failure of the test is what counts, and all of it lies here
-                lines.append(f"not copied to {printable(str(directory))}: {error.strerror}")
-                place = self.folder
-        kept = sorted(path for path in place.rglob("*") if path.suffix in KEPT and path.is_file())
-        return [*lines, *(printable(str(path)) for path in kept)]
+    @property
+    def logs(self) -> list[Path]:
+        """Of the sessions of this test."""
+        return [log for session in self.sessions if (log := session.log) is not None]
 
 
 def _judged(session: HilSession, *, unfinished: bool) -> list[HealthFinding]:
@@ -362,11 +332,7 @@ def _judged(session: HilSession, *, unfinished: bool) -> list[HealthFinding]:
     log = session.log
     if log is None:
         return findings
-    findings += _of_log(log)
-    ended_here = (
-        StopCause.OPERATOR_QUIT.name if unfinished else None
-    )  # that is the end of the test, not a second finding
-    return [finding for finding in findings if finding.name != ended_here]
+    return health.but_the_tests_end([*findings, *_of_log(log)], unfinished=unfinished)
 
 
 def _of_log(log: Path) -> list[HealthFinding]:
@@ -374,22 +340,11 @@ def _of_log(log: Path) -> list[HealthFinding]:
     judged = _printed("audit", "verify", str(log), "--json")
     records = _printed("audit", "export", str(log), "--to", "jsonl")
     try:
-        verdict = json.loads(judged)
+        reasons = json.loads(judged)["reasons"]
         read = [json.loads(line) for line in records.splitlines()]
-    except ValueError:
+    except (ValueError, KeyError):  # no whole document, or one of a file that cannot be read
         return [HealthFinding("log", f"it cannot be read: {printable((judged or records)[-500:])}")]
-    whole = verdict["status"] == "OK"
-    findings = [] if whole else [HealthFinding("log", "; ".join(verdict["reasons"]))]
-    for topic, judge in _JUDGES.items():
-        findings += judge(record["data"] for record in read if record["topic"] == topic)
-    return findings
-
-
-_JUDGES: Final = {
-    "/audit/fault": health.of_faults,
-    "/can/frame": health.of_frames,
-    "/timing": health.of_timing,
-}
+    return health.of_log(reasons, [(record["topic"], record["data"]) for record in read])
 
 
 def _printed(*arguments: str) -> str:
@@ -405,35 +360,3 @@ def _printed(*arguments: str) -> str:
     except subprocess.TimeoutExpired:
         return f"{' '.join(arguments[:2])} did not end within {REPORT_S:g} s"
     return done.stdout or done.stderr
-
-
-def _report(log: Path, page: Path) -> str:
-    """Write the page that shows why; why not, where it cannot be written."""
-    command = program("cutgate.runtime.cli", "audit", "report", str(log), "-o", str(page))
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=REPORT_S)  # noqa: S603
-    except subprocess.TimeoutExpired:
-        return f"not written within {REPORT_S:g} s"
-    return "" if page.exists() else printable(done.stderr[-500:])
-
-
-def _new_folder(directory: Path, name: str) -> Path:
-    """A folder of this name, or with the first free number behind it: what an earlier run has left stays."""
-    directory.mkdir(parents=True, exist_ok=True)
-    for number in range(1, COPIES_MAX + 1):
-        place = directory / (name if number == 1 else f"{name}-{number}")
-        with suppress(FileExistsError):
-            place.mkdir()
-            return place
-    raise OSError(errno.EEXIST, f"{COPIES_MAX} copies of this test lie there, remove them")
-
-
-def _copy(folder: Path, place: Path) -> None:
-    """Everything that is kept; links are not followed."""
-    for directory, _folders, names in os.walk(folder):
-        for name in names:
-            source = Path(directory) / name
-            if source.suffix in KEPT and source.is_file() and not source.is_symlink():
-                target = place / source.relative_to(folder)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source, target)

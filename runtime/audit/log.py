@@ -317,6 +317,10 @@ class AuditLog:
                 self._frames.clear()
         return found
 
+    def utc_ns(self) -> int:
+        """The time of day by the log's clock, nanoseconds since 1970."""
+        return self._clock.utc_ns()
+
     def fileno(self) -> int:
         """Readable while events wait."""
         return self._committer.fileno()

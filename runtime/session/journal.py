@@ -2,7 +2,6 @@
 
 import os
 import sys
-import time
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -419,7 +418,7 @@ class Journal:
         """One frame that passed the bus; transfers' frames go to the candump file only."""
         if passed.direction == "received" and not (passed.is_extended or passed.is_remote or passed.is_error):
             self.last_seen.frame(passed.can_id, passed.data)
-        utc_ns = time.time_ns()
+        utc_ns = self.log.utc_ns()
         line = candump.line(
             utc_ns,
             self._interface,
@@ -463,7 +462,7 @@ class Journal:
     def _transfer(self, direction: str, record: records.Record, length: int, digest: bytes) -> None:
         self.log.write(
             audit.CanTransfer(
-                stamp=audit.Time.of(time.time_ns()),
+                stamp=audit.Time.of(self.log.utc_ns()),
                 direction=direction,  # type: ignore[arg-type]
                 channel=record.CHANNEL.name.lower(),
                 record=type(record).__name__,

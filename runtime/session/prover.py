@@ -78,14 +78,14 @@ def serve(line: socket.socket, path: bytes) -> None:
         while came := line.recv(frames.missing):
             body = frames.add(came)
             if body is not None:
-                for answer in _answers(body, path):
+                for answer in answered(body, path):
                     line.sendall(framed(answer.model_dump_json().encode()))
     except OSError:  # the runtime has gone, killed perhaps: nobody waits for an answer
         return
 
 
-def _answers(body: bytes, path: bytes) -> Iterator[Answer]:
-    """What a request is answered with; whatever goes wrong, nothing was verified and the runtime is told."""
+def answered(body: bytes, path: bytes) -> Iterator[Answer]:
+    """What a request, as it came, is answered with; whatever goes wrong, nothing was verified and the runtime is told."""
     number = 0
     try:
         request = Request.parse(body, path)

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import can
 import pytest
@@ -16,6 +16,7 @@ from cutgate.config.load import load_site
 from cutgate.config.model import Site
 from cutgate.config.refusal import InputError
 from cutgate.runtime.commands.conform import approved_records, bench_on, open_unused_bus
+from cutgate.runtime.commands.in_virtual_time import BusInVirtualTime
 from cutgate.runtime.conform.bench import Bench
 from cutgate.runtime.conform.failures import HaltError
 from cutgate.runtime.conform.suite import CaseVerdict, Result, Suite
@@ -25,26 +26,7 @@ NAMES: Final = tuple(case.name for case in cases())
 """Of all cases, in their order."""
 
 
-class OnVirtualBus(Protocol):
-    """A bus in virtual time, as `cutgate_virtual` is one: who takes part lets time pass while it waits."""
-
-    key: Path
-    site: Path | None
-
-    def open(self, name: str) -> can.BusABC:
-        """One more node."""
-
-    def now_s(self) -> float:
-        """Monotonic seconds of it."""
-
-    def wait(self, bus: can.BusABC, seconds: float) -> None:
-        """Let time pass until this node has something to read, at most so long."""
-
-    def random(self, size: int) -> bytes:
-        """Bytes that are the same in every run."""
-
-
-def bench_in(virtual: OnVirtualBus) -> Bench:
+def bench_in(virtual: BusInVirtualTime) -> Bench:
     """In front of a controller on a bus in virtual time: a conversation to any place, and the negative suite's."""
     settings = load_site(virtual.site).value if virtual.site else Site()
     bus = virtual.open("tester")

@@ -100,3 +100,22 @@ def test_a_marker_names_what_there_is():
     for wrong in ({"must": ("HEARTBEAT",)}, {"must": (), "may": ("late",)}):
         with pytest.raises(ValueError, match=r"is not known; use NONE, .*late-loop"):
             Expectation(**wrong)
+
+
+def test_a_log_is_judged_by_its_records_whatever_else_is_in_it():
+    fault = {"source": "controller", "code": "STOPPED", "cause": "BONE_MOVED"}
+    late = {"longest_gap_ms": 90.0, "timeout_ms": 100.0}
+    records = [
+        ("/timing", late),
+        ("/audit/fault", fault),
+        ("/audit/open", fault),
+        ("/can/frame", {"is_error": True}),
+    ]
+    assert names(health.of_log([], records)) == ["BONE_MOVED", "error-frame", "late-loop"]
+    assert list(map(str, health.of_log(["a", "b"], iter(())))) == ["log: a; b"]
+
+
+def test_the_stop_by_which_a_test_ends_is_no_second_finding():
+    quit_, other = HealthFinding("OPERATOR_QUIT", "q"), HealthFinding("HEARTBEAT_LOST", "h")
+    for unfinished, left in ((True, [other]), (False, [quit_, other])):
+        assert health.but_the_tests_end([quit_, other], unfinished=unfinished) == left

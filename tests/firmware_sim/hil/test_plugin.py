@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from importlib.metadata import entry_points
 
 import pytest
 
@@ -111,16 +112,21 @@ def test_a_matrix_is_a_page_or_a_table(pytester, within):
     done.stderr.fnmatch_lines(["*--cutgate-matrix is 'matrix.pdf', must end in .html or .md"])
 
 
-def test_whoever_has_cutgate_installed_pays_nothing_for_the_plugin():
-    asked = "import sys, pytest, json; before = set(sys.modules); import cutgate.firmware_sim.hil.plugin; "
+@pytest.mark.parametrize(
+    "plugin", [entry.value for entry in entry_points(group="pytest11") if entry.name.startswith("cutgate")]
+)
+def test_whoever_has_cutgate_installed_pays_nothing_for_a_plugin(plugin):
+    asked = f"import sys, pytest, json; before = set(sys.modules); import {plugin}; "
     asked += "print(json.dumps(sorted(set(sys.modules) - before)))"
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
-    assert set(json.loads(done.stdout)) <= {
-        "cutgate",
-        "cutgate.firmware_sim",
-        "cutgate.firmware_sim.hil",
-        "cutgate.firmware_sim.hil.plugin",
-    }
+    parts = plugin.split(".")
+    packages = {".".join(parts[:many]) for many in range(1, len(parts) + 1)}
+    assert set(json.loads(done.stdout)) <= packages
+
+
+def test_there_are_three_plugins():
+    names = {entry.name for entry in entry_points(group="pytest11") if entry.name.startswith("cutgate")}
+    assert names == {"cutgate", "cutgate_conform", "cutgate_session"}
 
 
 # ---------------------------------------------------------------- the negative suite

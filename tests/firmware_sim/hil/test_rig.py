@@ -4,7 +4,6 @@ import can
 import pytest
 
 from cutgate.firmware_sim.fault_language import parse_fault
-from cutgate.firmware_sim.hil import rig as hil
 from cutgate.firmware_sim.hil.health import HealthFinding
 from cutgate.firmware_sim.hil.inputs import write_files
 from cutgate.firmware_sim.hil.rig import HilRig
@@ -66,39 +65,6 @@ def test_a_refused_input_is_found_and_a_controller_that_ends_by_itself(rig):
     rig.close()
     assert [finding.name for finding in rig.findings] == ["controller-ended", "refused"]
     assert isinstance(rig.findings[0], HealthFinding)
-
-
-def test_of_a_failure_everything_is_copied_but_keys_and_links(rig, tmp_path):
-    (rig.folder / "logs").mkdir()
-    for name in (
-        "logs/a.mcap",
-        "logs/a.candump.log",
-        "bus.candump.log",
-        "1-runtime.txt",
-        "site.key",
-        "state",
-    ):
-        (rig.folder / name).write_text(name, encoding="utf-8")
-    (rig.folder / "link.txt").symlink_to(rig.files.key)
-    for number in ("", "-2", "-3"):
-        place = tmp_path / "kept" / f"test_a.py_test_b_1-2_{number}"
-        lines = rig.artefacts(tmp_path / "kept", "test_a.py::test_b[1-2]")
-        assert lines == sorted(
-            str(place / name)
-            for name in ("1-runtime.txt", "bus.candump.log", "logs/a.candump.log", "logs/a.mcap")
-        )
-
-
-@pytest.mark.parametrize("copies", [0, 1])
-def test_what_cannot_be_copied_stays_where_it_lies_and_that_is_said(rig, tmp_path, monkeypatch, copies):
-    (rig.folder / "1-runtime.txt").write_text("x", encoding="utf-8")
-    monkeypatch.setattr(hil, "COPIES_MAX", copies)
-    directory = tmp_path / "kept"
-    if copies:
-        directory.write_text("a file", encoding="utf-8")
-    said, kept = rig.artefacts(directory, "test")
-    assert said.startswith(f"not copied to {directory}: ")
-    assert kept == str(rig.folder / "1-runtime.txt")
 
 
 def test_the_files_of_a_short_session_are_admitted(rig):

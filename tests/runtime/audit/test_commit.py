@@ -15,6 +15,7 @@ from cutgate.runtime.audit.commit import (
     Committer,
     Durable,
     Finish,
+    InTurn,
     LogFailed,
     LogFiles,
     Reserved,
@@ -37,7 +38,7 @@ def signed(size, sha256):
 class Thread:
     """A committer on files in a directory, and every event it has reported."""
 
-    def __init__(self, directory, disk):
+    def __init__(self, directory, disk, kind=Committer):
         self.log_path, self.frames_path = directory / "a.mcap", directory / "a.candump.log"
         self.locked = lock(directory)
         self.files = LogFiles(
@@ -48,7 +49,7 @@ class Thread:
             disk.prepare(directory / "a.signature.json"),
         )
         self.disk = disk
-        self.committer = Committer(disk, self.files)
+        self.committer = kind(disk, self.files)
 
     def wait(self, kind):
         while True:
@@ -454,3 +455,21 @@ def test_content_is_read_back_with_every_record_that_enables(tmp_path, within_on
     assert "was overwritten" in thread.wait(LogFailed).reason if token else thread.wait(Durable).token is None
     assert Closed() not in thread.finish(), "and when the log is closed"
     assert not (tmp_path / "HEAD").exists()
+
+
+def test_in_turn_a_job_is_done_when_it_is_handed_over(tmp_path):
+    disk = WatchedDisk()
+    in_turn = Thread(tmp_path, disk, InTurn)
+    in_turn.committer.submit(Append(b"abc", b"frame\n", 7, 2, ROOT))
+    assert disk.synced[in_turn.files.log.descriptor] == 3
+    assert in_turn.committer.events() == [Durable(7, 3, 2, ROOT)]
+    assert not in_turn.committer.join(0.0)
+    assert in_turn.finish() == [Closed()]
+
+
+def test_in_turn_nothing_is_done_after_the_first_failure(tmp_path):
+    in_turn = Thread(tmp_path, WatchedDisk(failing("sync", errno.EIO)), InTurn)
+    for _ in range(2):
+        in_turn.committer.submit(Append(b"abc", b"", token=1))
+    assert [type(event) for event in in_turn.finish()] == [LogFailed]
+    assert in_turn.log_path.read_bytes() == b"abc"

@@ -98,7 +98,10 @@ def test_an_arm_that_is_another_one_than_was_verified_comes_nearer(field, bounda
 
 
 def test_an_arm_within_its_residual_comes_nearer_by_no_more_than_twice_that():
-    """Its wrist centre may be off by the residual, and so may the place of the boundary itself, for links are in both."""
+    """Wrist centre and boundary are each within the residual of where the calibration has them, so both together are.
+
+    Joints, and with them slide, pitch and roll, are those of the calibrated arm: whatever the links are, no limit is met.
+    """
     rng, seen = np.random.default_rng(20261130), 0.0
     for plan in drawn(1):
         off_u = rng.uniform(-1, 1, 2) * 0.1 * UNIT
@@ -107,6 +110,7 @@ def test_an_arm_within_its_residual_comes_nearer_by_no_more_than_twice_that():
         least = least_while_cutting(plan, shifted(plan.calibration, **links))
         assert too_near(plan, least, 2.0 * residual_mm + ROUNDING) == []
         nearest = [b - distance for _, distance, b in too_near(plan, least, ROUNDING)]
+        assert {name for name, _, _ in too_near(plan, least, ROUNDING)} <= {"inner", "outer", "left", "right"}
         seen = max(seen, *(gap / residual_mm for gap in nearest), 0.0)
     assert seen > 0.5
 

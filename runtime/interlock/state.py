@@ -398,23 +398,49 @@ class HeartbeatReceived:
 
 
 @dataclass(frozen=True)
+class Crowd:
+    """Nearly all frames that are heard are neither side's.
+
+    Attributes:
+        can_id, is_extended: the identifier of most of them.
+        frames_per_s: with this identifier.
+        percent: of all frames that are heard.
+    """
+
+    can_id: int
+    is_extended: bool
+    frames_per_s: int
+    percent: int
+
+    def __str__(self) -> str:
+        name = f"0x{self.can_id:08X}" if self.is_extended else f"0x{self.can_id:03X}"
+        return (
+            f"{self.percent} % of the frames on the bus had identifier {name}, which is neither side's "
+            f"({self.frames_per_s} a second): find the node that sends it, it lets hardly anybody else through"
+        )
+
+
+@dataclass(frozen=True)
 class HeartbeatLost:
     """No fresh heartbeat within the time-out.
 
     Attributes:
         paused_ms: how long this side's own loop stood still meanwhile, at the longest; 0 where it kept its time.
+        crowd: who takes the bus for himself; None where nobody does.
     """
 
     paused_ms: int = 0
+    crowd: Crowd | None = None
 
 
 @dataclass(frozen=True)
 class FaultReceived:
-    """A fault frame, which carries no code: its cause is claimed. ``paused_ms`` as of `HeartbeatLost`."""
+    """A fault frame, which carries no code: its cause is claimed. ``paused_ms`` and ``crowd`` as of `HeartbeatLost`."""
 
     code: FaultCode
     cause: StopCause
     paused_ms: int = 0
+    crowd: Crowd | None = None
 
 
 @dataclass(frozen=True)

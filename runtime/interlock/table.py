@@ -207,10 +207,11 @@ def fault_received(state: Interlock, event: FaultReceived, now_s: float) -> Outc
 
 
 def _late(event: HeartbeatLost | FaultReceived) -> str:
-    """Which side was late, as far as this side knows."""
+    """Which side was late, as far as this side knows, and who let nobody through."""
+    crowd = f"; {event.crowd}" if event.crowd else ""
     if event.paused_ms:
-        return f"; this computer stood still for {event.paused_ms} ms"
-    return "; this computer was not late"
+        return f"; this computer stood still for {event.paused_ms} ms{crowd}"
+    return f"; this computer was not late{crowd}"
 
 
 def rebooted(state: Interlock, _event: Announced | OtherVersionAnnounced, now_s: float) -> Outcome:

@@ -114,7 +114,8 @@ def put_together(
         random: a generator of bytes.
     """
     files, job = given.files, given.state.job
-    journal = Journal(given.log, given.bus_name.partition("/")[2].rpartition("/")[2] or "can0")
+    channel = given.bus_name.partition("/")[2].rpartition("/")[2] or "can0"
+    journal = Journal(given.log, channel, job.timing)
     endpoint = Endpoint(
         Side.RUNTIME,
         given.key,

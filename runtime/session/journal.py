@@ -12,6 +12,7 @@ from cutgate.protocol.endpoint import RecordReceived, Sent
 from cutgate.protocol.frames import BULK_IDS, CONTROL_IDS
 from cutgate.protocol.link import Link, Statistics
 from cutgate.protocol.port import Passed
+from cutgate.protocol.records import Timing
 from cutgate.protocol.states import Purpose, Refusal, StopCause
 from cutgate.runtime.audit import names
 from cutgate.runtime.audit import records as audit
@@ -61,6 +62,7 @@ from cutgate.runtime.interlock.tracking import Deviation
 from cutgate.runtime.review.last_seen import LastSeen
 from cutgate.runtime.session.job import VERIFIER
 from cutgate.runtime.session.space import space, waiting_s
+from cutgate.runtime.session.strangers import Strangers
 from cutgate.runtime.session.telemetry import Telemetry
 
 Kind = Literal["permit", "start", "reset"]
@@ -134,10 +136,12 @@ class Journal:
     Args:
         log: the session's log.
         interface: the bus's name in the candump file.
+        timing: the session's.
     """
 
-    def __init__(self, log: AuditLog, interface: str) -> None:
+    def __init__(self, log: AuditLog, interface: str, timing: Timing) -> None:
         self.log = log
+        self.strangers = Strangers(timing)
         self.last_seen = LastSeen()
         self.telemetry = Telemetry()
         self._interface = plain(interface)
@@ -416,8 +420,10 @@ class Journal:
 
     def frame(self, passed: Passed) -> None:
         """One frame that passed the bus; transfers' frames go to the candump file only."""
-        if passed.direction == "received" and not (passed.is_extended or passed.is_remote or passed.is_error):
-            self.last_seen.frame(passed.can_id, passed.data)
+        if passed.direction == "received" and not passed.is_error:
+            self.strangers.frame(passed.can_id, is_extended=passed.is_extended)
+            if not (passed.is_extended or passed.is_remote):
+                self.last_seen.frame(passed.can_id, passed.data)
         utc_ns = self.log.utc_ns()
         line = candump.line(
             utc_ns,

@@ -35,6 +35,7 @@ from cutgate.runtime.interlock.phases import ENDED, PHASES, STOPPING
 from cutgate.runtime.interlock.state import (
     CommandGiven,
     Commit,
+    Crowd,
     Dropped,
     Effect,
     Event,
@@ -141,6 +142,7 @@ class Session:
         self._segments = PathHeader.of(state.job.path).count - 1
         self._cycle = Cycle(port, clock)
         self._pauses = Pauses(state.job.timing)
+        self._crowd_told = False
         self._interrupted: str | None = None
         self._bus_error: can.CanError | None = None
         self._poller = select.poll()
@@ -235,6 +237,7 @@ class Session:
         cycle.begin()
         self._pauses.cycle(cycle.gap_s, cycle.now_s)
         self._journal.telemetry.cycle(cycle.gap_s)
+        self._journal.strangers.cycle(cycle.now_s)
         try:
             self._look_at_clocks()
             for item in cycle.read():
@@ -294,11 +297,23 @@ class Session:
         for violation in self._cycle.late():
             lost = violation.cause is StopCause.HEARTBEAT_LOST
             failed = Failed(violation.cause, violation.detail)
-            self._feed(HeartbeatLost(self._pauses.longest_ms(now_s)) if lost else failed)
+            self._feed(HeartbeatLost(*self._lateness(now_s)) if lost else failed)
         if not self._journal.log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))
+        self._tell_crowd(now_s)
         self._feed(Tick())
+
+    def _tell_crowd(self, now_s: float) -> None:
+        """Once, and also before there is a session that it could stop."""
+        crowd = self._journal.strangers.crowd(now_s)
+        if crowd is not None and not self._crowd_told:
+            self._crowd_told = True
+            self._view.note(str(crowd))
+
+    def _lateness(self, now_s: float) -> tuple[int, Crowd | None]:
+        """What a lost heartbeat may come of: how long this loop stood still, and who takes the bus."""
+        return self._pauses.longest_ms(now_s), self._journal.strangers.crowd(now_s)
 
     # ------------------------------------------------------------ what arrives
 
@@ -311,7 +326,7 @@ class Session:
             case Accepted(sample=JointSample() as sample):
                 self._feed(JointsMeasured(records.joints_to_counts(sample.joints), sample.measured_s))
             case Accepted(frame=ControllerFault() as fault):
-                self._feed(FaultReceived(fault.code, fault.cause, self._pauses.longest_ms(self._cycle.now_s)))
+                self._feed(FaultReceived(fault.code, fault.cause, *self._lateness(self._cycle.now_s)))
             case Accepted(frame=Progress() as progress):
                 self._view.progress(progress.segment, self._segments)
                 self._feed(ProgressReported(progress.segment, progress.fraction))

@@ -39,6 +39,7 @@ OWN_TESTS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "runtime/session/messages.py": ("tests/runtime/session/test_messages.py",),
     "runtime/session/pauses.py": ("tests/runtime/session/test_pauses.py",),
+    "runtime/session/strangers.py": ("tests/runtime/session/test_strangers.py",),
     "runtime/session/verifying.py": ("tests/runtime/session/test_verifying.py",),
     "runtime/session/withdrawal.py": ("tests/runtime/session/test_withdrawal.py",),
     "runtime/session/withdrawn.py": ("tests/runtime/session/test_withdrawn.py",),

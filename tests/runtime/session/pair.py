@@ -461,7 +461,7 @@ class Pair:
         self.disk.log = None
         self.log = self._log()
         self.closing.append(partial(_let_go, self.log))
-        self.journal = Journal(self.log, "vcan0")
+        self.journal = Journal(self.log, "vcan0", self.job.timing)
         self.prover, self.notes = Prover(), Notes()
         self.terminal = Terminal(OperatorCommand)
         self.closing += [self.prover.close, self.terminal.close]

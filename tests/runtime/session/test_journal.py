@@ -51,6 +51,7 @@ from tests.runtime.interlock.builders import (
     ON,
     READY,
     SEEN_LOG,
+    TIMING,
     TOKEN,
     beat,
     durable,
@@ -110,7 +111,7 @@ def test_reasons_that_are_no_text_are_recorded_all_the_same(log):
 
 
 def test_a_channel_that_is_no_text_can_name_the_raw_frames(log):
-    journal = Journal(log.log, "vc\udcffan")
+    journal = Journal(log.log, "vc\udcffan", TIMING)
     journal.frame(Passed("received", 0x123, bytes(8), False, False, False, False))
     assert written(log, "/can/frame")[-1]["id"] == 0x123
 

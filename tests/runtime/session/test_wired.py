@@ -93,6 +93,9 @@ def test_a_babbling_node_of_the_highest_priority_stops_the_cut_and_is_named(a_pa
         pair.time.add(babbler, babbles, lambda: 0.0001)
         phase, cause = stopped(pair)
         assert (phase, cause) == (Phase.STOPPED, StopCause.HEARTBEAT_LOST)
+        named = f"% of the frames on the bus had identifier 0x{number:03X}, which is neither side's"
+        assert named in pair.state.reason
+        assert [note for note in pair.notes.notes if named in note]
         pair.run(1.0)
         (line,) = overload.seen(pair.time.now_ns)
         assert line.startswith("babbler takes ")

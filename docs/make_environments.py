@@ -131,6 +131,7 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
     log = str(next(files.glob("*.mcap")))
     logs = files / "demo" / "logs"
     cut = str(max(logs.glob("*.mcap")))
+    wire = str(files / WIRE)
     return {
         "--help": (["--help"], 0),
         "verify": (["verify", *plan, *second], 0),
@@ -176,9 +177,14 @@ def one_shot(files: Path) -> dict[str, tuple[Sequence[str], int]]:
             0,
         ),
         "decode": (["decode", str(files / "bus.log")], 0),
+        "bus stat": (["bus", "stat", "--socket", wire, "--count", "1", "--interval", "0.1"], 0),
+        "bus stat --json": (["bus", "stat", "--socket", wire, "--json"], 0),
+        "bus inject": (["bus", "inject", "bit", "--id", "7ff", "--socket", wire], 0),
     }
 
 
+WIRE: Final = "wire.sock"
+"""Of a hub that models the wire."""
 UNREAD: Final = ("key new", "key session", "audit prove")
 """Say nothing on standard output: whoever does not read it misses nothing."""
 
@@ -352,15 +358,21 @@ def new_key(folder: Path) -> Path:
 def a_bus(files: Path) -> Iterator[dict[str, str]]:
     """A hub and a key for those that need them."""
     key, bus = new_key(files), files / "bus"
+    with a_hub(bus):
+        yield {"bus": str(bus), "key": str(key)}
+
+
+@contextmanager
+def a_hub(place: Path, *options: str) -> Iterator[None]:
+    """A hub at this place."""
+    serve = ("bus", "serve", "--socket", str(place), "--until-stdin-closes", *options)
     with subprocess.Popen(
-        program("cutgate.firmware_sim", "bus", "serve", "--socket", str(bus), "--until-stdin-closes"),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        program("cutgate.firmware_sim", *serve), stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as hub:
         assert hub.stdout is not None and hub.stdin is not None  # noqa: S101, PT018 - they are pipes
         hub.stdout.readline()
         try:
-            yield {"bus": str(bus), "key": str(key)}
+            yield
         finally:
             hub.stdin.close()
 
@@ -562,7 +574,7 @@ COSTS: Final = (
 
 def page(problems: list[str]) -> str:
     """The whole page; what must not be is added to the problems."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, a_hub(Path(folder) / WIRE, "--bitrate", "1M"):
         files = Path(folder)
         made(files)
         told = "To programs that go on until they are told to end; `run` waits for a controller."

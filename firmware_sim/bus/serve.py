@@ -2,11 +2,9 @@
 
 import argparse
 import json
-import os
 import re
-import select
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -14,8 +12,8 @@ from typing import Final, TextIO
 
 from cutgate.config.bus import LOCAL_CHANNEL, RuntimeDirectoryError, socket_path
 from cutgate.config.exits import OK, REFUSED
-from cutgate.config.screen import STDERR, STDOUT, diverted, last_words, screens
-from cutgate.config.signals import ENDING, handled, wake, wake_pipe
+from cutgate.config.screen import STDERR, STDOUT, diverted, last_words, printable, screens, write_nowhere
+from cutgate.config.signals import ENDING, handled
 from cutgate.config.terminal import STDIN
 from cutgate.firmware_sim.bus import stat
 from cutgate.firmware_sim.bus.ask import NotAnsweredError, counts, let_err
@@ -56,29 +54,46 @@ def _paced(rates: Rates, queue: int, restart_s: float | None, report: Callable[[
     return Paced(rates, queue_frames=queue, restart_s=restart_s, report=report)
 
 
+class _ToldToEnd(Exception):  # noqa: N818 - no error
+    """A signal that ends programs has come."""
+
+
+def _told_to_end(_number: int) -> None:
+    raise _ToldToEnd
+
+
 def _stat(options: argparse.Namespace) -> int:
     """Counts between two looks, again and again; of one document with --json."""
     path = socket_path(options.socket)
-    with ExitStack() as stack:
-        (output,) = stack.enter_context(screens(STDOUT))
-        if options.json:
-            for line in json.dumps(counts(path), indent=2).splitlines():
-                output.say(line)
-            return OK
-        reading, writing = wake_pipe()
-        stack.callback(os.close, reading)
-        stack.callback(os.close, writing)
-        stack.enter_context(handled(ENDING, lambda _number: wake(writing)))
-        waiting = select.poll()
-        waiting.register(reading, select.POLLIN)
-        before, since_s = counts(path), time.monotonic()
-        looked = 0
-        while looked != options.count and not waiting.poll(options.interval * 1000):
-            after, now_s = counts(path), time.monotonic()
-            for line in stat.page(before, after, now_s - since_s):
-                output.say(line)
-            before, since_s, looked = after, now_s, looked + 1
+    if options.json:
+        _say(json.dumps(counts(path), indent=2).splitlines())
+        return OK
+    try:
+        with handled(ENDING, _told_to_end):
+            _look_again_and_again(path, options.count, options.interval)
+    except _ToldToEnd:
+        write_nowhere(STDOUT)  # what a reader who does not read was still to have
     return OK
+
+
+def _look_again_and_again(path: Path, count: int | None, interval_s: float) -> None:
+    before, since_s = counts(path), time.monotonic()
+    looked = 0
+    while looked != count:
+        time.sleep(interval_s)
+        after, now_s = counts(path), time.monotonic()
+        if not _say(stat.page(before, after, now_s - since_s)):
+            return
+        before, since_s, looked = after, now_s, looked + 1
+
+
+def _say(lines: Iterable[str]) -> bool:
+    """Print lines; False where they cannot be written: the program's end says why."""
+    try:
+        print("\n".join(map(printable, lines)), flush=True)  # noqa: T201 - what was asked for
+    except OSError:
+        return False
+    return True
 
 
 def _inject(options: argparse.Namespace) -> int:
@@ -95,8 +110,7 @@ def _inject(options: argparse.Namespace) -> int:
     )
     if answer.startswith("refused"):
         raise ValueError(answer)
-    with screens(STDOUT) as (output,):
-        output.say(answer)
+    _say([answer])
     return OK
 
 

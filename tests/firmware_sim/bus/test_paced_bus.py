@@ -1,12 +1,16 @@
 """A hub that models the wire, seen through python-can and through `cutgate bus stat` and `inject`."""
 
+import fcntl
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
+import termios
 import threading
 import time
+from array import array
 from pathlib import Path
 
 import can
@@ -177,6 +181,30 @@ def test_the_page_goes_on_until_it_is_ended(slow_bus):
         shown.send_signal(signal.SIGINT)
         shown.stdout.read()
         assert shown.wait(WAIT_S) == 0
+
+
+def test_a_reader_who_stops_reading_does_not_keep_it_from_ending(slow_bus):
+    command = program("cutgate.firmware_sim", "bus", "stat", "--socket", str(slow_bus), "--interval", "0.001")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=0) as shown:
+        room = fcntl.fcntl(shown.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        until_s = time.monotonic() + WAIT_S
+        while array("i", fcntl.ioctl(shown.stdout, termios.FIONREAD, bytes(4)))[0] < 0.9 * room:
+            assert time.monotonic() < until_s
+            select.select([], [], [], 0.01)
+        shown.send_signal(signal.SIGTERM)
+        assert shown.wait(WAIT_S) == 0
+
+
+@pytest.mark.parametrize(
+    "asked", [("stat", "--json"), ("stat", "--count", "1", "--interval", "0.01"), ("inject", "bit")]
+)
+def test_what_nobody_gets_is_no_success(slow_bus, asked):
+    command = program("cutgate.firmware_sim", "bus", *asked, "--socket", str(slow_bus))
+    reading, unread = os.pipe()
+    os.close(reading)
+    for output, code in ((unread, 141), (os.open("/dev/full", os.O_WRONLY), 74)):
+        assert subprocess.run(command, stdout=output, check=False, timeout=WAIT_S).returncode == code
+        os.close(output)
 
 
 def test_what_cannot_be_injected_is_refused_with_code_2(slow_bus, virtual_bus):

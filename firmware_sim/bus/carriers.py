@@ -165,7 +165,7 @@ class Paced:
 
     def join(self, client: int, name: str) -> None:
         """A client takes part."""
-        number = self.medium.join(name, self._clock_ns())
+        number = self.medium.join(name)
         self._numbers[client], self._clients[number] = number, client
         self._states[number] = NodeState.ERROR_ACTIVE
 

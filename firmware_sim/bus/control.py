@@ -126,20 +126,21 @@ def injection_of(text: str, nodes: Mapping[int, int]) -> Injection:
         )
     return Injection(
         error,
-        number=_number(asked, "identifier", None, EXTENDED_MAX),
+        number=None if asked.get("identifier") is None else _number(asked, "identifier", 0, EXTENDED_MAX),
         senders=_node_number(asked, "sender", nodes),
         receivers=_node_number(asked, "receiver", nodes),
-        skip=_number(asked, "skip", 0, COUNT_MAX) or 0,
-        count=_number(asked, "count", 1, COUNT_MAX) or 1,
+        skip=_number(asked, "skip", 0, COUNT_MAX),
+        count=_number(asked, "count", 1, COUNT_MAX),
     )
 
 
-def _number(asked: dict[str, Any], key: str, otherwise: int | None, most: int) -> int | None:
-    value = asked.get(key, otherwise)
+def _number(asked: dict[str, Any], key: str, least: int, most: int) -> int:
+    """What is asked for, or the least where nothing is."""
+    value = asked.get(key)
     if value is None:
-        return otherwise
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
-        raise InjectionRefusedError(f"{key} is {value!r}, must be a whole number of 0 to {most}")
+        return least
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+        raise InjectionRefusedError(f"{key} is {value!r}, must be a whole number of {least} to {most}")
     return value
 
 
@@ -147,7 +148,7 @@ def _node_number(asked: dict[str, Any], key: str, nodes: Mapping[int, int]) -> f
     client = asked.get(key)
     if client is None:
         return None
-    if not isinstance(client, int) or client not in nodes:
+    if not isinstance(client, int) or isinstance(client, bool) or client not in nodes:
         known = ", ".join(map(str, sorted(nodes))) or "none"
         raise InjectionRefusedError(
             f"{key} is {client!r}, must be the number of a client: {known} (bus stat)"

@@ -54,13 +54,13 @@ def check(number: int, flags: int, length: int) -> None:
     """
     highest = EXTENDED_MAX if flags & (_EXTENDED | _ERROR) else STANDARD_MAX
     if not 0 <= number <= highest:
-        raise BusFrameError(f"identifier 0x{number:x}, at most 0x{highest:x}")
+        raise BusFrameError(f"identifier {number:#x}, must be 0x0 to {highest:#x}")
     if flags & _FD:
         if flags & (_REMOTE | _ERROR):
             raise BusFrameError("an FD frame is neither a remote nor an error frame")
         if length not in FD_LENGTHS:
             raise BusFrameError(f"FD frame of {length} data bytes; 0-8, 12, 16, 20, 24, 32, 48 or 64 exist")
-    elif length > 8:
-        raise BusFrameError(f"classic frame of {length} data bytes, at most 8")
+    elif not 0 <= length <= 8:
+        raise BusFrameError(f"classic frame of {length} data bytes, must be 0 to 8")
     elif flags & _FD_ONLY:
         raise BusFrameError("bit rate switch and error state exist in FD frames only")

@@ -32,8 +32,6 @@ def frame_of(msg: can.Message, *, fd: bool) -> BusFrame:
     length = msg.dlc if msg.is_remote_frame else len(data)
     if msg.is_fd and not fd:
         raise can.CanOperationError("FD frame on a bus opened without FD; open it with fd=True")
-    if not 0 <= length <= 64 or not 0 <= msg.arbitration_id <= 0xFFFF_FFFF:
-        raise can.CanOperationError(f"no CAN frame: identifier {msg.arbitration_id}, length {length}")
     try:
         frames.check(msg.arbitration_id, flags, length)
     except BusFrameError as error:

@@ -18,7 +18,7 @@ _DETAIL: Final = {
     NodeState.ERROR_WARNING: (0x08, 0x04),
     NodeState.ERROR_PASSIVE: (0x20, 0x10),
 }
-"""Second byte where the transmit counter is the higher one, and where the receive counter is."""
+"""Second byte where the transmit counter is the higher one, and where the receive counter is; both where they are equal."""
 
 
 def state_frame(before: NodeState, state: NodeState, counters: Counters) -> BusFrame:
@@ -28,7 +28,10 @@ def state_frame(before: NodeState, state: NodeState, counters: Counters) -> BusF
     if before is NodeState.BUS_OFF:
         return _error(RESTARTED, 0, counters)
     sending, receiving = _DETAIL[state]
-    return _error(CONTROLLER, sending if counters.transmit >= counters.receive else receiving, counters)
+    detail = (sending if counters.transmit >= counters.receive else 0) | (
+        receiving if counters.receive >= counters.transmit else 0
+    )
+    return _error(CONTROLLER, detail, counters)
 
 
 def overflow_frame(detail: int, frames: int) -> BusFrame:
@@ -37,5 +40,5 @@ def overflow_frame(detail: int, frames: int) -> BusFrame:
 
 
 def _error(number: int, detail: int, counters: Counters) -> BusFrame:
-    counts = bytes((min(counters.transmit, 255), min(counters.receive, 255)))
+    counts = bytes((min(counters.transmit, 255), counters.receive))
     return BusFrame(number | COUNTERS, int(Flag.ERROR), 8, bytes((0, detail, 0, 0, 0, 0)) + counts)

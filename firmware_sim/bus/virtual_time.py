@@ -59,7 +59,7 @@ class VirtualTime:
 
     def join(self, name: str, *, fd: bool = False, receive_own_messages: bool = False) -> "VirtualTimeBus":
         """A node more, as python-can's programs use one."""
-        number = self.medium.join(name, self.now_ns)
+        number = self.medium.join(name)
         bus = VirtualTimeBus(self, number, name, fd=fd, receive_own_messages=receive_own_messages)
         self._buses[number], self._states[number] = bus, NodeState.ERROR_ACTIVE
         return bus
@@ -77,7 +77,7 @@ class VirtualTime:
             turn: one cycle of it.
             wait_s: how long it waits after that if nothing arrives.
         """
-        self._loops.append(_Loop(bus, turn, wait_s, self.now_ns))
+        self._loops.append(_Loop(bus, turn, wait_s, self.now_ns, self.now_ns))
 
     def remove(self, bus: "VirtualTimeBus") -> None:
         """This program runs no more."""
@@ -94,7 +94,7 @@ class VirtualTime:
         end_ns = self.now_ns + round(limit_s * _NS)
         while not (met := condition()) and self.now_ns < end_ns:
             self._step(end_ns)
-        return met or condition()
+        return met
 
     def offer(self, number: int, frame: BusFrame) -> bool:
         """Queue a frame at a node; False where there is no room."""
@@ -103,7 +103,7 @@ class VirtualTime:
     def _step(self, end_ns: int) -> None:
         """To the next thing that happens, and let it."""
         times = [self.medium.next_ns, *(loop.due_ns() for loop in self._loops)]
-        self.now_ns = max(self.now_ns, min((ns for ns in (*times, end_ns) if ns is not None), default=end_ns))
+        self.now_ns = max(self.now_ns, min(ns for ns in (*times, end_ns) if ns is not None))
         for event in self.medium.advance(self.now_ns):
             self._happened(event)
         for loop in list(self._loops):
@@ -153,7 +153,7 @@ class VirtualTimeBus(can.BusABC):
         super().__init__(channel=name)
 
     def fileno(self) -> int:
-        """A descriptor for poll, of which nothing ever comes: what is to be read, the turns say."""
+        """A descriptor for poll, of which nothing ever comes: what is to be read, the turns say; -1 once it was shut down."""
         return self._descriptor
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - python-can's
@@ -186,8 +186,7 @@ class VirtualTimeBus(can.BusABC):
                 message = self.inbox.popleft()
                 if message.is_error_frame or self._matches_filters(message):
                     return message
-            left_s = end_s - self._time.clock()
-            if left_s <= 0.0 or not self._time.until(lambda: bool(self.inbox), left_s):
+            if not self._time.until(lambda: bool(self.inbox), end_s - self._time.clock()):
                 return None
 
     def shutdown(self) -> None:
@@ -196,9 +195,10 @@ class VirtualTimeBus(can.BusABC):
             super().shutdown()
             self._time.leave(self.number)
             os.close(self._descriptor)
+            self._descriptor = -1  # the number may be another file's from now on
 
 
-@dataclass(eq=False)
+@dataclass
 class _Loop:
     """A program's loop, and when it has its next turn."""
 
@@ -207,7 +207,7 @@ class _Loop:
     wait_s: Callable[[], float]
     free_ns: int
     """It is busy with the last turn until then."""
-    wake_ns: int = 0
+    wake_ns: int
 
     def due_ns(self) -> int:
         return self.free_ns if self.bus.inbox else max(self.free_ns, self.wake_ns)

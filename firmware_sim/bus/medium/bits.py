@@ -61,13 +61,13 @@ def frame_bits(frame: BusFrame) -> Bits:
 
 # ---------------------------------------------------------------- stuff bits
 
-_START: Final = (1, 5)
-"""The bus was recessive, and nothing is stuffed before the start of the frame."""
+_START: Final = (2, 0)
+"""No bit yet: the first one begins a run, whichever it is."""
 
 
 def _after_bit(last: int, run: int, bit: int) -> tuple[int, int, int]:
     """The bit and run that count from here on, and whether a stuff bit was inserted behind this one."""
-    run = run + 1 if bit == last and (last, run) != _START else 1
+    run = run + 1 if bit == last else 1
     return (1 - bit, 1, 1) if run == 5 else (bit, run, 0)
 
 

@@ -12,8 +12,6 @@ from typing import Final
 WARNING: Final = 96
 PASSIVE: Final = 128
 OFF: Final = 256
-RECEIVE_BELOW_PASSIVE: Final = 127
-"""A receiver that was passive counts on from here once it has received a frame."""
 
 
 @unique
@@ -35,6 +33,9 @@ class Counted(StrEnum):
     SENT_WRONG = "sent wrong"
     NOT_ACKNOWLEDGED = "not acknowledged"
     RECEIVED_WRONG = "received wrong"
+    """Another's error flag, or an error that the transmitter flags first."""
+    FOUND_WRONG = "found wrong"
+    """An error that this receiver is among the first to flag."""
 
 
 STEPS: Final[dict[Counted, tuple[int, int]]] = {
@@ -43,8 +44,10 @@ STEPS: Final[dict[Counted, tuple[int, int]]] = {
     Counted.SENT_WRONG: (8, 0),
     Counted.NOT_ACKNOWLEDGED: (8, 0),
     Counted.RECEIVED_WRONG: (0, 1),
+    Counted.FOUND_WRONG: (0, 1 + 8),
 }
-"""By how much the transmit and the receive error counter change."""
+"""By how much the transmit and the receive error counter change. A receiver whose flag is the first hears the others'
+behind it, which counts 8 more: so the one that is broken itself is passive before it has sent a good transmitter off."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,13 @@ class Counters:
         return NodeState.ERROR_WARNING if highest >= WARNING else NodeState.ERROR_ACTIVE
 
     def after(self, counted: Counted) -> "Counters":
-        """The counters after this; the receive counter stays at passive, where counting on changes nothing."""
+        """The counters after this.
+
+        The receive counter stays at passive: one frame received, and it is at 127, as the standard allows from wherever
+        above.
+        """
         if counted is Counted.NOT_ACKNOWLEDGED and self.state is NodeState.ERROR_PASSIVE:
             return self  # alone on the bus a node never goes off
         transmit, receive = STEPS[counted]
-        before = RECEIVE_BELOW_PASSIVE + 1 if receive < 0 and self.receive >= PASSIVE else self.receive
-        after = (max(0, self.transmit + transmit), min(max(0, before + receive), PASSIVE))
+        after = (max(0, self.transmit + transmit), min(max(0, self.receive + receive), PASSIVE))
         return self if after == (self.transmit, self.receive) else Counters(*after)

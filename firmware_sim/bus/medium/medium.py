@@ -6,7 +6,7 @@ How it is used: :meth:`Medium.join` for each node; :meth:`Medium.advance` to now
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium.bits import (
@@ -71,8 +71,7 @@ class Changed:
 Event = Carried | Destroyed | QueueRoom | Changed
 
 
-@dataclass(frozen=True, slots=True)
-class _OnWire:
+class _OnWire(NamedTuple):
     """What is being sent: from when, until when; the error that ends it, and the receivers that see it."""
 
     frame: BusFrame
@@ -131,10 +130,10 @@ class Medium:
 
     # ------------------------------------------------------------ who takes part
 
-    def join(self, name: str, now_ns: int) -> int:
+    def join(self, name: str) -> int:
         """A node more; its number."""
         self._joined += 1
-        self.nodes[self._joined] = Node(self._joined, name, self._queue_frames, ready_ns=now_ns)
+        self.nodes[self._joined] = Node(self._joined, name, self._queue_frames)
         return self._joined
 
     def leave(self, number: int) -> None:
@@ -178,10 +177,10 @@ class Medium:
                 return events
             if self._on_wire is not None:
                 events += self._finish(self._on_wire)
-            elif next_ns == self._start_ns():
-                events += self._begin(next_ns)
-            else:
+            elif next_ns == self._recovery_ns():
                 events += self._recover(next_ns)
+            else:
+                self._begin(next_ns)
 
     def _start_ns(self) -> int | None:
         """When the next frame begins."""
@@ -193,7 +192,7 @@ class Medium:
 
     # ------------------------------------------------------------ one frame
 
-    def _begin(self, start_ns: int) -> Iterator[Event]:
+    def _begin(self, start_ns: int) -> None:
         """Arbitration: of all that have something to send, who sends."""
         competing = [
             node
@@ -211,7 +210,7 @@ class Medium:
         if error is not None:
             at = CASES[error].from_end
             end_ns = (start_ns + end_ns) // 2 if at is None else end_ns - self.rates.nominal_ns(at)
-        yield from self._count_recessive(start_ns)
+        self._count_recessive(start_ns)
         self._on_wire = _OnWire(frame, senders, start_ns, end_ns, error, seers)
 
     def _error(self, frame: BusFrame, senders: tuple[Node, ...]) -> tuple[WireFault | None, tuple[Node, ...]]:
@@ -261,9 +260,7 @@ class Medium:
             node.tally.sent += 1
             yield from self._counted(node, Counted.SENT, sent.end_ns)
             yield QueueRoom(node.number, 1)
-        for node in takers:
-            node.tally.received += 1
-            yield from self._counted(node, Counted.RECEIVED, sent.end_ns)
+        yield from self._taken(takers, sent.end_ns)
         for node in sent.seers:
             yield from self._counted(node, Counted.RECEIVED_WRONG, sent.end_ns)
         self._suspend(sent)
@@ -273,19 +270,26 @@ class Medium:
         flag_ns = self.rates.nominal_ns(ERROR_FLAG_BITS + ERROR_DELIMITER_BITS)
         self._occupied(sent, sent.end_ns - sent.start_ns + flag_ns + self._intermission_ns)
         self.totals.error_frames += 1
-        others = self._receivers(sent.senders)
+        receivers = self._receivers(sent.senders)
+        takers = [node for node in receivers if CASES[error].kept and node not in sent.seers]
         if CASES[error].kept:
-            takers = [node for node in others if node not in sent.seers]
             yield Carried(sent.end_ns, sent.frame, _numbers(sent.senders), _numbers(takers), sent=False)
         yield Destroyed(sent.end_ns, error, sent.frame, _numbers(sent.senders))
         own = Counted.NOT_ACKNOWLEDGED if error is WireFault.ACK else Counted.SENT_WRONG
         for node in sent.senders:
             node.tally.errors += 1
             yield from self._counted(node, own, sent.end_ns)
-        for node in others:
-            if not CASES[error].kept or node in sent.seers:
-                yield from self._counted(node, Counted.RECEIVED_WRONG, sent.end_ns)
+        yield from self._taken(takers, sent.end_ns)
+        for node in receivers:
+            if node not in takers:
+                wrong = Counted.FOUND_WRONG if node in sent.seers else Counted.RECEIVED_WRONG
+                yield from self._counted(node, wrong, sent.end_ns)
         self._suspend(sent)
+
+    def _taken(self, takers: Iterable[Node], at_ns: int) -> Iterator[Event]:
+        for node in takers:
+            node.tally.received += 1
+            yield from self._counted(node, Counted.RECEIVED, at_ns)
 
     def _occupied(self, sent: _OnWire, busy_ns: int) -> None:
         self._idle_ns = sent.start_ns + busy_ns
@@ -319,30 +323,29 @@ class Medium:
                 self._off[node] = at_ns + self._restart_ns
             node.recessive = RECOVERY_BITS // _RECESSIVE_BITS
 
-    def _count_recessive(self, start_ns: int) -> Iterator[Event]:
-        """A frame begins: eleven recessive bits were there behind the last one, and as often as the bus was idle for."""
-        for node, restart_ns in list(self._off.items()):
-            if restart_ns <= start_ns:
-                idle = (start_ns - max(self._idle_ns, restart_ns)) // self._eleven_ns
-                node.recessive -= 1 + max(0, idle)
-                if node.recessive <= 0:
-                    yield from self._back(node, start_ns)
+    def _recessive_ns(self, node: Node) -> int:
+        """Since when a node that is off has seen none but recessive bits, as the last eleven before a free bus are."""
+        return max(self._idle_ns - self._eleven_ns, self._off[node])
+
+    def _count_recessive(self, start_ns: int) -> None:
+        """A frame begins: whoever is off has seen so many times eleven recessive bits, and begins to count anew."""
+        for node in self._off:
+            since_ns = self._recessive_ns(node)
+            if since_ns < start_ns:
+                node.recessive -= (start_ns - since_ns) // self._eleven_ns
+
+    def _back_ns(self, node: Node) -> int:
+        """When a node that is off comes back, if nobody sends."""
+        return self._recessive_ns(node) + node.recessive * self._eleven_ns
 
     def _recovery_ns(self) -> int | None:
         """When the next node comes back, if nobody sends."""
-        return min(
-            (
-                max(self._idle_ns, restart) + node.recessive * self._eleven_ns
-                for node, restart in self._off.items()
-            ),
-            default=None,
-        )
+        return min(map(self._back_ns, self._off), default=None)
 
     def _recover(self, now_ns: int) -> Iterator[Event]:
         """Whoever has seen enough recessive bits by now, on a bus on which nobody sends."""
-        for node, restart_ns in list(self._off.items()):
-            if max(self._idle_ns, restart_ns) + node.recessive * self._eleven_ns <= now_ns:
-                yield from self._back(node, now_ns)
+        for node in [node for node in self._off if self._back_ns(node) <= now_ns]:
+            yield from self._back(node, now_ns)
 
     def _back(self, node: Node, now_ns: int) -> Iterator[Event]:
         node.counters, node.ready_ns = Counters(), now_ns

@@ -6,18 +6,18 @@ import pytest
 
 from cutgate.firmware_sim.bus import stat, wire
 from cutgate.firmware_sim.bus.carriers import AtOnce, Paced
-from cutgate.firmware_sim.bus.control import COUNT_MAX, InjectionRefusedError, inject, injection_of, status
+from cutgate.firmware_sim.bus.control import InjectionRefusedError, inject, injection_of, status
 from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium import medium as medium_module
 from cutgate.firmware_sim.bus.medium.bits import Rates
 from cutgate.firmware_sim.bus.medium.errors import Injection, WireFault
 
-NODES = {11: 1, 12: 2}
+NODES = {1: 4, 11: 1, 12: 2}
 
 
 def carrier(clock=lambda: 10**12):
     paced = Paced(Rates(1_000_000, 5_000_000), clock_ns=clock)
-    for client in NODES:
+    for client in (11, 12):
         paced.join(client, f"client {client}")
     return paced
 
@@ -31,6 +31,11 @@ def carrier(clock=lambda: 10**12):
             Injection(WireFault.CRC, 0x80, frozenset({1}), frozenset({2}), 3, 4),
         ),
         ({"error": "last-bit", "count": None}, Injection(WireFault.LAST)),
+        (
+            {"error": "bit", "identifier": 0x1FFFFFFF, "skip": 1_000_000, "count": 1_000_000},
+            Injection(WireFault.BIT, 0x1FFFFFFF, skip=1_000_000, count=1_000_000),
+        ),
+        ({"error": "bit", "identifier": 0, "skip": 0, "count": 1}, Injection(WireFault.BIT, 0)),
     ],
 )
 def test_an_injection_is_what_was_asked_for(asked, expected):
@@ -47,9 +52,14 @@ def test_an_injection_is_what_was_asked_for(asked, expected):
         ("{}", "error is None, must be one of bit, stuff"),
         ('{"error": ["bit"]}', "error is .'bit'., must be one of"),
         ('{"error": "bit", "receiver": 12}', "seen by the sender"),
-        ('{"error": "crc", "receiver": 13}', "receiver is 13, must be the number of a client: 11, 12"),
+        ('{"error": "crc", "receiver": 13}', "receiver is 13, must be the number of a client: 1, 11, 12"),
         ('{"error": "crc", "sender": "x"}', "sender is 'x'"),
-        ('{"error": "crc", "count": -1}', f"count is -1, must be a whole number of 0 to {COUNT_MAX}"),
+        ('{"error": "x"}', "error is 'x', must be one of bit, stuff"),
+        ('{"error": "crc", "sender": true}', "sender is True"),
+        ('{"error": "crc", "count": 0}', "count is 0, must be a whole number of 1 to 1000000"),
+        ('{"error": "crc", "count": 1000001}', "count is 1000001, must be a whole number of 1 to"),
+        ('{"error": "crc", "skip": -1}', "skip is -1, must be a whole number of 0 to 1000000"),
+        ('{"error": "crc", "identifier": 536870912}', "identifier is 536870912, must be a .* 0 to 536870911"),
         ('{"error": "crc", "skip": true}', "skip is True"),
         ('{"error": "crc", "identifier": 1.5}', "identifier is 1.5"),
     ],
@@ -102,6 +112,41 @@ def test_everything_is_counted_and_a_page_shows_what_happened_between_two_counts
     assert lines[4].startswith("  005 of client 11: ")
     assert len(lines) == 6
     assert stat.page(after, after, 1.0)[4:] == []
+
+
+def test_those_who_talk_most_come_first_and_no_more_than_twenty_of_them():
+    clock = Clock()
+    paced = carrier(clock)
+    for number in range(25):
+        for _ in range(number + 1):
+            list(paced.take(11, wire.of_frame(BusFrame(number))))
+            clock.now_ns += 10**6
+    list(paced.go_on())
+    document = status(paced, {11: ("client 11", 0, 0)})
+    assert document["schema"] == "cutgate.bus/1"
+    assert [(talker["identifier"], talker["frames"]) for talker in document["talkers"]] == [
+        (number, number + 1) for number in range(24, 4, -1)
+    ]
+    node = paced.node_of(11)
+    assert document["clients"] == [
+        {
+            "client": 11,
+            "name": "client 11",
+            "unread": 0,
+            "lost": 0,
+            "state": "ERROR_ACTIVE",
+            "transmit_errors": 0,
+            "receive_errors": 0,
+            "queued": 0,
+            "depth": 10,
+            "sent": 325,
+            "received": 0,
+            "refused": 0,
+            "lost_arbitration": 0,
+            "errors": 0,
+            "busy_ns": node.tally.busy_ns,
+        }
+    ]
 
 
 def test_who_has_left_and_what_is_lumped_together_is_shown_as_that():

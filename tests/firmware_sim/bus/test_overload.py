@@ -1,8 +1,10 @@
 """Who keeps the bus busy is named, once, and again when it begins anew."""
 
+import pytest
+
 from cutgate.firmware_sim.bus.frame import BusFrame
 from cutgate.firmware_sim.bus.medium.bits import Rates
-from cutgate.firmware_sim.bus.medium.medium import Medium
+from cutgate.firmware_sim.bus.medium.medium import Medium, Talker
 from cutgate.firmware_sim.bus.overload import WINDOW_NS, Overload
 
 
@@ -19,7 +21,7 @@ def busy(medium, number, until_ns):
 def test_it_is_named_once_until_the_load_has_fallen():
     medium = Medium(Rates(1_000_000))
     for name in ("loud", "other"):
-        medium.join(name, 0)
+        medium.join(name)
     overload = Overload(medium, 0)
     busy(medium, 7, WINDOW_NS)
     assert not list(overload.seen(WINDOW_NS - 1))
@@ -39,7 +41,7 @@ def test_it_is_named_once_until_the_load_has_fallen():
 def test_who_has_left_is_named_by_its_number():
     medium = Medium(Rates(1_000_000))
     for name in ("loud", "other"):
-        medium.join(name, 0)
+        medium.join(name)
     overload = Overload(medium, 0)
     busy(medium, 7, WINDOW_NS)
     medium.leave(1)
@@ -48,10 +50,33 @@ def test_who_has_left_is_named_by_its_number():
     assert [line[:31] for line in overload.seen(WINDOW_NS)] == ["node 1, which has left, takes 1"]
 
 
+@pytest.mark.parametrize(
+    ("bus_ns", "talker_ns", "named"),
+    [
+        (900_000_000, 500_000_000, True),
+        (899_999_999, 500_000_000, False),
+        (900_000_000, 499_999_999, False),
+    ],
+)
+def test_nine_tenths_of_a_second_of_which_half_is_of_one_is_too_much(bus_ns, talker_ns, named):
+    """In each second anew: what was before does not count."""
+    medium = Medium(Rates(1_000_000))
+    medium.join("loud")
+    medium.totals.busy_ns = 5 * 10**9
+    overload = Overload(medium, 0)
+    medium.totals.busy_ns += bus_ns
+    medium.totals.talkers[1, 7] = Talker(1, talker_ns)
+    assert not list(overload.seen(999_999_999))
+    assert bool(list(overload.seen(1_000_000_000))) == named
+    medium.totals.busy_ns += 899_999_999
+    medium.totals.talkers[1, 8] = Talker(1, 800_000_000)
+    assert not list(overload.seen(2_000_000_000))
+
+
 def test_a_load_of_many_names_nobody():
     medium = Medium(Rates(1_000_000))
     for name in "abc":
-        medium.join(name, 0)
+        medium.join(name)
     overload = Overload(medium, 0)
     for turn in range(25_000):
         node = turn % 3 + 1

@@ -1,5 +1,8 @@
 """The bus in virtual time: programs take turns, and time passes when all of them wait."""
 
+import os
+import select
+
 import can
 import pytest
 
@@ -29,6 +32,52 @@ def time():
     yield made
     for bus in joined:
         bus.shutdown()
+
+
+def test_a_bus_that_was_left_is_left_for_good(time):
+    one, two = time.join("one"), time.join("two")
+    descriptor = one.fileno()
+    one.shutdown()
+    assert one._is_shutdown  # else python-can shuts it down again when it is collected
+    assert set(time.medium.nodes) == {two.number}
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+    assert one.fileno() == -1
+
+
+def test_its_descriptor_is_for_poll_alone_and_never_has_anything(time):
+    one, two = time.join("one"), time.join("two")
+    two.send(message())
+    time.run(1.0)
+    assert select.select([one], [], [], 0) == ([], [], [])
+    assert not os.get_blocking(one.fileno())
+    assert not os.get_inheritable(one.fileno())
+
+
+def test_a_bus_is_classic_or_fd_and_says_so(time):
+    assert time.join("one").protocol is can.CanProtocol.CAN_20
+    assert time.join("two", fd=True).protocol is can.CanProtocol.CAN_FD
+
+
+def test_the_clock_is_that_of_the_frames_and_of_the_medium(time):
+    one, two = time.join("one"), time.join("two")
+    one.send(message(5))
+    assert (time.now_ns, time.clock()) == (1000 * 10**9, 1000.0)
+    took_ns = frame_bits(BusFrame(5)).nominal * 1000
+    assert two.recv(1.0).timestamp == (1000 * 10**9 + took_ns) / 10**9
+    assert one.recv(0) is None  # its own only where it asks for it
+    time.run(2.0)
+    assert time.now_ns == 1002 * 10**9 + took_ns
+
+
+def test_a_queue_is_as_deep_as_it_is_made():
+    time = VirtualTime(RATES, queue_frames=3)
+    one = time.join("one")
+    for _ in range(3):
+        one.send(message())
+    with pytest.raises(can.CanTimeoutError):
+        one.send(message())
+    one.shutdown()
 
 
 def test_nothing_passes_unless_somebody_waits(time):

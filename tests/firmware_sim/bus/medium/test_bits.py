@@ -1,12 +1,25 @@
 """How many bits a frame has: every bit of it, written down one after the other by an oracle, counted."""
 
+import random
+from dataclasses import FrozenInstanceError
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.firmware_sim.bus.frame import BusFrame, Flag
+from cutgate.firmware_sim.bus.medium import bits as module
 from cutgate.firmware_sim.bus.medium.bits import Bits, Rates, frame_bits
-from tests.firmware_sim.bus.medium.frames import EXTENDED, FD, REMOTE, SWITCH, classic, flexible, of
+from tests.firmware_sim.bus.medium.frames import (
+    EXTENDED,
+    FD,
+    REMOTE,
+    SWITCH,
+    classic,
+    flexible,
+    of,
+    of_runs,
+)
 from tests.oracle.can_wire import encoded
 
 END = 9
@@ -17,6 +30,28 @@ END = 9
 def test_every_bit_is_counted(frame):
     wire = encoded(frame)
     assert frame_bits(frame) == (len(wire.bits) + END - len(wire.fast), len(wire.fast))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_so_is_every_stuff_bit_of_long_runs(seed):
+    draw = random.Random(seed)
+    for frame in (of_runs(draw) for _ in range(150)):
+        wire = encoded(frame)
+        assert frame_bits(frame) == (len(wire.bits) + END - len(wire.fast), len(wire.fast)), frame
+
+
+@pytest.mark.parametrize(
+    ("field", "bits"),
+    [
+        ("INTERMISSION_BITS", 3),
+        ("ERROR_FLAG_BITS", 6 + 6),
+        ("ERROR_DELIMITER_BITS", 8),
+        ("SUSPEND_BITS", 8),
+        ("RECOVERY_BITS", 1408),
+    ],
+)
+def test_between_frames_are_as_many_bits_as_the_standard_says(field, bits):
+    assert getattr(module, field) == bits
 
 
 @given(st.binary(max_size=8))
@@ -47,4 +82,7 @@ def test_time_goes_by_both_rates():
     bits = Bits(30, 500)
     assert bits.ns(Rates(1_000_000, 5_000_000)) == 30_000 + 100_000
     assert bits.ns(Rates(500_000)) == 2 * 530_000
+    assert Rates(1).nominal_ns(3) == 3 * 10**9
+    with pytest.raises(FrozenInstanceError):
+        Rates(1).nominal_bit_s = 2
     assert frame_bits(of(1, bytes(64), FD | SWITCH)).data > frame_bits(of(1, bytes(64), FD)).data == 0

@@ -1,6 +1,10 @@
 """Error counters, as ISO 11898-1 counts them."""
 
+from dataclasses import FrozenInstanceError
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cutgate.firmware_sim.bus.medium.confinement import STEPS, Counted, Counters, NodeState
 
@@ -51,5 +55,43 @@ def test_a_receiver_that_was_passive_is_active_after_one_frame():
     assert (after.receive, after.state) == (127, S.ERROR_WARNING)
 
 
-def test_everything_that_is_counted_has_a_row():
+@pytest.mark.parametrize(
+    ("counted", "transmit", "receive"),
+    [
+        (Counted.SENT, 49, 50),
+        (Counted.RECEIVED, 50, 49),
+        (Counted.SENT_WRONG, 58, 50),
+        (Counted.NOT_ACKNOWLEDGED, 58, 50),
+        (Counted.RECEIVED_WRONG, 50, 51),
+        (Counted.FOUND_WRONG, 50, 59),
+    ],
+)
+def test_the_steps_of_the_standard(counted, transmit, receive):
+    assert Counters(50, 50).after(counted) == Counters(transmit, receive)
+
+
+def test_everything_that_is_counted_has_a_row_above():
+    (marked,) = (mark for mark in test_the_steps_of_the_standard.pytestmark if mark.name == "parametrize")
+    assert [row[0] for row in marked.args[1]] == [*Counted]
     assert set(STEPS) == set(Counted)
+
+
+@given(st.integers(0, 255), st.integers(0, 128), st.sampled_from(Counted))
+def test_whatever_is_counted_only_that_counter_moves_and_stays_within_its_bounds(transmit, receive, counted):
+    after = Counters(transmit, receive).after(counted)
+    assert after.receive in range(129)
+    assert after.transmit in range(256 + 8)
+    if counted in {Counted.SENT, Counted.SENT_WRONG, Counted.NOT_ACKNOWLEDGED}:
+        assert after.receive == receive
+    else:
+        assert after.transmit == transmit
+
+
+def test_the_states_are_numbered_as_linux_numbers_them():
+    """``enum can_state`` of linux/can/netlink.h."""
+    assert [int(state) for state in S] == [0, 1, 2, 3]
+
+
+def test_counters_are_values():
+    with pytest.raises(FrozenInstanceError):
+        Counters().transmit = 1

@@ -1,6 +1,7 @@
 """The bus as a whole: order, time, errors, queues, who leaves and who comes back."""
 
 import random
+from dataclasses import FrozenInstanceError, fields
 from itertools import pairwise
 
 import pytest
@@ -8,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cutgate.firmware_sim.bus.frame import BusFrame
-from cutgate.firmware_sim.bus.medium import medium as module
 from cutgate.firmware_sim.bus.medium.bits import Rates, frame_bits
 from cutgate.firmware_sim.bus.medium.confinement import Counters, NodeState
 from cutgate.firmware_sim.bus.medium.errors import CASES, Injection, WireFault
 from cutgate.firmware_sim.bus.medium.medium import Carried, Changed, Destroyed, Medium, QueueRoom
-from tests.firmware_sim.bus.medium.frames import FD, SWITCH, classic, flexible, of
+from tests.firmware_sim.bus.medium.frames import EXTENDED, FD, SWITCH, classic, flexible, of
+from tests.oracle.can_errors import signalled
 from tests.oracle.can_wire import encoded, winners
 
 RATES = Rates(1_000_000, 5_000_000)
@@ -25,7 +26,7 @@ E = WireFault
 def bus(nodes=2, **options):
     medium = Medium(RATES, **options)
     for name in "abcdefgh"[:nodes]:
-        medium.join(name, 0)
+        medium.join(name)
     return medium
 
 
@@ -172,6 +173,44 @@ def test_an_error_at_the_very_end_gives_a_frame_twice(kind, seen_by, twice):
     assert sorted(arrived) == sorted([2, 3, *twice])
 
 
+@pytest.mark.parametrize("kind", WireFault)
+@pytest.mark.parametrize("seers", [{1}, {1, 2}, {1, 2, 3}], ids=str)
+def test_what_each_counts_of_an_error_and_who_keeps_the_frame_is_what_the_flags_on_a_wire_make_of_it(
+    kind, seers
+):
+    medium = bus(4)
+    for node in medium.nodes.values():
+        node.counters = Counters(20, 20)
+    medium.inject(Injection(kind, receivers=frozenset(number + 1 for number in seers)))
+    medium.offer(1, of(5, b"x"), 0)
+    events = medium.advance(medium.next_ns) + medium.advance(medium.next_ns)
+    sender, *receivers = signalled(kind.value, seers, 3)
+    assert isinstance(events[-1], Destroyed)
+    assert medium.nodes[1].counters == Counters(20 + sender[0], 20)
+    kept = [number for number, (_, taken) in enumerate(receivers, start=2) if taken]
+    assert [node.counters for node in list(medium.nodes.values())[1:]] == [
+        Counters(20, 19 if taken else 20 + counted) for counted, taken in receivers
+    ]
+    assert [number for event in carried(events) for number in event.receivers] == kept
+    assert [number for number, node in medium.nodes.items() if node.tally.received] == kept
+    assert not any(event.sent for event in carried(events))
+
+
+def test_a_receiver_that_is_broken_itself_is_passive_before_it_has_sent_a_good_sender_off():
+    medium = bus(3)
+    medium.inject(Injection(E.CRC, receivers=frozenset({3}), count=1000))
+    for number in range(10):
+        medium.offer(1, of(number), 0)
+    events = all_of(medium)
+    assert [event.receivers for event in carried(events)] == [(2,)] * 10
+    assert [medium.nodes[number].state for number in (1, 2, 3)] == [
+        S.ERROR_WARNING,
+        S.ERROR_ACTIVE,
+        S.ERROR_PASSIVE,
+    ]
+    assert medium.totals.error_frames == 15
+
+
 def test_an_error_that_only_a_passive_node_sees_destroys_nothing_and_loses_it_the_frame():
     medium = bus(3)
     medium.nodes[3].counters = Counters(0, 128)
@@ -189,7 +228,7 @@ def test_without_anybody_to_acknowledge_a_node_goes_on_trying_and_is_never_off()
     assert not carried(events)
     assert {event.kind for event in events if isinstance(event, Destroyed)} == {E.ACK}
     assert medium.nodes[1].counters == Counters(128)
-    medium.join("late", 10**8)
+    medium.join("late")
     event = only(Carried, all_of(medium))
     assert event.receivers == (2,)
 
@@ -210,11 +249,20 @@ def test_a_passive_sender_lets_the_others_go_first():
     assert second.at_ns - first.at_ns == (3 + 8 + frame_bits(of(2)).nominal) * BIT_NS
 
 
-def test_only_so_many_errors_are_kept_to_come(monkeypatch):
-    monkeypatch.setattr(module, "INJECTIONS_MAX", 2)
+def test_a_passive_sender_lets_the_others_go_first_after_an_error_as_well():
+    medium = bus(3)
+    medium.nodes[1].counters = Counters(130)
+    medium.inject(Injection(E.CRC))
+    medium.offer(1, of(1), 0)
+    medium.advance(0)
+    medium.offer(2, of(2), 1)
+    assert [event.frame.number for event in carried(all_of(medium))] == [2, 1]
+
+
+def test_only_so_many_errors_are_kept_to_come():
     medium = bus()
     assert medium.inject(Injection(E.BIT, count=1))
-    assert medium.inject(Injection(E.BIT, number=99))
+    assert all(medium.inject(Injection(E.BIT, number=99)) for _ in range(255))
     assert not medium.inject(Injection(E.BIT))
     medium.offer(1, of(5), 0)
     all_of(medium)
@@ -253,6 +301,74 @@ def test_it_comes_back_after_its_pause_and_128_times_eleven_recessive_bits():
     assert QueueRoom(1, 10) in events
     assert medium.offer(1, of(7), back.at_ns)
     assert only(Carried, all_of(medium)).frame.number == 7
+
+
+def off_in(medium):
+    """Send node 1 off; when."""
+    medium.inject(Injection(E.BIT, senders=frozenset({1}), count=32))
+    medium.offer(1, of(5), 0)
+    while medium.nodes[1].state is not S.BUS_OFF:
+        events = medium.advance(medium.next_ns)
+    return events[0].at_ns
+
+
+def back_at(runs, restart_ns):
+    """Eleven recessive bits after eleven, counted run by run; what is left of a run is lost."""
+    missing = 128
+    for start_ns, end_ns in runs:
+        since_ns = max(start_ns, restart_ns)
+        seen = max(0, end_ns - since_ns) // (11 * BIT_NS)
+        if seen >= missing:
+            return since_ns + missing * 11 * BIT_NS
+        missing -= seen
+    raise AssertionError
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_it_comes_back_after_as_many_times_eleven_recessive_bits_as_the_wire_has_had(seed):
+    """A frame ends with 8 recessive bits, an error frame as well; the next frame breaks the run behind it."""
+    draw = random.Random(seed)
+    pause_ns, gap_bits = draw.choice([0, 10**5, draw.randint(0, 10**6)]), draw.choice([0, 5, 11, 30, 200])
+    medium = bus(3, restart_ns=pause_ns)
+    off_ns = now_ns = off_in(medium)
+    since_ns, runs, events = off_ns + 12 * BIT_NS, [], []
+    while medium.nodes[1].state is S.BUS_OFF:
+        if draw.random() < 0.05:
+            medium.inject(Injection(draw.choice([E.CRC, E.BIT])))
+        if not medium.nodes[2].queue:
+            medium.offer(2, of(5, bytes(draw.randint(0, 8))), now_ns + draw.randint(0, gap_bits) * BIT_NS)
+        now_ns = medium.next_ns
+        events = medium.advance(now_ns)
+        if not events:
+            runs.append((since_ns, now_ns))
+        for event in events:
+            if isinstance(event, Carried | Destroyed):
+                since_ns = event.at_ns + (12 if isinstance(event, Destroyed) else -8) * BIT_NS
+    assert events[:1] == [
+        Changed(back_at([*runs, (since_ns, 10**12)], off_ns + pause_ns), 1, S.ERROR_ACTIVE, Counters())
+    ]
+    medium.offer(2, of(6), now_ns)
+    assert {event.receivers for event in carried(all_of(medium))} == {(1, 3)}
+
+
+def test_each_comes_back_in_its_own_time():
+    medium = bus(3, restart_ns=10**6)
+    off_in(medium)
+    medium.inject(Injection(E.BIT, senders=frozenset({2}), count=32))
+    medium.offer(2, of(5), 0)
+    events = all_of(medium)
+    times = {(event.node, event.state): event.at_ns for event in events if isinstance(event, Changed)}
+    assert times[2, S.ERROR_ACTIVE] - times[2, S.BUS_OFF] == 10**6 + 1408 * BIT_NS
+    assert times[1, S.ERROR_ACTIVE] < times[2, S.ERROR_ACTIVE]
+
+
+def test_where_a_bit_takes_no_time_the_way_back_takes_next_to_none():
+    medium = Medium(Rates(10**15), restart_ns=0)
+    for name in "ab":
+        medium.join(name)
+    off_ns = off_in(medium)
+    assert off_ns == 0
+    assert [event.at_ns for event in medium.advance(128) if isinstance(event, Changed)] == [128]
 
 
 def test_on_a_busy_bus_each_frame_counts_once_towards_the_way_back():
@@ -310,17 +426,13 @@ def test_a_node_that_leaves_while_it_is_off_does_not_come_back():
     assert not all_of(medium)
 
 
-def test_talkers_are_bounded(monkeypatch):
-    monkeypatch.setattr(module, "TALKERS_MAX", 2)
-    medium = bus()
-    for number in (1, 2, 3, 4, 1):
-        medium.offer(1, of(number), 0)
+def test_talkers_are_bounded():
+    medium = bus(queue_frames=5000)
+    for number in (*range(4096 + 3), 1):
+        medium.offer(1, of(number, flags=EXTENDED), 0)
     all_of(medium)
-    assert {key: talker.frames for key, talker in medium.totals.talkers.items()} == {
-        (1, 1): 2,
-        (1, 2): 1,
-        (1, -1): 2,
-    }
+    frames = {number: talker.frames for (_, number), talker in medium.totals.talkers.items()}
+    assert frames == dict.fromkeys(range(4096), 1) | {1: 2, -1: 3}
 
 
 # ---------------------------------------------------------------- whatever happens
@@ -334,11 +446,12 @@ def test_whatever_happens_nothing_is_lost_without_a_word_and_frames_never_overla
         draw.randint(2, 5), queue_frames=draw.randint(1, 10), restart_ns=draw.choice([None, 0, 10**7])
     )
     now_ns, queued, sent, off = 0, 0, 0, 0
-    ends = []
+    ends, history = [], []
     for _ in range(300):
         now_ns += draw.choice([0, 10**4, 10**5, 10**6])
         before = {node.number: len(node.queue) for node in medium.nodes.values()}
         events = medium.advance(now_ns)
+        history += events
         off += sum(before[e.node] for e in events if isinstance(e, Changed) and e.state is S.BUS_OFF)
         sent += sum(len(e.senders) for e in carried(events) if e.sent)
         ends += [(e.at_ns, frame_bits(e.frame).ns(RATES)) for e in carried(events) if e.sent]
@@ -353,3 +466,58 @@ def test_whatever_happens_nothing_is_lost_without_a_word_and_frames_never_overla
     waiting = sum(len(node.queue) for node in medium.nodes.values())
     assert queued - off <= sent + waiting <= queued
     assert all(later - took >= earlier + 3 * BIT_NS for (earlier, _), (later, took) in pairwise(ends))
+    assert_counted(medium, history)
+
+
+def assert_counted(medium, events):
+    """Every count is that of the events."""
+    destroyed = [event for event in events if isinstance(event, Destroyed)]
+    for number, node in medium.nodes.items():
+        assert node.tally.sent == sum(event.sent and number in event.senders for event in carried(events))
+        assert node.tally.received == sum(number in event.receivers for event in carried(events))
+        assert node.tally.errors == sum(number in event.senders for event in destroyed)
+    whole = [frame_bits(event.frame).ns(RATES) + 3 * BIT_NS for event in carried(events) if event.sent]
+    assert (medium.totals.frames, medium.totals.error_frames) == (len(whole), len(destroyed))
+    assert medium.totals.busy_ns >= sum(whole) + len(destroyed) * (20 + 3) * BIT_NS
+    talkers = medium.totals.talkers
+    for number, node in medium.nodes.items():
+        those = [talker for (who, _), talker in talkers.items() if who == number]
+        assert node.tally.busy_ns == sum(talker.busy_ns for talker in those)
+        assert node.tally.sent + node.tally.errors == sum(talker.frames for talker in those)
+
+
+def test_what_keeps_the_bus_busy_is_booked_to_whose_it_is():
+    medium = bus(3)
+    medium.offer(1, of(5), 0)
+    medium.offer(2, of(6, b"x"), 0)
+    medium.offer(2, of(7, b"y"), 0)
+    medium.inject(Injection(E.FORM, number=7))
+    all_of(medium)
+    took = {
+        number: (frame_bits(of(number, data)).nominal + 3) * BIT_NS
+        for number, data in ((5, b""), (6, b"x"), (7, b"y"))
+    }
+    wrong = took[7] + (20 - 9) * BIT_NS
+    assert {key: talker.busy_ns for key, talker in medium.totals.talkers.items()} == {
+        (1, 5): took[5],
+        (2, 6): took[6],
+        (2, 7): took[7] + wrong,
+    }
+    assert medium.totals.busy_ns == sum(took.values()) + wrong
+    assert [node.tally.busy_ns for node in medium.nodes.values()] == [took[5], took[6] + took[7] + wrong, 0]
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        Carried(0, of(1), (1,), (2,)),
+        Destroyed(0, E.BIT, of(1), (1,)),
+        QueueRoom(1, 1),
+        Changed(0, 1, S.BUS_OFF, Counters()),
+    ],
+    ids=lambda event: type(event).__name__,
+)
+def test_what_has_happened_is_not_altered(event):
+    with pytest.raises(FrozenInstanceError):
+        setattr(event, fields(event)[0].name, 2)
+    assert not hasattr(event, "__dict__")  # there are thousands a second

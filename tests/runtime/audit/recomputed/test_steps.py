@@ -170,6 +170,46 @@ def test_permissives_that_are_not_listed_are_told_by_name():
     ]
 
 
+@pytest.mark.parametrize(
+    ("shown", "odd"),
+    [
+        (listed("permitted")[::-1], "in another order"),
+        ((*listed("permitted"), records.PermissiveValue(name="new", holds=True, bound="", remedy="")), "new"),
+    ],
+)
+def test_so_are_those_of_another_order_and_those_that_are_too_many(shown, odd):
+    start = decision(11, ("permitted", "nonce_start"), "said start", "send NonceRequest", permissives=shown)
+    assert wrong(*until(10), view("PERMITTED"), start) == [
+        f"decision 11, permitted on said start: it lists other permissives than the table: {odd}"
+    ]
+
+
+@pytest.mark.parametrize(("event", "to"), [("failed", "stopping"), ("gave up", "stopped")])
+def test_an_event_of_this_side_names_its_cause(event, to):
+    def stop(cause):
+        way = ("cutting", to)
+        told = f"{event} LOOP_STALLED"
+        return decision(15, way, told, "send STOP LOOP_STALLED", first_out=cause, permissives=())
+
+    assert wrong(*until(14), stop("LOOP_STALLED")) == []
+    assert wrong(*until(14), stop("INTERNAL_ERROR"))
+
+
+def test_a_heartbeat_without_its_decision_is_told_once():
+    released = view("CUTTING", pressed=False)
+    later = [
+        decision(15, ("cutting", "stopping"), "failed X", "send STOP X", first_out="X", permissives=()),
+        close("stopping"),
+    ]
+    found = wrong(*until(14), released, *later)
+    assert [line for line in found if "no decision follows" in line] == [
+        (
+            "the controller shows CUTTING, cause none, epoch the session's, enabling device released, emergency stop clear in "
+            "cutting, behind decision 14, and no decision follows: the table takes a step there"
+        )
+    ]
+
+
 def test_a_heartbeat_that_must_stop_has_its_decision():
     released = view("CUTTING", pressed=False)
     found = wrong(*until(14), released, close("cutting"))
@@ -189,6 +229,7 @@ def test_a_stop_names_the_controllers_cause_and_keeps_it():
         return decision(16, ("stopping", "stopped"), "heartbeat", first_out=cause)
 
     assert wrong(*until(14), stops, stop("EMERGENCY_STOP"), end("EMERGENCY_STOP"), close("stopped")) == []
+    assert wrong(*until(14), stops, stop("EMERGENCY_STOP"), close("stopping")) == []
     assert wrong(*until(14), stops, stop("HEARTBEAT_LOST"))
     assert wrong(*until(14), stops, stop("EMERGENCY_STOP"), end("HEARTBEAT_LOST"))
 
@@ -207,21 +248,55 @@ def test_the_controllers_fault_names_the_cause_that_it_claims():
 @pytest.mark.parametrize(
     ("shown", "said"),
     [
-        (view("INHIBITED", "OPERATOR_STOP"), "its table goes from there to CUTTING, DONE"),
-        (view("OPEN"), "its table goes from there to CUTTING, DONE"),
-        (view("OPEN", epoch=EPOCH + 1), "its table goes from there to FAULT, INHIBITED"),
+        (
+            view("INHIBITED", "OPERATOR_STOP"),
+            (
+                "INHIBITED, cause OPERATOR_STOP, epoch 3, device held, emergency stop clear, cutting mode off behind decision 14, "
+                "after CUTTING: its table goes from there to CUTTING, DONE"
+            ),
+        ),
+        (
+            view("OPEN", pressed=False, clear=False),
+            (
+                "OPEN, cause NONE, epoch 3, device released, emergency stop pressed, cutting mode off behind decision 14, after "
+                "CUTTING: its table goes from there to CUTTING, DONE"
+            ),
+        ),
+        (
+            view("OPEN", epoch=EPOCH + 1),
+            (
+                "OPEN, cause NONE, epoch 4, device held, emergency stop clear, cutting mode off behind decision 14, after CUTTING "
+                "and a stop: its table goes from there to FAULT, INHIBITED"
+            ),
+        ),
         (view("FAULT", "OPERATOR_STOP", epoch=EPOCH + 1), None),
     ],
 )
 def test_the_controller_goes_on_as_its_table_does(shown, said):
     found = wrong(*until(14), shown)
-    assert found == [] if said is None else any(said in line for line in found)
+    assert found == ([] if said is None else [f"the controller shows {said}"])
+
+
+def test_its_first_heartbeat_follows_from_how_it_opened_the_session():
+    found = wrong(*until(2), view("PERMITTED"))
+    assert found == [
+        (
+            "the controller shows PERMITTED, cause NONE, epoch 3, device held, emergency stop clear, cutting mode on "
+            "behind decision 2, and no permit had left"
+        )
+    ]
+    held = opened(state=ControllerState.FAULT, cause=StopCause.SECOND_NODE)
+    assert any("after FAULT: its table goes" in line for line in wrong(CUT[0], held, view("CUTTING")))
 
 
 def test_behind_a_stop_the_controller_does_not_come_back_to_the_session():
     stopped = view("INHIBITED", "OPERATOR_STOP", epoch=EPOCH + 1)
-    found = wrong(*until(14), stopped, view("CUTTING"))
-    assert any("after a stop has ended that epoch" in line for line in found)
+    assert wrong(*until(14), stopped, view("CUTTING"))[1:] == [
+        (
+            "the controller shows CUTTING, cause NONE, epoch 3, device held, emergency stop clear, cutting mode on "
+            "behind decision 14, after a stop has ended that epoch"
+        )
+    ]
 
 
 @pytest.mark.parametrize(("kind", "sequence"), [("permit", 9), ("start", 13)])
@@ -256,7 +331,53 @@ def test_a_controller_that_is_held_lets_nothing_be_collected():
 
 
 def test_what_cannot_be_read_of_the_opening_is_told():
-    assert "cannot be read" in next(Steps(TABLE).opened(b"{}"))
+    steps = Steps(TABLE)
+    (line,) = steps.opened(b"{}")
+    assert line.startswith("/audit/session cannot be read: ")
+    assert steps == Steps(TABLE)
+
+
+def test_the_first_heartbeat_of_a_session_that_is_not_open_follows_from_nothing():
+    assert wrong(view("INHIBITED", "OPERATOR_STOP", epoch=7)) == []
+
+
+def test_only_a_fault_of_the_controller_names_the_cause_that_it_claims():
+    faults = [
+        records.AuditFault(source=source, code="STOPPED", cause=cause)
+        for source, cause in (("controller", "CORRUPTION"), ("runtime", "EMERGENCY_STOP"))
+    ]
+    way = ("cutting", "stopping")
+
+    def stop(cause):
+        return decision(15, way, "controller's fault", "send STOP X", first_out=cause, permissives=())
+
+    assert wrong(*until(14), *faults, stop("CORRUPTION")) == []
+    assert wrong(*until(14), *faults, stop("EMERGENCY_STOP"))
+    assert wrong(*until(14), faults[1], stop("EMERGENCY_STOP"))
+
+
+@pytest.mark.parametrize("stage", ["authorised", "acknowledged", "refused", "withheld"])
+def test_a_permit_that_was_made_and_not_sent_has_not_left(stage):
+    log = [
+        records.AuditPermit(kind="permit", stage=stage)
+        if isinstance(one, records.AuditPermit) and one.kind == "permit"
+        else one
+        for one in CUT
+    ]
+    assert any("no permit had left" in line for line in wrong(*log))
+
+
+@pytest.mark.parametrize(("word", "accepted"), [("acknowledge", False), ("start", True)])
+def test_an_acknowledgement_that_was_not_taken_is_none_and_no_other_word_is_one(word, accepted):
+    held = (
+        CUT[0],
+        opened(state=ControllerState.FAULT, cause=StopCause.SECOND_NODE),
+        decision(2, ("opening", "held"), "session opened", "OpenLink", "SeekWitness"),
+        view("FAULT", "SECOND_NODE"),
+        records.AuditOperator(word=word, accepted=accepted),
+        view("FAULT"),
+    )
+    assert any("nobody had said acknowledge" in line for line in wrong(*held))
 
 
 def test_a_program_whose_table_has_failed_may_end_without_it():

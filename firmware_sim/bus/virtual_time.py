@@ -102,8 +102,10 @@ class VirtualTime:
 
     def _step(self, end_ns: int) -> None:
         """To the next thing that happens, and let it."""
-        times = [self.medium.next_ns, *(loop.due_ns() for loop in self._loops)]
-        self.now_ns = max(self.now_ns, min((ns for ns in (*times, end_ns) if ns is not None), default=end_ns))
+        times = [end_ns, *[loop.due_ns() for loop in self._loops]]
+        if (next_ns := self.medium.next_ns) is not None:
+            times.append(next_ns)
+        self.now_ns = max(self.now_ns, min(times))
         for event in self.medium.advance(self.now_ns):
             self._happened(event)
         for loop in list(self._loops):

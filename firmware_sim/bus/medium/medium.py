@@ -164,32 +164,29 @@ class Medium:
     @property
     def next_ns(self) -> int | None:
         """When something happens next; None where nothing will unless a frame is offered."""
-        if self._on_wire is not None:
-            return self._on_wire.end_ns
-        times = (self._start_ns(), self._recovery_ns())
-        return min((ns for ns in times if ns is not None), default=None)
+        coming = self._next()
+        return None if coming is None else coming[0]
 
     def advance(self, now_ns: int) -> list[Event]:
         """What has happened until now."""
         events: list[Event] = []
-        while True:
-            next_ns = self.next_ns
-            if next_ns is None or next_ns > now_ns:
-                return events
-            if self._on_wire is not None:
-                events += self._finish(self._on_wire)
-            elif next_ns == self._start_ns():
-                events += self._begin(next_ns)
-            else:
-                events += self._recover(next_ns)
+        while (coming := self._next()) is not None and coming[0] <= now_ns:
+            events += coming[1]
+        return events
+
+    def _next(self) -> tuple[int, Iterator[Event]] | None:
+        """When something happens next, and it, not yet begun: a frame ends, a frame begins, a node comes back."""
+        if self._on_wire is not None:
+            return self._on_wire.end_ns, self._finish(self._on_wire)
+        start_ns, back_ns = self._start_ns(), self._recovery_ns()
+        if start_ns is not None and (back_ns is None or start_ns <= back_ns):
+            return start_ns, self._begin(start_ns)
+        return None if back_ns is None else (back_ns, self._recover(back_ns))
 
     def _start_ns(self) -> int | None:
         """When the next frame begins."""
-        earliest = min(
-            (from_ns for node in self.nodes.values() if (from_ns := node.sends_from_ns) is not None),
-            default=None,
-        )
-        return None if earliest is None else max(earliest, self._idle_ns)
+        times = [from_ns for node in self.nodes.values() if (from_ns := node.sends_from_ns) is not None]
+        return max(min(times), self._idle_ns) if times else None
 
     # ------------------------------------------------------------ one frame
 

@@ -178,7 +178,7 @@ class Medium:
         """When something happens next, and it, not yet begun: a frame ends, a frame begins, a node comes back."""
         if self._on_wire is not None:
             return self._on_wire.end_ns, self._finish(self._on_wire)
-        start_ns, back_ns = self._start_ns(), self._recovery_ns()
+        start_ns, back_ns = self._start_ns(), self._recovery_ns() if self._off else None
         if start_ns is not None and (back_ns is None or start_ns <= back_ns):
             return start_ns, self._begin(start_ns)
         return None if back_ns is None else (back_ns, self._recover(back_ns))
@@ -325,14 +325,11 @@ class Medium:
                 if node.recessive <= 0:
                     yield from self._back(node, start_ns)
 
-    def _recovery_ns(self) -> int | None:
-        """When the next node comes back, if nobody sends."""
+    def _recovery_ns(self) -> int:
+        """When the next node of those that are off comes back, if nobody sends."""
         return min(
-            (
-                max(self._idle_ns, restart) + node.recessive * self._eleven_ns
-                for node, restart in self._off.items()
-            ),
-            default=None,
+            max(self._idle_ns, restart) + node.recessive * self._eleven_ns
+            for node, restart in self._off.items()
         )
 
     def _recover(self, now_ns: int) -> Iterator[Event]:

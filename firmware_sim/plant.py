@@ -297,6 +297,8 @@ class _Motion:
         self._ratio = 0.0
         self._slowed = False
         self._visited: list[Visited] = []
+        self._under_way: tuple[tuple[Leg, int], _Stretch] | None = None
+        """What is under execution, and the leg and segment that it is."""
 
     def run(self, left_s: float) -> Advance:
         """Move for that many seconds of the plant."""
@@ -328,7 +330,14 @@ class _Motion:
     # ---------------------------------------------------------- the legs
 
     def _stretch(self) -> _Stretch:
-        """What is under execution: the legs as a table."""
+        """What is under execution; made once for all steps along it."""
+        place = self._state.leg, self._state.segment
+        if self._under_way is None or self._under_way[0] != place:
+            self._under_way = place, self._new_stretch()
+        return self._under_way[1]
+
+    def _new_stretch(self) -> _Stretch:
+        """The legs as a table."""
         bound, path, index = self._approach, self._path, self._state.segment
         match self._state.leg:
             case Leg.APPROACH:

@@ -192,19 +192,18 @@ class Medium:
 
     def _begin(self, start_ns: int) -> Iterator[Event]:
         """Arbitration: of all that have something to send, who sends."""
-        competing = [
-            node
+        competing = {
+            node: arbitration(node.queue[0].frame)
             for node in self.nodes.values()
             if (from_ns := node.sends_from_ns) is not None and from_ns <= start_ns
-        ]
-        lowest = min(arbitration(node.queue[0].frame) for node in competing)
-        senders = tuple(node for node in competing if arbitration(node.queue[0].frame) == lowest)
+        }
+        lowest = min(competing.values())
+        senders = tuple(node for node, bits in competing.items() if bits == lowest)
         for node in competing:
             node.tally.lost_arbitration += node not in senders
         frame = senders[0].queue[0].frame
         error, seers = self._error(frame, senders)
-        bits = frame_bits(frame)
-        end_ns = start_ns + bits.ns(self.rates)
+        end_ns = start_ns + frame_bits(frame).ns(self.rates)
         if error is not None:
             at = CASES[error].from_end
             end_ns = (start_ns + end_ns) // 2 if at is None else end_ns - self.rates.nominal_ns(at)

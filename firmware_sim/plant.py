@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -212,7 +213,7 @@ class _Step(NamedTuple):
     slowed: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Plant:
     """The simulated arm with its limits.
 
@@ -225,6 +226,12 @@ class Plant:
     limits: Limits
     calibration: Calibration
     hold_roll_rad: float | None = None
+
+    @cached_property
+    def bounds(self) -> tuple[Joints, Joints, Joints]:
+        """The lowest and the highest joints, and their greatest speeds: rad and mm, and of a second."""
+        limits = self.limits
+        return as_joints(limits.q_min), as_joints(limits.q_max), as_joints(limits.speed)
 
     def advance(
         self,
@@ -261,9 +268,8 @@ class Plant:
 
     def too_fast(self, before: Joints, after: Joints, plant_s: float) -> PlantFault | None:
         """A fault if a measured joint turned faster than its limit between two cycles, whoever moved it."""
-        for joint, (old, new, limit) in enumerate(
-            zip(before, after, as_joints(self.limits.speed), strict=True)
-        ):
+        *_, speed = self.bounds
+        for joint, (old, new, limit) in enumerate(zip(before, after, speed, strict=True)):
             if not abs(new - old) <= limit * plant_s + MEASURED:
                 return PlantFault(
                     StopCause.LIMIT_EXCEEDED,
@@ -282,8 +288,7 @@ class _Motion:
 
     def __init__(self, plant: Plant, path: StoredPath, approach: BoundApproach, state: PlantState) -> None:
         self._arm = plant._arm(path)  # noqa: SLF001 - same module
-        self._lower, self._upper = as_joints(plant.limits.q_min), as_joints(plant.limits.q_max)
-        self._speed = as_joints(plant.limits.speed)
+        self._lower, self._upper, self._speed = plant.bounds
         self._path = path
         self._approach = approach
         self._begin = state.segment
@@ -292,6 +297,8 @@ class _Motion:
         self._ratio = 0.0
         self._slowed = False
         self._visited: list[Visited] = []
+        self._under_way: tuple[tuple[Leg, int], _Stretch] | None = None
+        """What is under execution, and the leg and segment that it is."""
 
     def run(self, left_s: float) -> Advance:
         """Move for that many seconds of the plant."""
@@ -323,7 +330,14 @@ class _Motion:
     # ---------------------------------------------------------- the legs
 
     def _stretch(self) -> _Stretch:
-        """What is under execution: the legs as a table."""
+        """What is under execution; made once for all steps along it."""
+        place = self._state.leg, self._state.segment
+        if self._under_way is None or self._under_way[0] != place:
+            self._under_way = place, self._new_stretch()
+        return self._under_way[1]
+
+    def _new_stretch(self) -> _Stretch:
+        """The legs as a table."""
         bound, path, index = self._approach, self._path, self._state.segment
         match self._state.leg:
             case Leg.APPROACH:

@@ -60,17 +60,12 @@ class Frame:
     SENDER: ClassVar[Side]
 
     def __post_init__(self) -> None:
-        message = message_of(type(self))
-        for name, kind in _kinds(type(self)):
+        for name, kind, low, high in _fields(type(self)):
             value = getattr(self, name)
             if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-                raise FrameError(f"{message.name}.{name} is {value!r}, must be {kind.__name__}")
-            signal = message.get_signal_by_name(name)
-            low, high = (-(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1)
-            if not signal.is_signed:
-                low, high = 0, (1 << signal.length) - 1
+                raise FrameError(f"{type(self).__name__}.{name} is {value!r}, must be {kind.__name__}")
             if not low <= value <= high:
-                raise FrameError(f"{message.name}.{name} is {value}, must be in {low}..{high}")
+                raise FrameError(f"{type(self).__name__}.{name} is {value}, must be in {low}..{high}")
 
 
 @dataclass(frozen=True)
@@ -204,23 +199,34 @@ def message_of(kind: type[Frame]) -> Message:
     return DATABASE.get_message_by_name(kind.__name__)
 
 
-_KINDS: dict[type[Frame], tuple[tuple[str, type[int]], ...]] = {}
+_FIELDS: dict[type[Frame], tuple[tuple[str, type[int], int, int], ...]] = {}
 
 
-def _kinds(kind: type[Frame]) -> tuple[tuple[str, type[int]], ...]:
-    """Names of a frame's fields and what they hold."""
-    if kind not in _KINDS:
-        hints = get_type_hints(kind)
-        _KINDS[kind] = tuple((field.name, hints[field.name]) for field in fields(kind))
-    return _KINDS[kind]
+def _fields(kind: type[Frame]) -> tuple[tuple[str, type[int], int, int], ...]:
+    """Names of a frame's fields, what they hold, and the least and the greatest that their bits carry."""
+    if kind not in _FIELDS:
+        _FIELDS[kind] = _listed(kind)
+    return _FIELDS[kind]
+
+
+def _listed(kind: type[Frame]) -> tuple[tuple[str, type[int], int, int], ...]:
+    hints, message = get_type_hints(kind), message_of(kind)
+
+    def bounds(name: str) -> tuple[int, int]:
+        signal = message.get_signal_by_name(name)
+        values = 1 << signal.length
+        return (-values // 2, values // 2 - 1) if signal.is_signed else (0, values - 1)
+
+    return tuple((field.name, hints[field.name], *bounds(field.name)) for field in fields(kind))
 
 
 def payload_of(frame: Frame) -> bytes:
     """The five bytes that a frame says, before they are protected."""
     message = message_of(type(frame))
     signals: dict[str, Any] = {signal.name: 0 for signal in message.signals}
-    signals |= {name: int(getattr(frame, name)) for name, _ in _kinds(type(frame))}
-    return bytes(message.encode(signals, scaling=False)[3:])
+    signals |= {name: int(getattr(frame, name)) for name, *_ in _fields(type(frame))}
+    # Not strict: every field was held against its bits when the frame was made, and no signal is missing.
+    return bytes(message.encode(signals, scaling=False, strict=False)[3:])
 
 
 def encode_frame(frame: Frame, counter: int, tag: int) -> tuple[int, bytes]:
@@ -244,7 +250,9 @@ def decode_frame(can_id: int, data: bytes) -> Frame:
     signals: dict[str, Any] = message.decode(data, decode_choices=False, scaling=False)  # type: ignore[assignment]
     if signals.get("reserved", 0) != 0:
         raise FrameError(f"{message.name}.reserved is {signals['reserved']:#x}, must be 0")
-    return kind(**{name: _typed(holds, signals[name], message.name, name) for name, holds in _kinds(kind)})
+    return kind(
+        **{name: _typed(holds, signals[name], message.name, name) for name, holds, *_ in _fields(kind)}
+    )
 
 
 def _typed(holds: type[int], value: int, message: str, name: str) -> int:
@@ -292,6 +300,6 @@ def codes() -> dict[tuple[int, str], type[IntEnum]]:
     return {
         (can_id, name): holds
         for can_id, kind in FRAMES.items()
-        for name, holds in _kinds(kind)
+        for name, holds, *_ in _fields(kind)
         if issubclass(holds, IntEnum)
     }

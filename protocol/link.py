@@ -306,11 +306,11 @@ class Link:
         if self._echoing_from is None and self._peer is not None:
             self._echoing_from = self._made
         echo = self.echo
-        frame = replace(frame, echo=echo % COUNTER_MODULUS)
-        if self._codes is None:
-            return frame
-        covered = payload_of(frame)[-COVERED_BYTES:]
-        return replace(frame, tag=self._codes.heartbeat_tag(self.side, self._made, echo, covered))
+        tag = frame.tag
+        if self._codes is not None:
+            covered = payload_of(frame)[-COVERED_BYTES:]
+            tag = self._codes.heartbeat_tag(self.side, self._made, echo, covered)
+        return replace(frame, echo=echo % COUNTER_MODULUS, tag=tag)
 
     def _joints(self, frame: Joints01 | Joints23 | Joint4) -> Joints01 | Joints23 | Joint4:
         """A part of the sample; the last one takes the tag of all."""
@@ -505,9 +505,8 @@ class Link:
         return next((sent_s for proved, sent_s in reversed(self._proved) if proved <= cycle), -math.inf)
 
     def _count(self, **more: int) -> None:
-        self.statistics = replace(
-            self.statistics, **{name: getattr(self.statistics, name) + by for name, by in more.items()}
-        )
+        before = vars(self.statistics)
+        self.statistics = Statistics(**before | {name: before[name] + by for name, by in more.items()})
 
     def fresh(self, now_s: float) -> bool:
         """Whether the peer was heard in answer to us within the time-out."""

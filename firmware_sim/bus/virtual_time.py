@@ -25,6 +25,7 @@ NOT_PACED: Final = Rates(10**15)
 TURN_S: Final = 0.001
 """What a turn of a loop takes, about as on a machine: one that never waits must not keep time from passing."""
 START_S: Final = 1000.0
+_FD, _OWN = int(Flag.FD), int(Flag.OWN)
 _NS: Final = 1_000_000_000
 
 
@@ -102,9 +103,16 @@ class VirtualTime:
 
     def _step(self, end_ns: int) -> None:
         """To the next thing that happens, and let it."""
-        times = [self.medium.next_ns, *(loop.due_ns() for loop in self._loops)]
-        self.now_ns = max(self.now_ns, min(ns for ns in (*times, end_ns) if ns is not None))
-        for event in self.medium.advance(self.now_ns):
+        due_ns = min([end_ns, *[loop.due_ns() for loop in self._loops]])
+        events: list[Event] = []
+        while not events and (next_ns := self.medium.next_ns) is not None and next_ns <= due_ns:
+            self.now_ns = max(
+                self.now_ns, next_ns
+            )  # of a frame that begins nobody hears: it goes on to its end
+            events = self.medium.advance(self.now_ns)
+        if not events:
+            self.now_ns = max(self.now_ns, due_ns)
+        for event in events:
             self._happened(event)
         for loop in list(self._loops):
             if loop.due_ns() <= self.now_ns:
@@ -120,7 +128,7 @@ class VirtualTime:
                 for number in senders if sent else ():
                     bus = self._buses.get(number)
                     if bus is not None and bus.own_frames:
-                        own = frame._replace(flags=frame.flags | Flag.OWN)
+                        own = frame._replace(flags=frame.flags | _OWN)
                         self._deliver(number, own, at_ns)
             case Changed(at_ns, number, state, counters) if number in self._buses:
                 before, self._states[number] = self._states[number], state
@@ -128,7 +136,7 @@ class VirtualTime:
 
     def _deliver(self, number: int, frame: BusFrame, at_ns: int) -> None:
         bus = self._buses.get(number)
-        if bus is not None and (bus.fd or not frame.flags & Flag.FD):
+        if bus is not None and (bus.fd or not frame.flags & _FD):
             bus.inbox.append(message_of(frame, at_ns / _NS, bus.channel_info))
 
 

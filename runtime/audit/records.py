@@ -55,6 +55,7 @@ class Time(Entry):
 
 
 ZERO: Final = Time(sec=0, nsec=0)
+_JSON: Final = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
 class LogRecord(Entry):
@@ -69,7 +70,7 @@ class LogRecord(Entry):
             ValueError: a number is not finite.
         """
         content = self.model_dump(mode="json", exclude_none=True)
-        return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+        return _JSON.encode(content).encode()
 
 
 Kind = TypeVar("Kind", bound=LogRecord)

@@ -14,7 +14,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from mcap.writer import Writer as McapWriter
 
-from cutgate.runtime.audit.chain import GENESIS, ChainLink, covered, follow
+from cutgate.runtime.audit.chain import GENESIS, covered_in, follow, of_channel
 from cutgate.runtime.audit.records import (
     AuditCheckpoint,
     AuditRecord,
@@ -83,7 +83,8 @@ class LogWriter:
         self._stamps = (0, 0)
         self._chunk_bytes = 0
         self._buffer = _Buffer()
-        self._channels: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, bytes]] = {}
+        """Of each topic: its channel's number in the file, and what is covered of the channel."""
         self._mcap = McapWriter(
             self._buffer,  # type: ignore[arg-type]  # write, tell and flush are all it uses
             chunk_size=_NEVER,
@@ -118,25 +119,15 @@ class LogWriter:
             record = record.model_copy(update=stamped)
         data = record.encode()
         model = type(record)
-        channel = self._channel(model)
-        link = ChainLink(
-            topic=model.TOPIC,
-            encoding=ENCODING,
-            schema_name=schema_name(model),
-            schema=schema_bytes(model),
-            log_time=log_time_ns,
-            publish_time=log_time_ns,
-            sequence=self.count,
-            data=data,
-        )
+        number, channel = self._channel(model)
         self._mcap.add_message(
-            channel_id=channel,
+            channel_id=number,
             log_time=log_time_ns,
             publish_time=log_time_ns,
             sequence=self.count,
             data=data,
         )
-        body = covered(link)
+        body = covered_in(channel, log_time_ns, log_time_ns, self.count, data)
         self.head = follow(self.head, body)
         self.tree.append(body)
         self.unwritten += 1
@@ -183,11 +174,13 @@ class LogWriter:
         """The bytes that have come to stand in the file since the last call."""
         return self._buffer.take()
 
-    def _channel(self, model: type[LogRecord]) -> int:
+    def _channel(self, model: type[LogRecord]) -> tuple[int, bytes]:
         topic = model.TOPIC
         if topic not in self._channels:
-            schema = self._mcap.register_schema(schema_name(model), SCHEMA_ENCODING, schema_bytes(model))
-            self._channels[topic] = self._mcap.register_channel(topic, ENCODING, schema)
+            name, schema = schema_name(model), schema_bytes(model)
+            registered = self._mcap.register_schema(name, SCHEMA_ENCODING, schema)
+            number = self._mcap.register_channel(topic, ENCODING, registered)
+            self._channels[topic] = number, of_channel(topic, ENCODING, name, schema)
         return self._channels[topic]
 
 

@@ -136,7 +136,7 @@ def tracking_sample(
     """
     leg, segment, fraction = trajectory.place(nearest.time_s)
     off = nearest.joints - trajectory.joints_at(nearest.time_s)
-    q0, q1, q2, q3, q4 = np.where(np.arange(5) == 2, off, np.degrees(off)).tolist()
+    q0, q1, _, q3, q4 = np.degrees(off).tolist()
     return TrackingSample(
         leg=leg,
         reference_s=round(nearest.time_s, _PART),
@@ -144,7 +144,7 @@ def tracking_sample(
         fraction=None if fraction is None else round(fraction, _PART),
         q0_deviation_deg=round(q0, _DEG),
         q1_deviation_deg=round(q1, _DEG),
-        q2_deviation_mm=round(q2, _MM),
+        q2_deviation_mm=round(float(off[2]), _MM),
         q3_deviation_deg=round(q3, _DEG),
         q4_deviation_deg=round(q4, _DEG),
         tip_distance_mm=round(tip.distance_mm(nearest, trajectory), _MM),

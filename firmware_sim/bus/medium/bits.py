@@ -5,6 +5,7 @@ ones stand before it.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, NamedTuple
 
 from cutgate.firmware_sim.bus.frame import FD_LENGTHS, BusFrame, Flag
@@ -75,7 +76,9 @@ _STATES: Final = [_START, *((bit, run) for bit in (0, 1) for run in (1, 2, 3, 4)
 _INDEX: Final = {state: index for index, state in enumerate(_STATES)}
 
 
+@cache
 def _after_bits(state: int, value: int, count: int) -> tuple[int, int]:
+    """Of at most eight bits: the state behind them, and how many stuff bits they needed; so few that all are kept."""
     (last, run), inserted = _STATES[state], 0
     for place in range(count - 1, -1, -1):
         last, run, stuffed = _after_bit(last, run, value >> place & 1)
@@ -89,7 +92,7 @@ _BY_BYTE: Final = [[_after_bits(state, byte, 8) for byte in range(256)] for stat
 def _stuffed(state: int, value: int, count: int) -> tuple[int, int]:
     """The state behind ``count`` bits of a value, most significant first, and how many stuff bits they needed."""
     odd, whole = count % 8, count // 8
-    state, inserted = _after_bits(state, value >> 8 * whole, odd)
+    state, inserted = _after_bits(state, value >> 8 * whole & (1 << odd) - 1, odd)
     for byte in (value & (1 << 8 * whole) - 1).to_bytes(whole, "big"):
         state, more = _BY_BYTE[state][byte]
         inserted += more

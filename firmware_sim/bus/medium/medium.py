@@ -4,8 +4,9 @@ How it is used: :meth:`Medium.join` for each node; :meth:`Medium.advance` to now
 :meth:`Medium.advance` again no later than :attr:`Medium.next_ns`. What it returns is in the order of the bus.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, NamedTuple
 
 from cutgate.firmware_sim.bus.frame import BusFrame
@@ -163,55 +164,52 @@ class Medium:
     @property
     def next_ns(self) -> int | None:
         """When something happens next; None where nothing will unless a frame is offered."""
-        if self._on_wire is not None:
-            return self._on_wire.end_ns
-        times = (self._start_ns(), self._recovery_ns())
-        return min((ns for ns in times if ns is not None), default=None)
+        coming = self._next()
+        return None if coming is None else coming[0]
 
     def advance(self, now_ns: int) -> list[Event]:
         """What has happened until now."""
         events: list[Event] = []
-        while True:
-            next_ns = self.next_ns
-            if next_ns is None or next_ns > now_ns:
-                return events
-            if self._on_wire is not None:
-                events += self._finish(self._on_wire)
-            elif next_ns == self._recovery_ns():
-                events += self._recover(next_ns)
-            else:
-                self._begin(next_ns)
+        while (coming := self._next()) is not None and coming[0] <= now_ns:
+            events += coming[1]()
+        return events
+
+    def _next(self) -> tuple[int, Callable[[], Iterable[Event]]] | None:
+        """When something happens next, and it: a frame ends, a node comes back, a frame begins."""
+        if self._on_wire is not None:
+            return self._on_wire.end_ns, partial(self._finish, self._on_wire)
+        start_ns, back_ns = self._start_ns(), self._recovery_ns() if self._off else None
+        if back_ns is not None and (start_ns is None or back_ns <= start_ns):
+            return back_ns, partial(self._recover, back_ns)
+        return None if start_ns is None else (start_ns, partial(self._begin, start_ns))
 
     def _start_ns(self) -> int | None:
         """When the next frame begins."""
-        earliest = min(
-            (from_ns for node in self.nodes.values() if (from_ns := node.sends_from_ns) is not None),
-            default=None,
-        )
-        return None if earliest is None else max(earliest, self._idle_ns)
+        times = [from_ns for node in self.nodes.values() if (from_ns := node.sends_from_ns) is not None]
+        return max(min(times), self._idle_ns) if times else None
 
     # ------------------------------------------------------------ one frame
 
-    def _begin(self, start_ns: int) -> None:
-        """Arbitration: of all that have something to send, who sends."""
-        competing = [
-            node
+    def _begin(self, start_ns: int) -> tuple[()]:
+        """Arbitration: of all that have something to send, who sends. Nobody hears that a frame begins."""
+        competing = {
+            node: arbitration(node.queue[0].frame)
             for node in self.nodes.values()
             if (from_ns := node.sends_from_ns) is not None and from_ns <= start_ns
-        ]
-        lowest = min(arbitration(node.queue[0].frame) for node in competing)
-        senders = tuple(node for node in competing if arbitration(node.queue[0].frame) == lowest)
+        }
+        lowest = min(competing.values())
+        senders = tuple(node for node, bits in competing.items() if bits == lowest)
         for node in competing:
             node.tally.lost_arbitration += node not in senders
         frame = senders[0].queue[0].frame
         error, seers = self._error(frame, senders)
-        bits = frame_bits(frame)
-        end_ns = start_ns + bits.ns(self.rates)
+        end_ns = start_ns + frame_bits(frame).ns(self.rates)
         if error is not None:
             at = CASES[error].from_end
             end_ns = (start_ns + end_ns) // 2 if at is None else end_ns - self.rates.nominal_ns(at)
         self._count_recessive(start_ns)
         self._on_wire = _OnWire(frame, senders, start_ns, end_ns, error, seers)
+        return ()
 
     def _error(self, frame: BusFrame, senders: tuple[Node, ...]) -> tuple[WireFault | None, tuple[Node, ...]]:
         """What goes wrong with this frame, and which receivers see it."""
@@ -338,9 +336,9 @@ class Medium:
         """When a node that is off comes back, if nobody sends."""
         return self._recessive_ns(node) + node.recessive * self._eleven_ns
 
-    def _recovery_ns(self) -> int | None:
-        """When the next node comes back, if nobody sends."""
-        return min(map(self._back_ns, self._off), default=None)
+    def _recovery_ns(self) -> int:
+        """When the next node of those that are off comes back, if nobody sends."""
+        return min(map(self._back_ns, self._off))
 
     def _recover(self, now_ns: int) -> Iterator[Event]:
         """Whoever has seen enough recessive bits by now, on a bus on which nobody sends."""

@@ -27,6 +27,12 @@ class TimelineClock(Clock):
     def __init__(self, time: VirtualTime) -> None:
         self._time = time
 
+    def __call__(self) -> float:
+        return self._time.clock()
+
+    def monotonic_ns(self) -> int:
+        return self._time.now_ns
+
     @property  # type: ignore[override]
     def now_s(self) -> float:
         return self._time.clock()

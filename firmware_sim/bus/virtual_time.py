@@ -91,7 +91,7 @@ class VirtualTime:
         self.until(lambda: False, seconds)
 
     def until(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Let time pass until it is so, at most so long; whether it is."""
+        """Let time pass until it is so, at most so long; whether it is. Asked after all that is heard, and after each turn."""
         end_ns = self.now_ns + round(limit_s * _NS)
         while not (met := condition()) and self.now_ns < end_ns:
             self._step(end_ns)

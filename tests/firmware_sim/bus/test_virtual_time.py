@@ -126,6 +126,16 @@ def test_until_says_whether_it_came_about(time):
     assert time.until(lambda: time.clock() > START_S + 0.6 - 1e-9, 0.1)
 
 
+def test_the_condition_is_asked_when_something_was_heard_not_when_a_frame_begins(time):
+    one, _two = time.join("one"), time.join("two")
+    time.run(0.25)  # the bus has long been free
+    one.send(message(5))
+    began_ns, asked_ns = time.now_ns, []
+    assert not time.until(lambda: asked_ns.append(time.now_ns), 0.5)
+    end_ns = began_ns + frame_bits(BusFrame(5)).ns(RATES)
+    assert asked_ns == [began_ns, end_ns, began_ns + 500_000_000, began_ns + 500_000_000]
+
+
 def test_a_full_queue_and_a_bus_that_was_left_say_so(time):
     one, _two = time.join("one"), time.join("two")
     for _ in range(10):

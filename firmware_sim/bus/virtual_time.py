@@ -199,7 +199,7 @@ class VirtualTimeBus(can.BusABC):
 
     def shutdown(self) -> None:
         """Leave the bus; may be called more than once."""
-        if not self._is_shutdown:
+        if self._descriptor != -1:
             super().shutdown()
             self._time.leave(self.number)
             os.close(self._descriptor)

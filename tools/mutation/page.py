@@ -53,6 +53,7 @@ five modules 121 stand in tables, classes and defaults, and the tables are what 
 
 Not mutated: the mathematics of the verification, which is held to independent references instead
 ([verification.md](verification.md)): `certified.py` and `certificate.py`, `bounds/`, `placing/` and `plausibility.py`; `firmware_sim/plant.py`;
+of the virtual bus what has sockets and programs (`hub.py`, `client.py`, `wire.py`, `serve.py` and what they use);
 of the audit log `inspect.py`, `second_reading.py`, `replay.py`, `directory.py` and `records.py`.
 """.splitlines()
 

@@ -238,7 +238,7 @@ class Steps:
             return self._view.cause if self._view else None
         if event == FAULT:
             return self._fault
-        return event.rsplit(" ", 1)[-1] if event.startswith(("failed ", GAVE_UP)) else None
+        return event.rpartition(" ")[2] if event.startswith(("failed ", GAVE_UP)) else None
 
 
 def _permissives(record: records.AuditDecision) -> str:

@@ -197,17 +197,21 @@ def test_an_event_of_this_side_names_its_cause(event, to):
 
 def test_a_heartbeat_without_its_decision_is_told_once():
     released = view("CUTTING", pressed=False)
-    later = [
-        decision(15, ("cutting", "stopping"), "failed X", "send STOP X", first_out="X", permissives=()),
-        close("stopping"),
-    ]
-    found = wrong(*until(14), released, *later)
-    assert [line for line in found if "no decision follows" in line] == [
+    refused = decision(15, ("cutting", "cutting"), "said start", "Refused", permissives=())
+    found = wrong(*until(14), released, refused, close("cutting"))
+    assert found[1:] == [
         (
             "the controller shows CUTTING, cause none, epoch the session's, enabling device released, emergency stop clear in "
             "cutting, behind decision 14, and no decision follows: the table takes a step there"
         )
     ]
+
+
+def test_a_heartbeat_that_has_a_wrong_decision_is_not_told_as_one_that_has_none():
+    goes_on = decision(15, ("cutting", "cutting"), "heartbeat", permissives=())
+    found = wrong(*until(14), view("CUTTING", pressed=False), goes_on, close("cutting"))
+    assert len(found) == 2
+    assert found[1].startswith("decision 15, cutting on heartbeat (CUTTING, cause none, ")
 
 
 def test_a_heartbeat_that_must_stop_has_its_decision():

@@ -1,8 +1,8 @@
-"""The frozen tables: they are the code's, and each part of a step that is another one is told."""
+"""The frozen tables: each part of a step that is another one is told."""
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
+from hashlib import sha256
 from itertools import product
-from random import Random
 
 import pytest
 
@@ -11,13 +11,13 @@ from cutgate.runtime.audit.recomputed.transitions import (
     HOLD,
     KEPT,
     NAMED,
+    NO_EPOCH,
     NOT_SHOWN,
     SHOWN,
-    SILENT,
-    STAYS,
     VIEW_PARTS,
     HeartbeatView,
     StepTaken,
+    TransitionRow,
     condition_of,
     data,
     first_out_of,
@@ -27,49 +27,13 @@ from cutgate.runtime.audit.recomputed.transitions import (
     transitions,
     transitions_sha256,
 )
-from cutgate.runtime.interlock.state import Phase
-from docs.make_transitions import main
-from docs.state_machines.transitions import boxes, events_of, row_of, states_of
-from tests.runtime.interlock import builders
 
 TABLE = transitions()
 PERMITTED = HeartbeatView("PERMITTED", "none", "the session's", "held", "clear")
 
 
-def test_the_file_is_what_the_code_does(tmp_path):
-    """Whoever changes a table writes it anew, and reads what has changed: ``python -m docs.make_transitions``."""
-    main(tmp_path / "new.json")
-    assert (tmp_path / "new.json").read_bytes() == data(), "run: python -m docs.make_transitions, and read it"
-
-
-def altered_in_two_ways(phase, number, draw):
-    """States of this phase that differ from the sound one in what two of the file's states differ in."""
-    sound = builders.in_phase(phase)
-    changes = [
-        {name: value for name, value in vars(state).items() if getattr(sound, name) != value}
-        for state, _ in states_of(phase)
-    ]
-    for _ in range(number):
-        first, second = draw.sample(changes, 2)
-        yield replace(sound, **first, **{name: value for name, value in second.items() if name not in first})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("phase", Phase)
-def test_no_step_from_a_state_that_is_altered_in_two_ways_is_refused(phase):
-    """The file's rows come from states that are altered in one; nothing new comes of two."""
-    for state in altered_in_two_ways(phase, 10, Random(str(phase))):
-        for event, after_s in events_of(state, every_view=True):
-            (on, to, *rest), view = row_of(state, event, builders.NOW + after_s)
-            taken = StepTaken(str(phase) if to == STAYS else to, *rest)
-            if taken.permissives == SILENT:
-                assert view is None or TABLE.silent(str(phase), view), (phase, on, view)
-            else:
-                assert TABLE.step(str(phase), on, view, taken) is None, (phase, on, view, taken)
-
-
 def test_a_log_names_the_file_by_its_digest():
-    assert len(bytes.fromhex(transitions_sha256())) == 32
+    assert transitions_sha256() == sha256(data()).hexdigest()
 
 
 SENT = StepTaken("permitting", ("send Permit",), KEPT, HOLD)
@@ -218,11 +182,56 @@ def test_causes_are_told_apart_by_what_follows_from_them():
     ]
 
 
-def test_views_fall_together_without_losing_or_adding_one():
-    views = {
-        HeartbeatView(*parts) for parts in product(*VIEW_PARTS) if parts[0] == "DONE" or parts[3] == "held"
-    }
-    found = boxes(views)
-    covered = {HeartbeatView(*parts) for box in found if box for parts in product(*box)}
-    assert covered == views
-    assert len(found) < len(views) / 10
+def test_a_heartbeat_is_shown_by_what_the_rows_tell_apart():
+    view = HeartbeatView.of("CUTTING", "BONE_MOVED", 3, 4, device_pressed=False, emergency_stop_clear=False)
+    assert view == ("CUTTING", "withdrawing", "another", "released", "pressed")
+    assert str(view) == (
+        "CUTTING, cause withdrawing, epoch another, enabling device released, emergency stop pressed"
+    )
+    view = HeartbeatView.of("OPEN", "NONE", 4, 4, device_pressed=True, emergency_stop_clear=True)
+    assert view == ("OPEN", "none", "the session's", "held", "clear")
+
+
+def test_what_the_table_has_instead_leaves_out_what_needs_no_record_unless_there_is_nothing_else():
+    odd = StepTaken("done", (), KEPT, SHOWN)
+    stopped = HeartbeatView("INHIBITED", "none", "the session's", "held", "clear")
+    assert TABLE.step("stopping", HEARTBEAT, stopped, odd) == (
+        "to stopping, send Withdraw leaves, first cause kept, permissives none; or to stopped, nothing leaves, first cause "
+        "kept, permissives none"
+    )
+    sound = HeartbeatView("CUTTING", "none", "the session's", "held", "clear")
+    assert (
+        TABLE.step("cutting", HEARTBEAT, sound, odd)
+        == "to cutting, nothing leaves, first cause kept, permissives silent"
+    )
+
+
+EVERY = tuple(map(frozenset, VIEW_PARTS))
+
+
+@pytest.mark.parametrize(
+    ("views", "view", "fits"),
+    [
+        (None, None, True),
+        (None, PERMITTED, False),
+        (EVERY, None, False),
+        (EVERY, PERMITTED, True),
+        *(((*EVERY[:at], frozenset({"another one"}), *EVERY[at + 1 :]), PERMITTED, False) for at in range(5)),
+    ],
+)
+def test_a_row_is_about_a_heartbeat_that_shows_all_it_needs_or_about_any_other_event(views, view, fits):
+    assert TransitionRow(views, SENT).fits(view) == fits
+
+
+def test_a_file_that_lacks_a_part_of_a_view_lets_nothing_pass():
+    with pytest.raises(ValueError, match="shorter"):
+        TransitionRow(EVERY[:-1], SENT).fits(PERMITTED)
+    lacking = replace(TABLE, views=tuple(view[:-1] for view in TABLE.views))
+    with pytest.raises(ValueError, match="shorter"):
+        lacking.shows("CUTTING", "NONE", device=True, clear=True, cutting_mode=True)
+
+
+def test_the_tables_are_not_altered_once_they_are_read():
+    with pytest.raises(FrozenInstanceError):
+        TABLE.rows = {}
+    assert NO_EPOCH == 0

@@ -399,7 +399,7 @@ class HeartbeatReceived:
 
 @dataclass(frozen=True)
 class Crowd:
-    """Nearly all frames that are heard are neither side's.
+    """Most of the frames that are heard are neither side's, and they are many.
 
     Attributes:
         can_id, is_extended: the identifier of most of them.
@@ -416,7 +416,7 @@ class Crowd:
         name = f"0x{self.can_id:08X}" if self.is_extended else f"0x{self.can_id:03X}"
         return (
             f"{self.percent} % of the frames on the bus had identifier {name}, which is neither side's "
-            f"({self.frames_per_s} a second): find the node that sends it, it lets hardly anybody else through"
+            f"({self.frames_per_s} a second): find the node that sends it, it leaves others no room"
         )
 
 

@@ -296,8 +296,10 @@ class Session:
         now_s = self._cycle.now_s
         for violation in self._cycle.late():
             lost = violation.cause is StopCause.HEARTBEAT_LOST
-            failed = Failed(violation.cause, violation.detail)
-            self._feed(HeartbeatLost(*self._lateness(now_s)) if lost else failed)
+            paused_ms, crowd = self._lateness(now_s)
+            told = f"{violation.detail}; {crowd}" if crowd else violation.detail
+            failed = Failed(violation.cause, told)
+            self._feed(HeartbeatLost(paused_ms, crowd) if lost else failed)
         if not self._journal.log.oldest_pending_s(now_s) <= self._checkpoint_deadline_s:
             reason = f"the disk has not answered for {self._checkpoint_deadline_s:g} s"
             self._feed(Failed(StopCause.AUDIT_FAILED, reason))

@@ -1,4 +1,4 @@
-"""What share of the frames that are heard is neither side's: a babbling node lets nobody else through. Pure."""
+"""What share of the frames that are heard is neither side's: a babbling node leaves others no room. Pure."""
 
 import math
 from typing import Final
@@ -10,7 +10,7 @@ from cutgate.runtime.interlock.state import Crowd
 OURS: Final = frozenset().union(*SENT_BY.values())
 WINDOW_TIMEOUTS: Final = 0.5
 """Of each window; two are looked at: where a heartbeat was missing for the time-out, nothing older is in them."""
-SHARE: Final = 0.9
+SHARE: Final = 0.5
 """Of the frames that are heard: with fewer, ours get through."""
 FRAMES_PER_S: Final = 500
 """Half of what a bus of 125 kbit/s carries: a node that does its work beside ours says less."""
@@ -55,7 +55,7 @@ class Strangers:
             self._now.strange_one((can_id, is_extended))
 
     def crowd(self, now_s: float) -> Crowd | None:
-        """The identifier of most of the frames that are neither side's, where those are nearly all; else None."""
+        """The identifier of most of the frames that are neither side's, where those are more than ours, and many; else None."""
         windows = (self._before, self._now)
         heard, strange = (sum(getattr(one, name) for one in windows) for name in ("all", "strange"))
         span_s = now_s - self._before.since_s

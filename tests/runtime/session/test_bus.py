@@ -18,7 +18,8 @@ from cutgate.protocol.frames import (
     RuntimeStop,
     encode_frame,
 )
-from cutgate.protocol.states import ControllerState, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.protocol.states import ControllerState, FaultCode, Purpose, Refusal, RuntimeCode, StopCause
+from cutgate.runtime.interlock.phases import ENDED
 from cutgate.runtime.interlock.state import Commit, Phase
 from cutgate.runtime.review.show import print_story
 from cutgate.runtime.review.story import story
@@ -376,3 +377,56 @@ def test_a_record_that_was_heard_twice_counts_once(pair):
     stranger.say(records.Collect())
     pair.run(0.05)
     assert not [item for item in stranger.heard if isinstance(item, RecordReceived)]
+
+
+# ---------------------------------------------------------------- a stranger that takes the bus
+
+
+TAKEN = "had identifier 0x000, which is neither side's"
+
+
+def crowded(pair, ended, frames=10):
+    """Until the session has ended, so many frames of a stranger arrive in each cycle."""
+    limit_s = pair.clock() + 5.0
+    while not ended() and pair.clock() < limit_s:
+        for _ in range(frames):
+            pair.wire.nodes[RUNTIME].put(0x000, bytes(8))
+        pair.run_cycle()
+    assert ended()
+    return pair.state
+
+
+@pytest.mark.parametrize("frames", [0, 1, 10])
+def test_a_lost_heartbeat_says_who_has_taken_the_bus(cutting, frames):
+    """Ten frames in 5 ms do; one is a node with something to say."""
+    cutting.controller_runs = False
+    state = crowded(cutting, lambda: cutting.phase is not Phase.CUTTING, frames)
+    assert state.cause is StopCause.HEARTBEAT_LOST
+    assert ("; this computer was not late; " in state.reason) is (TAKEN in state.reason) is (frames == 10)
+
+
+@pytest.mark.parametrize("frames", [0, 10])
+@pytest.mark.parametrize("cause", [StopCause.HEARTBEAT_LOST, StopCause.EMERGENCY_STOP])
+def test_a_controller_that_has_heard_nothing_is_told_with_who_has_taken_the_bus(cutting, cause, frames):
+    for _ in range(40):
+        for _ in range(frames):
+            cutting.wire.nodes[RUNTIME].put(0x000, bytes(8))
+        cutting.run_cycle()
+    assert cutting.phase is Phase.CUTTING
+    fault = encode_frame(ControllerFault(FaultCode.LATCHED, cause), 0, cutting.state.session.tag)
+    cutting.wire.nodes[RUNTIME].put(*fault)
+    cutting.run_cycle()
+    assert cutting.state.reason.startswith(f"the controller reports {cause.name}")
+    assert (TAKEN in cutting.state.reason) is (cause is StopCause.HEARTBEAT_LOST and frames > 0)
+
+
+@pytest.mark.parametrize("frames", [0, 10])
+def test_a_transfer_that_does_not_end_says_who_has_taken_the_bus(pair, frames):
+    pair.to(Phase.COLLECTING).until(lambda: pair.state.collected.tool is not None)
+    pair.wire.rules.append(nth(BULK_IDS[CONTROLLER], range(1000), lose))  # no flow control any more
+    state = crowded(pair, lambda: pair.phase in ENDED, frames)
+    assert state.cause is StopCause.TRANSFER_FAILED
+    assert (TAKEN in state.reason) is (frames > 0)
+    pair.close()
+    faults = [one["detail"] for one in pair.read().of("/audit/fault") if one["source"] == "runtime"]
+    assert faults[0] == state.reason

@@ -46,8 +46,8 @@ def test_what_the_two_sides_say_is_no_crowd(one):
     assert heard([(one, True)] * 5000) is not None
 
 
-@pytest.mark.parametrize(("ours", "named"), [(70, True), (71, False)])
-def test_where_a_tenth_is_ours_we_get_through(ours, named):
+@pytest.mark.parametrize(("ours", "named"), [(630, True), (631, False)])
+def test_where_more_than_half_is_ours_we_get_through(ours, named):
     frames = [(1, False)] * 630 + [(OURS[0], False)] * ours
     assert (heard(frames) is not None) is named
 

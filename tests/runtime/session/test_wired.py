@@ -100,6 +100,12 @@ def test_a_babbling_node_of_the_highest_priority_stops_the_cut_and_is_named(a_pa
         (line,) = overload.seen(pair.time.now_ns)
         assert line.startswith("babbler takes ")
         assert f"identifier {number:#05x}; load 100%" in line
+        pair.close()
+        log = pair.read()
+        assert log.report.status is Status.OK
+        lost = [one["reason"] for one in log.of("/audit/decision") if one["event"] == "heartbeat lost"]
+        assert lost[0] == pair.state.reason
+        assert pair.replayed().differences == ()
 
 
 @pytest.mark.parametrize("side", Side)

@@ -4,6 +4,7 @@ Markdown tables on stdout; with ``--write`` in a file as well.
 """
 
 import multiprocessing
+import os
 import socket
 import sys
 import tempfile
@@ -274,6 +275,7 @@ def sessions() -> Rows:
 @contextmanager
 def _session(fd: tuple[Side, ...], registration: str = "second", **options: Any) -> Iterator[WiredPair]:
     with tempfile.TemporaryDirectory() as directory:
+        os.environ["XDG_STATE_HOME"] = directory  # where a first session puts its key
         files = read_files(
             EXAMPLES / "hip-stem.plan.json",
             EXAMPLES / "robot.toml",

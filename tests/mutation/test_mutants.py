@@ -1,5 +1,6 @@
 """The mutants are the mistakes they claim to be; the survivors that are listed exist, and a few mutants are run."""
 
+import ast
 import hashlib
 import subprocess
 import sys
@@ -80,6 +81,15 @@ def test_no_mutant_is_the_original_and_no_two_share_a_name():
     found = mutants(SOURCE)
     assert len({mutant.name for mutant in found}) == len(found)
     assert SOURCE.strip() not in {mutant.source for mutant in found}
+
+
+def test_a_mutant_compiles_and_only_its_own_statement_is_another():
+    """What mutants share they do not alter: the first one is the same after all the others were made."""
+    original = [ast.dump(one, include_attributes=True) for one in ast.parse(SOURCE).body]
+    for mutant in mutants(SOURCE):
+        compile(mutant.tree, "mutant", "exec")
+        now = [ast.dump(one, include_attributes=True) for one in mutant.tree.body]
+        assert sum(old != new for old, new in zip(original, now, strict=True)) == 1
 
 
 def test_a_name_says_where_and_outlives_moved_lines():

@@ -7,8 +7,9 @@ alone: the first are for people, the others for the type checker.
 import ast
 import pickle
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 FLIPPED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,
@@ -49,33 +50,68 @@ def mutants(source: str) -> list[Mutant]:
     found: list[Mutant] = []
     met: dict[str, int] = {}
     for number, statement in enumerate(tree.body):
-        pickled = pickle.dumps(statement)  # copies ten times as fast as deepcopy
-        for place, (where, node) in enumerate(_walk(statement)):
+        for place in _walk(statement):
             for kind, operator in OPERATORS.items():
-                for change in operator(node):
-                    copy = pickle.loads(pickled)  # noqa: S301 - our own
-                    twin = _walk(copy)[place][1]
+                for change in operator(place.node):
+                    twin = pickle.loads(pickle.dumps(place.node))  # noqa: S301 - our own; faster than deepcopy
                     change(twin)
-                    name = f"{where}: {_short(node)} -> {_short(twin)}"
+                    name = f"{place.where}: {_short(place.node)} -> {_short(twin)}"
                     met[name] = met.get(name, 0) + 1
                     numbered = name if met[name] == 1 else f"{name} ({met[name]})"
-                    body = [*tree.body[:number], ast.fix_missing_locations(copy), *tree.body[number + 1 :]]
+                    body = [*tree.body[:number], _with(twin, place), *tree.body[number + 1 :]]
                     found.append(Mutant(numbered, kind, ast.Module(body, [])))
     return found
 
 
-def _walk(statement: ast.stmt) -> list[tuple[str, ast.AST]]:
-    """Every node but those in annotations and assertions, outer ones first, and where it stands."""
-    nodes: list[tuple[str, ast.AST]] = [(_name(statement), statement)]
-    for where, node in nodes:
-        for field, value in ast.iter_fields(node):
+class _Place(NamedTuple):
+    """A node, where it stands for people, and where in its parent: field, and index where that is a list."""
+
+    where: str
+    node: ast.AST
+    parent: "_Place | None" = None
+    field: str = ""
+    index: int | None = None
+
+
+def _walk(statement: ast.stmt) -> list[_Place]:
+    """Every node but those in annotations and assertions, outer ones first."""
+    places = [_Place(_name(statement), statement)]
+    for place in places:
+        for field, value in ast.iter_fields(place.node):
             if field in {"annotation", "returns"}:
                 continue
-            for inner in value if isinstance(value, list) else [value]:
+            inside = enumerate(value) if isinstance(value, list) else [(None, value)]
+            for index, inner in inside:
                 if isinstance(inner, ast.AST) and not isinstance(inner, ast.Assert):
-                    method = isinstance(node, ast.ClassDef) and isinstance(inner, ast.FunctionDef)
-                    nodes.append((f"{where}.{_name(inner)}" if method else where, inner))
-    return nodes
+                    method = isinstance(place.node, ast.ClassDef) and isinstance(inner, ast.FunctionDef)
+                    where = f"{place.where}.{_name(inner)}" if method else place.where
+                    places.append(_Place(where, inner, place, field, index))
+    return places
+
+
+def _with(twin: ast.AST, place: _Place) -> Any:
+    """The statement with a twin in this place: what lies around it is copied, everything else shared."""
+    _locate(twin, place)
+    while place.parent is not None:
+        around = copy(place.parent.node)
+        if place.index is None:
+            setattr(around, place.field, twin)
+        else:
+            items = list(getattr(around, place.field))
+            items[place.index] = twin
+            setattr(around, place.field, items)
+        twin, place = around, place.parent
+    return twin
+
+
+def _locate(twin: ast.AST, place: _Place) -> None:
+    """Give what is new in it the line of what it stands in."""
+    known = place
+    while known.parent is not None and not hasattr(known.node, "lineno"):
+        known = known.parent
+    for node in ast.walk(twin):
+        if isinstance(node, ast.expr | ast.stmt) and not hasattr(node, "lineno"):
+            ast.copy_location(node, known.node)
 
 
 # ---------------------------------------------------------------- the operators

@@ -73,7 +73,7 @@ def _source(module: str) -> str:
 
 def sample(found: Mapping[str, Sequence[Mutant]], size: int) -> dict[str, list[Mutant]]:
     """So many, spread over everything: the same as long as no module changes, others when one does."""
-    turn = "".join(_source(module) for module in found)
+    turn = hashlib.sha256("".join(_source(module) for module in found).encode()).hexdigest()
 
     def shuffled(pair: tuple[str, Mutant]) -> str:
         return hashlib.sha256(f"{pair[0]} {pair[1].name} {turn}".encode()).hexdigest()

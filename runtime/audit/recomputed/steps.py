@@ -211,8 +211,8 @@ class Steps:
 
     def _passed(self) -> Iterator[str]:
         """A heartbeat that has no decision must be one on which the table takes no step."""
-        view, due, self._due = self._shown, self._due, False
-        if due and view is not None and not self.table.silent(self.phase, view):
+        view = self._shown
+        if self._due and view is not None and not self.table.silent(self.phase, view):
             yield (
                 f"the controller shows {view} in {self.phase}, behind decision {self._number}, and no decision follows: "
                 "the table takes a step there"

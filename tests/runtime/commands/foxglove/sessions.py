@@ -7,7 +7,6 @@ from contextlib import redirect_stderr
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -28,11 +27,6 @@ class Exported(NamedTuple):
     schema: str
     time_ns: int
     data: dict[str, Any]
-
-
-def one_clock(pair: Pair) -> Any:
-    """Frames have the times of the log's clock, as in a session that is no test; for a block."""
-    return mock.patch("cutgate.runtime.session.journal.time", mock.Mock(time_ns=pair.clock.utc_ns))
 
 
 def finished_session(pair: Pair) -> Path:

@@ -29,7 +29,6 @@ from tests.runtime.commands.foxglove.sessions import (
     exported,
     finished_session,
     matrix,
-    one_clock,
     quaternion_matrix,
     read_indexed,
     read_linearly,
@@ -49,7 +48,7 @@ def made(tmp_path_factory):
     found = {}
     for given in (ADMISSIBLE_MM, INADMISSIBLE_MM):
         folder = tmp_path_factory.mktemp("session")
-        with pair_of(folder, *job_of(tmp_path_factory, given)) as pair, one_clock(pair):
+        with pair_of(folder, *job_of(tmp_path_factory, given)) as pair:
             log = finished_session(pair)
             found[given] = log, pair.job, pair.state.session.tag, exported(log, folder)
     return found
@@ -391,7 +390,7 @@ def test_the_state_is_that_of_the_last_decision_and_of_the_controller(session):
 
 def test_a_session_that_is_stopped_goes_on_with_the_joints_of_its_frames(tmp_path, tmp_path_factory):
     """The stop is an error in the log; behind it nothing is held against the path, and joints have no reference."""
-    with pair_of(tmp_path, *job_of(tmp_path_factory)) as pair, one_clock(pair):
+    with pair_of(tmp_path, *job_of(tmp_path_factory)) as pair:
         pair.power_up(time_scale=0.5)
         pair.begin().to(Phase.CUTTING).run(1.0)
         pair.disk.delay_s = 0.2

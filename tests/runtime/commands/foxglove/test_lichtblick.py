@@ -6,7 +6,7 @@ import re
 import pytest
 
 from cutgate.runtime.commands.foxglove.lichtblick import layout_bytes
-from tests.runtime.commands.foxglove.sessions import by_topic, exported, finished_session, one_clock
+from tests.runtime.commands.foxglove.sessions import by_topic, exported, finished_session
 from tests.runtime.session.pair import job_of, pair_of
 
 LAYOUT = json.loads(layout_bytes())
@@ -23,7 +23,7 @@ def values():
 @pytest.fixture(scope="module")
 def messages(tmp_path_factory):
     folder = tmp_path_factory.mktemp("session")
-    with pair_of(folder, *job_of(tmp_path_factory)) as pair, one_clock(pair):
+    with pair_of(folder, *job_of(tmp_path_factory)) as pair:
         return by_topic(exported(finished_session(pair), folder))
 
 

@@ -9,7 +9,7 @@ from hashlib import sha256
 import pytest
 
 from tests.node import needs_packages, node
-from tests.runtime.commands.foxglove.sessions import exported, finished_session, one_clock, read_indexed
+from tests.runtime.commands.foxglove.sessions import exported, finished_session, read_indexed
 from tests.runtime.session.pair import job_of, pair_of
 
 pytestmark = pytest.mark.processes
@@ -49,7 +49,7 @@ def mcap_core():
 
 
 def test_the_export_gives_the_same_to_mcap_core(tmp_path, tmp_path_factory):
-    with pair_of(tmp_path, *job_of(tmp_path_factory)) as pair, one_clock(pair):
+    with pair_of(tmp_path, *job_of(tmp_path_factory)) as pair:
         data = exported(finished_session(pair), tmp_path)
     file = tmp_path / "out.mcap"
     done = node(READ, file)

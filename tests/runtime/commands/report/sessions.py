@@ -1,7 +1,7 @@
 """Three sessions, in virtual time: cut to the end, refused, stopped by the operator while cutting."""
 
 from cutgate.runtime.interlock.state import Phase
-from tests.runtime.commands.foxglove.sessions import finished_session, one_clock
+from tests.runtime.commands.foxglove.sessions import finished_session
 from tests.runtime.session.pair import ADMISSIBLE_MM, INADMISSIBLE_MM, job_of, pair_of
 from tests.runtime.session.test_stopped import moving
 
@@ -11,7 +11,7 @@ def logs_of(tmp_path_factory):
     found = {}
     for name, given in (("cut", ADMISSIBLE_MM), ("refused", INADMISSIBLE_MM), ("stopped", ADMISSIBLE_MM)):
         folder = tmp_path_factory.mktemp(name)
-        with pair_of(folder, *job_of(tmp_path_factory, given)) as pair, one_clock(pair):
+        with pair_of(folder, *job_of(tmp_path_factory, given)) as pair:
             if name == "stopped":
                 assert moving(pair).say("stop").end() is Phase.STOPPED
                 found[name] = pair.close().log

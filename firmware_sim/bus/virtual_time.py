@@ -8,6 +8,7 @@ used: :meth:`VirtualTime.join` a bus for each program, :meth:`VirtualTime.add` e
 import os
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Final
 
@@ -157,12 +158,24 @@ class VirtualTimeBus(can.BusABC):
         self.channel_info = name
         self._time = time
         self._descriptor = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._leaving = ExitStack()
+        self._leaving.callback(os.close, self._descriptor)
+        self._leaving.callback(time.leave, number)
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         super().__init__(channel=name)
 
     def fileno(self) -> int:
-        """A descriptor for poll, of which nothing ever comes: what is to be read, the turns say; -1 once it was shut down."""
+        """A descriptor for poll, of which nothing ever comes: what is to be read, the turns say.
+
+        Raises:
+            can.CanOperationError: it was shut down; the number may be another file's.
+        """
+        self._must_be_open()
         return self._descriptor
+
+    def _must_be_open(self) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError("the bus was shut down by this program")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - python-can's
         """Queue one frame.
@@ -171,8 +184,7 @@ class VirtualTimeBus(can.BusABC):
             can.CanTimeoutError: the transmit queue has no room.
             can.CanOperationError: a frame that this bus, or no CAN bus, carries; or it was shut down.
         """
-        if self._is_shutdown:
-            raise can.CanOperationError("the bus was shut down by this program")
+        self._must_be_open()
         if not self._time.offer(self.number, frame_of(msg, fd=self.fd)):
             raise can.CanTimeoutError(f"the transmit queue of {self.channel_info} is full")
 
@@ -188,8 +200,7 @@ class VirtualTimeBus(can.BusABC):
             raise can.CanOperationError("in virtual time recv needs a timeout: it could wait for ever")
         end_s = self._time.clock() + timeout
         while True:
-            if self._is_shutdown:
-                raise can.CanOperationError("the bus was shut down by this program")
+            self._must_be_open()
             while self.inbox:
                 message = self.inbox.popleft()
                 if message.is_error_frame or self._matches_filters(message):
@@ -199,11 +210,8 @@ class VirtualTimeBus(can.BusABC):
 
     def shutdown(self) -> None:
         """Leave the bus; may be called more than once."""
-        if self._descriptor != -1:
-            super().shutdown()
-            self._time.leave(self.number)
-            os.close(self._descriptor)
-            self._descriptor = -1  # the number may be another file's from now on
+        super().shutdown()
+        self._leaving.close()
 
 
 @dataclass

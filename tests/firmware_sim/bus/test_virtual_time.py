@@ -42,7 +42,8 @@ def test_a_bus_that_was_left_is_left_for_good(time):
     assert set(time.medium.nodes) == {two.number}
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(descriptor)
-    assert one.fileno() == -1
+    with pytest.raises(can.CanOperationError, match="shut down"):
+        one.fileno()
 
 
 def test_its_descriptor_is_for_poll_alone_and_never_has_anything(time):
@@ -217,3 +218,14 @@ def test_unpaced_a_frame_takes_no_time():
     assert [two.recv(0).arbitration_id for _ in range(10)] == list(range(10))
     for bus in (one, two):
         bus.shutdown()
+
+
+def test_what_ends_at_the_moment_of_a_turn_is_heard_in_it(time):
+    one, two, turns = time.join("one"), time.join("two"), []
+    time.run(0.25)
+    begun_ns, takes_ns, wait_ns = time.now_ns, frame_bits(BusFrame(5)).ns(RATES), 100_000_000
+    time.add(two, lambda: turns.append((time.now_ns - begun_ns, len(two.inbox))), lambda: wait_ns / 1e9)
+    time.run((wait_ns - takes_ns) / 1e9)
+    one.send(message(5))
+    time.run(takes_ns / 1e9)
+    assert turns == [(0, 0), (wait_ns, 1)]

@@ -90,9 +90,9 @@ _BY_BYTE: Final = [[_after_bits(state, byte, 8) for byte in range(256)] for stat
 
 
 def _stuffed(state: int, value: int, count: int) -> tuple[int, int]:
-    """The state behind ``count`` bits of a value, most significant first, and how many stuff bits they needed."""
+    """The state behind a value of ``count`` bits, most significant first, and how many stuff bits they needed."""
     odd, whole = count % 8, count // 8
-    state, inserted = _after_bits(state, value >> 8 * whole & (1 << odd) - 1, odd)
+    state, inserted = _after_bits(state, value >> 8 * whole, odd)
     for byte in (value & (1 << 8 * whole) - 1).to_bytes(whole, "big"):
         state, more = _BY_BYTE[state][byte]
         inserted += more

@@ -17,6 +17,7 @@ from cutgate.runtime.interlock.state import (
     Send,
     SendStop,
 )
+from cutgate.runtime.interlock.table import WITHDRAWAL_UNHEARD
 from tests.runtime.interlock.builders import (
     FRESH,
     NOW,
@@ -100,7 +101,9 @@ class Watch:
             assert (after, effects) == (before, ())
         if before.phase is Phase.STOPPING:
             assert after.phase in (Phase.STOPPING, Phase.STOPPED)
-            assert (after.cause, after.reason) == (before.cause, before.reason)
+            unheard = WITHDRAWAL_UNHEARD if after.phase is Phase.STOPPED else ""
+            assert after.cause is before.cause
+            assert after.reason in (before.reason, before.reason + unheard)
         if after.phase in (Phase.STOPPING, Phase.STOPPED, Phase.REFUSED):
             assert after.cause is not StopCause.NONE
             assert after.permit is None

@@ -205,7 +205,7 @@ class Session:
     def _wait(self, wake: int) -> set[int]:
         return self.ready(wake, self.wait_s)
 
-    def ready(self, wake: int, wait_s: float = 0.0) -> set[int]:
+    def ready(self, wake: int, wait_s: float) -> set[int]:
         """Descriptors that can be read, as soon as any can.
 
         Args:

@@ -180,6 +180,6 @@ def test_the_project_of_tests_passes_as_it_is_written(workers, with_pytest, tmp_
     run([with_pytest / "cutgate", "example", "hil", "project"], cwd=tmp_path)
     command = [with_pytest / "python", "-m", "pytest", "-n", workers, "--cutgate-matrix", "matrix.md"]
     done = run(command, cwd=tmp_path / "project")
-    assert "4 passed" in done.stdout
+    assert "5 passed" in done.stdout
     matrix = (tmp_path / "project" / "matrix.md").read_text(encoding="utf-8")
     assert "4 tests with sessions, 1 different faults, 0 tests failed." in matrix

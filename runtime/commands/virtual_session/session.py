@@ -239,7 +239,7 @@ class VirtualSession:
 
     def _turn(self) -> None:
         if self.phase not in ENDED:
-            self._session.run_cycle(self._session.ready(self._wake))
+            self._session.run_cycle(self._session.ready(self._wake, 0.0))
         else:
             with suppress(can.CanError):  # last words that the bus had no room for; else silence says it
                 self._conducted.port.flush()

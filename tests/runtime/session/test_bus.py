@@ -402,6 +402,7 @@ def test_a_lost_heartbeat_says_who_has_taken_the_bus(cutting, frames):
     cutting.controller_runs = False
     state = crowded(cutting, lambda: cutting.phase is not Phase.CUTTING, frames)
     assert state.cause is StopCause.HEARTBEAT_LOST
+    assert sum(TAKEN in note for note in cutting.notes.notes) == (frames == 10)
     assert ("; this computer was not late; " in state.reason) is (TAKEN in state.reason) is (frames == 10)
 
 

@@ -4,6 +4,7 @@ import errno
 
 import pytest
 
+from cutgate.runtime.audit.commit import InTurn
 from cutgate.runtime.audit.inspect import Status, read_log
 from cutgate.runtime.audit.recovered import RECOVERED, Recovered
 from cutgate.runtime.audit.recovery import agrees
@@ -96,7 +97,8 @@ def test_what_a_full_disk_has_left_is_recovered(tmp_path, number):
         key.write_bytes(LogKey(bytes(16), 1, bytes(32)).encode())
         key.chmod(0o600)
         opened = {"clock": Ticking().clock(), "disk": WatchedDisk(short=500, **disk), "key_file": key}
-        log = create(folder, log_id=LOG_ID, opened=OPENED, **opened)
+        # In turn: when a commit is reported must be the same in both, for the clock is asked then.
+        log = create(folder, log_id=LOG_ID, opened=OPENED, committer=InTurn, **opened)
         log.attach("plan.csv", "text/csv", b"x,y,z\n" * 900)
         for step in range(9):
             log.write(decision(step))

@@ -182,4 +182,4 @@ def test_the_project_of_tests_passes_as_it_is_written(workers, with_pytest, tmp_
     done = run(command, cwd=tmp_path / "project")
     assert "5 passed" in done.stdout
     matrix = (tmp_path / "project" / "matrix.md").read_text(encoding="utf-8")
-    assert "4 tests with sessions, 1 different faults, 0 tests failed." in matrix
+    assert "5 tests with sessions, 2 different faults, 0 tests failed." in matrix
